@@ -1,0 +1,41 @@
+# push_ident: `make help` lists what there is.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+# The interpreter that .venv is made from: the first one of 3.12 and 3.11 that starts. Another: make setup PYTHON=/path/to/python3.11
+PYTHON ?= $(shell for p in python3.12 python3.11 python3; do \
+  "$$p" -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' >/dev/null 2>&1 && echo "$$p" && break; done)
+VENV := .venv/bin
+
+# Tests in parallel trees must not hear each other, and wrong field types must raise instead of corrupting messages.
+export ROS_PYTHON_CHECK_FIELDS ?= 1
+TEST_DOMAIN = $$(( $$$$ % 100 + 1 ))
+
+.PHONY: help setup demo test lint format clean
+
+help:  ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
+
+setup:  ## .venv with every package pinned, ROS 2 Jazzy, workspace built; again: a second
+	@if [ -z "$(PYTHON)" ]; then \
+	  echo "make setup: no Python 3.11 or 3.12 found; install one (Debian: apt-get install python3 python3-venv python3-dev)" \
+	       "or name it: make setup PYTHON=/path/to/python3.12" >&2; exit 1; fi
+	@$(PYTHON) tools/setup_workspace.py
+
+demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
+	$(VENV)/push-ident demo
+
+test: setup lint  ## lint, types and all tests
+	@export ROS_DOMAIN_ID=$${ROS_DOMAIN_ID:-$(TEST_DOMAIN)}; $(VENV)/python -m pytest
+
+lint: setup  ## ruff and mypy
+	$(VENV)/ruff check
+	$(VENV)/ruff format --check
+	$(VENV)/mypy
+
+format: setup  ## rewrite the sources as `make lint` wants them
+	$(VENV)/ruff check --fix
+	$(VENV)/ruff format
+
+clean:  ## build results; .venv stays
+	rm -rf build install log out .mypy_cache .ruff_cache .pytest_cache .hypothesis

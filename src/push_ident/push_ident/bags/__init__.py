@@ -1,0 +1,1 @@
+"""Bags to and from the types of the package, without a ROS installation."""

@@ -1,0 +1,131 @@
+"""Fields of recorded messages to arrays. The messages are whatever class the bag's own schema gave them."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from push_ident.errors import BagError, FrameError
+from push_ident.geometry.outline import outline_of_cells, polygon_area
+from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
+from push_ident.perception.depth import check_intrinsics, depth_from_buffer
+from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array
+
+__all__ = [
+    "DEFAULT_COVARIANCE",
+    "cells_of",
+    "covariance_of",
+    "cylinder_radius_of",
+    "depth_frame_of",
+    "homogeneous_of",
+    "intrinsics_of",
+    "outline_of",
+    "planar_pose_of",
+    "stamp_ns",
+    "traced_outline",
+]
+
+DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
+"""Of (x, y, yaw) where a bag states none: 1 mm and 0.5 degrees."""
+
+_OCCUPIED: Final = 50
+"""Least occupancy [percent] of a cell that belongs to the object; the contract writes 100."""
+_PLANAR: Final = (0, 1, 5)
+
+
+def stamp_ns(stamp: Any) -> int:
+    """[ns] of a builtin_interfaces/Time."""
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def planar_pose_of(pose: Any) -> Float64Array:
+    """(x, y, yaw) of a geometry_msgs/Pose; NaN where the quaternion is zero or not finite."""
+    turn = pose.orientation
+    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+    norm = float(quaternion @ quaternion)
+    yaw = float(yaw_of_quaternion(quaternion)) if np.isfinite(norm) and norm > 1e-6 else np.nan
+    return np.array([pose.position.x, pose.position.y, yaw])
+
+
+def covariance_of(covariance: Any) -> Float64Array | None:
+    """Covariance of (x, y, yaw) out of the 36 numbers of a PoseWithCovariance; None unless it is positive definite."""
+    full = np.asarray(covariance, dtype=np.float64).reshape(6, 6)
+    planar = full[np.ix_(_PLANAR, _PLANAR)]
+    planar = 0.5 * (planar + planar.T)
+    if not np.isfinite(planar).all() or np.linalg.eigvalsh(planar)[0] <= 0:
+        return None
+    return planar
+
+
+def cells_of(grid: Any) -> tuple[CellGrid, float]:
+    """Cells of a nav_msgs/OccupancyGrid, and the yaw of its lattice in the object frame [rad].
+
+    Raises BagError for a grid without cells, or whose sizes do not fit its data.
+    """
+    info = grid.info
+    data = np.asarray(grid.data, dtype=np.int8)
+    if info.width * info.height != len(data):
+        raise BagError(f"occupancy grid has {len(data)} values, expected width * height = {info.width} * {info.height}.")
+    # The resolution is a float32: its shortest decimal is the number that was meant.
+    size = float(str(np.float32(info.resolution)))
+    origin = planar_pose_of(info.origin)
+    if not (np.isfinite(size) and size > 0 and np.isfinite(origin).all()):
+        raise BagError(f"occupancy grid has resolution {size} m and origin {origin}, expected a positive length and a finite pose.")
+    rows, columns = np.nonzero(data.reshape(info.height, info.width) >= _OCCUPIED)
+    if len(rows) == 0:
+        raise BagError(f"occupancy grid of {info.width} x {info.height} has no cell of at least {_OCCUPIED}; the object's cells are 100.")
+    return CellGrid(transform_points(origin, np.column_stack([columns + 0.5, rows + 0.5]) * size), size), float(origin[2])
+
+
+def outline_of(polygon: Any) -> Float64Array | None:
+    """Vertices of a geometry_msgs/Polygon [m], shape (n_vertices, 2); None where it encloses nothing."""
+    vertices = np.array([[point.x, point.y] for point in polygon.points], dtype=np.float64).reshape(-1, 2)
+    if len(vertices) > 1 and np.array_equal(vertices[0], vertices[-1]):
+        vertices = vertices[:-1]
+    if len(vertices) < 3 or not np.isfinite(vertices).all() or abs(polygon_area(vertices)) < 1e-9:
+        return None
+    return vertices
+
+
+def traced_outline(cells: CellGrid, yaw: float) -> Float64Array:
+    """Outline of cells that came without one."""
+    return outline_of_cells(cells.centres, cells.size, yaw=yaw)
+
+
+def cylinder_radius_of(primitive: Any) -> float | None:
+    """Radius [m] of a shape_msgs/SolidPrimitive; None unless it is a cylinder with a sensible one."""
+    cylinder, radius_index = 3, 1
+    if primitive.type != cylinder or len(primitive.dimensions) <= radius_index:
+        return None
+    radius = float(primitive.dimensions[radius_index])
+    return radius if np.isfinite(radius) and radius >= 0 else None
+
+
+def homogeneous_of(transform: Any) -> Float64Array:
+    """Homogeneous matrix, shape (4, 4), of a geometry_msgs/Transform."""
+    from scipy.spatial.transform import Rotation
+
+    turn, shift = transform.rotation, transform.translation
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+    matrix[:3, 3] = (shift.x, shift.y, shift.z)
+    return matrix
+
+
+def intrinsics_of(info: Any) -> CameraIntrinsics:
+    """Pinhole intrinsics of a sensor_msgs/CameraInfo. Raises FrameError for a camera matrix that no camera has."""
+    k = info.k if hasattr(info, "k") else info.K
+    intrinsics = CameraIntrinsics(int(info.width), int(info.height), float(k[0]), float(k[4]), float(k[2]), float(k[5]))
+    check_intrinsics(intrinsics)
+    return intrinsics
+
+
+def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float) -> DepthFrame:
+    """Depth frame of a sensor_msgs/Image. Raises FrameError for another encoding or sizes that do not fit."""
+    depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data).cast("B"))
+    if depth.shape != (intrinsics.height, intrinsics.width):
+        raise FrameError(
+            f"depth image is {image.width} x {image.height}, its camera info says {intrinsics.width} x {intrinsics.height}; different cameras."
+        )
+    return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id))

@@ -1,0 +1,345 @@
+"""Reading contract bags: `read_bag` takes what is small into memory, depth frames come one by one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rosbags.interfaces import Connection
+
+from push_ident.bags import decode
+from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
+from push_ident.bags.opening import OpenBag, open_bag
+from push_ident.errors import BagError, FrameError, InputError
+from push_ident.geometry.outline import points_in_polygon
+from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+
+__all__ = ["BagContents", "ObjectTrack", "PushInterval", "Samples", "read_bag"]
+
+_MAX_JUMP_BACK: Final = 1_000_000_000
+"""Stamps may run backwards by less than this [ns] (late delivery); more is a clock that was set back."""
+_STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
+_DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A recorded quantity over the whole bag."""
+
+    time: Float64Array
+    """[s] since the origin of the bag, shape (n,), strictly increasing."""
+    value: Float64Array
+    """Shape (n, ...)."""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectTrack:
+    """Everything a bag says of one object."""
+
+    shape: ObjectShape | None
+    """None where the bag has no usable cells."""
+    time: Float64Array
+    """[s] since the origin of the bag, shape (n_frames,), strictly increasing; empty where there are no poses."""
+    pose: Float64Array
+    """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_frames, 3)."""
+    covariance: Float64Array
+    """Of (x, y, yaw), shape (n_frames, 3, 3)."""
+
+
+@dataclass(frozen=True, slots=True)
+class PushInterval:
+    """When a push record says a push took place."""
+
+    push_id: int
+    object_id: str
+    start: float
+    """[s] since the origin of the bag."""
+    end: float
+    error_code: int
+    """0: the push was made as planned; others as in action/ExecutePush."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagContents:
+    """A bag in the vocabulary of the package. Times are in seconds since `origin_ns`."""
+
+    path: Path
+    origin_ns: int
+    """Absolute time of time zero [ns]."""
+    objects: dict[str, ObjectTrack]
+    pusher: Samples
+    """Positions of the tool tip in `table` [m], shape (n, 2)."""
+    pusher_radius: float
+    """[m]"""
+    wrench: Samples | None
+    """Force of the pusher on the object in `table` [N], shape (n, 2)."""
+    push_intervals: tuple[PushInterval, ...]
+    """In order of time; empty where the bag has no push records."""
+    camera_in_table: Float64Array | None
+    """Pose of the optical frame in `table`, homogeneous, shape (4, 4), where the bag has it."""
+    n_depth: int
+    """Depth images in the bag."""
+    topics: dict[str, int]
+    """Messages by topic, all topics."""
+    notes: list[str] = field(default_factory=list)
+    """What was missing, dropped or assumed; one line each."""
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether any object has poses; without them depth frames may still tell."""
+        return any(len(track.time) for track in self.objects.values())
+
+    def depth_frames(self) -> Iterator[DepthFrame]:
+        """Depth frames in recorded order, decoded one at a time; those that cannot be used are skipped and counted in `notes`.
+
+        Raises BagError when the bag has no depth images or no camera info, FrameError when not one image is usable.
+        """
+        with open_bag(self.path) as bag:
+            yield from _depth_frames(bag, self.origin_ns, self.notes)
+
+
+@dataclass(slots=True)
+class _Recorded:
+    """Messages of one topic as they were read."""
+
+    stamp: list[int] = field(default_factory=list)
+    message: list[Any] = field(default_factory=list)
+    unstamped: int = 0
+
+
+def read_bag(path: Path) -> BagContents:
+    """Read a bag of the contract: a folder, an MCAP or sqlite3 file, or a ROS 1 bag.
+
+    Header stamps are used as time, the log time where they are zero. Raises BagError, one line, for anything that is not such a bag or
+    lacks what is needed: pusher poses, and object poses or depth images.
+    """
+    path = Path(path)
+    notes: list[str] = []
+    with open_bag(path) as bag:
+        topics = bag.counts()
+        by_role = _connections_by_role(bag, notes)
+        wanted = {role: connections for role, connections in by_role.items() if role.role not in _DEPTH}
+        n_depth = sum(c.msgcount for role, connections in by_role.items() if role.role is Role.DEPTH for c in connections)
+        recorded = _read(bag, wanted)
+    if not sum(topics.values()) or (not recorded and not n_depth):
+        _fail_for_missing(path, topics, [role for role in Role if role in (Role.PUSHER, Role.POSE)])
+    samples = {role: _clean(path, role, record, notes) for role, record in recorded.items() if role.role in _STAMPED}
+    missing = [] if len(samples.get(TopicRole(Role.PUSHER), _NOTHING)[0]) else [Role.PUSHER]
+    if not n_depth and not any(role.role is Role.POSE and len(stamps) for role, (stamps, _) in samples.items()):
+        missing.append(Role.POSE)
+    if missing:
+        _fail_for_missing(path, topics, missing)
+    _check_frames(path, recorded)
+    origin = min(int(stamps[0]) for stamps, _ in samples.values() if len(stamps))
+    object_ids = sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES})
+    return BagContents(
+        path=path,
+        origin_ns=origin,
+        objects={object_id: _object_track(object_id, recorded, samples, origin, notes) for object_id in object_ids},
+        pusher=_samples(samples[TopicRole(Role.PUSHER)], origin),
+        pusher_radius=_pusher_radius(recorded, notes),
+        wrench=_samples(samples[role], origin) if len(samples.get(role := TopicRole(Role.WRENCH), _NOTHING)[0]) else None,
+        push_intervals=_push_intervals(recorded, origin, notes),
+        camera_in_table=_camera_in_table(recorded, notes),
+        n_depth=n_depth,
+        topics=topics,
+        notes=notes,
+    )
+
+
+_Stamped = tuple[np.ndarray[Any, np.dtype[np.int64]], Float64Array]
+_NOTHING: Final[_Stamped] = (np.empty(0, dtype=np.int64), np.empty((0, 0)))
+
+
+def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -> None:
+    names = " and ".join(f"`{role.value.name.replace('{id}', '<id>')}` ({role.msgtype})" for role in missing)
+    present = ", ".join(f"{topic} ({count})" for topic, count in topics.items() if count)[:500]
+    raise BagError(f"{path}: no usable messages of {names}; the bag has {present or 'no messages at all'}. Record or remap these topics.")
+
+
+def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[Connection]]:
+    """Topics of the contract in this bag. Two topics for one role would mix two cells, hence a BagError."""
+    by_role: dict[TopicRole, list[Connection]] = defaultdict(list)
+    for connection in bag.connections:
+        if not (role := role_of(connection.topic)):
+            continue
+        if connection.msgtype != role.role.msgtype:
+            notes.append(f"topic {connection.topic} is of type {connection.msgtype}, expected {role.role.msgtype}; it is not used.")
+            continue
+        by_role[role].append(connection)
+    for role, connections in by_role.items():
+        names = sorted({connection.topic for connection in connections})
+        if len(names) > 1 and role.role is not Role.TF_STATIC:
+            raise BagError(f"{bag.path}: topics {' and '.join(names)} all play the part of `{role}`; keep the topics of one cell.")
+    return dict(by_role)
+
+
+def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[TopicRole, _Recorded]:
+    role_by_topic = {connection.topic: role for role, connections in wanted.items() for connection in connections}
+    connections = [connection for group in wanted.values() for connection in group]
+    bag.register(connections)
+    recorded: dict[TopicRole, _Recorded] = defaultdict(_Recorded)
+    for connection, log_time, message in bag.messages(connections):
+        record = recorded[role_by_topic[connection.topic]]
+        stamp = decode.stamp_ns(message.header.stamp) if hasattr(message, "header") else 0
+        record.unstamped += stamp == 0
+        record.stamp.append(stamp or log_time)
+        record.message.append(message)
+    promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamp) for record in recorded.values())
+    if got < promised:
+        raise BagError(f"{bag.path}: its index promises {promised} messages of the contract, {got} could be read; the recording was cut short.")
+    return dict(recorded)
+
+
+def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> _Stamped:
+    """Stamps and planar values of a topic in order of time, without values that are not finite and repeated stamps."""
+    stamps = np.array(record.stamp, dtype=np.int64)
+    back = int(np.min(np.diff(stamps), initial=0))
+    if back < -_MAX_JUMP_BACK:
+        raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset while recording, cut the bag there.")
+    values = np.array([_planar(role.role, message) for message in record.message])
+    finite = np.isfinite(values).all(axis=1)
+    order = np.argsort(stamps, kind="stable")
+    order = order[finite[order]]
+    first = np.append(True, np.diff(stamps[order]) > 0) if len(order) else np.empty(0, dtype=np.bool_)
+    for count, what in (
+        (record.unstamped if record.unstamped < len(stamps) or len(stamps) > 1 else 0, "have no stamp; their log time is used"),
+        (int(np.sum(np.diff(stamps) < 0)), "came out of order; sorted"),
+        (int(np.sum(~finite)), "hold values that are not finite; dropped"),
+        (int(np.sum(~first)), "repeat a stamp; dropped"),
+    ):
+        if count:
+            notes.append(f"`{role}`: {count} of {len(stamps)} messages {what}.")
+    return stamps[order[first]], values[order[first]]
+
+
+def _planar(role: Role, message: Any) -> Float64Array:
+    """x, y, yaw and the nine numbers of their covariance for a pose; x, y for the pusher and for forces."""
+    if role is Role.POSE:
+        covariance = decode.covariance_of(message.pose.covariance)
+        return np.append(decode.planar_pose_of(message.pose.pose), np.zeros(9) if covariance is None else covariance.ravel())
+    vector = message.pose.position if role is Role.PUSHER else message.wrench.force
+    return np.array([vector.x, vector.y], dtype=np.float64)
+
+
+def _samples(stamped: _Stamped, origin: int) -> Samples:
+    # Nanoseconds are subtracted as integers: as floating point seconds of a date they would be off by up to 0.2 us.
+    return Samples((stamped[0] - origin) * 1e-9, stamped[1])
+
+
+def _check_frames(path: Path, recorded: dict[TopicRole, _Recorded]) -> None:
+    """Poses, pusher and forces must be in one frame."""
+    frames = {
+        str(message.header.frame_id): str(role) for role, record in recorded.items() if role.role in _STAMPED for message in record.message
+    }
+    frames.pop("", None)
+    if len(frames) > 1:
+        listed = ", ".join(f"`{topic}` in {frame!r}" for frame, topic in sorted(frames.items()))
+        raise BagError(f"{path}: {listed}; expected all in {TABLE_FRAME!r}. Transform them before recording.")
+
+
+def _object_track(
+    object_id: str, recorded: dict[TopicRole, _Recorded], samples: dict[TopicRole, _Stamped], origin: int, notes: list[str]
+) -> ObjectTrack:
+    track = _samples(samples.get(TopicRole(Role.POSE, object_id), (_NOTHING[0], np.empty((0, 12)))), origin)
+    covariance = track.value[:, 3:].reshape(-1, 3, 3).copy()
+    unknown = ~covariance.any(axis=(1, 2))
+    covariance[unknown] = decode.DEFAULT_COVARIANCE
+    if unknown.any():
+        notes.append(f"object {object_id}: {int(unknown.sum())} of {len(track)} poses state no covariance; 1 mm and 0.5 degrees are assumed.")
+    return ObjectTrack(_shape(object_id, recorded, notes), track.time, track.value[:, :3], covariance)
+
+
+def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> ObjectShape | None:
+    """Cells and outline by the last message of each."""
+    grids = recorded.get(TopicRole(Role.CELLS, object_id), _Recorded()).message
+    polygons = recorded.get(TopicRole(Role.OUTLINE, object_id), _Recorded()).message
+    if not grids:
+        notes.append(f"object {object_id}: the bag has no cells.")
+        return None
+    try:
+        cells, yaw = decode.cells_of(grids[-1])
+        outline = decode.outline_of(polygons[-1].polygon) if polygons else None
+        if outline is None:
+            notes.append(f"object {object_id}: {'its outline encloses nothing' if polygons else 'no outline'}; it is traced from the cells.")
+            outline = decode.traced_outline(cells, yaw)
+        outside = int(np.sum(~points_in_polygon(cells.centres, outline)))
+        if outside > len(cells) / 2:
+            notes.append(f"object {object_id}: {outside} of {len(cells)} cells lie outside its outline; one of them is wrong.")
+        return ObjectShape(cells, outline)
+    except (BagError, InputError) as error:
+        notes.append(f"object {object_id}: its cells cannot be used: {error}")
+        return None
+
+
+def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
+    shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).message
+    radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
+    if radius is None:
+        notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is taken as a point.")
+        return 0.0
+    return radius
+
+
+def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: list[str]) -> tuple[PushInterval, ...]:
+    intervals = []
+    for message in recorded.get(TopicRole(Role.PUSH_RECORD), _Recorded()).message:
+        start, end = ((decode.stamp_ns(stamp) - origin) * 1e-9 for stamp in (message.start, message.end))
+        if end > start:
+            intervals.append(PushInterval(int(message.push_id), str(message.object_id), start, end, int(message.error_code)))
+        else:
+            notes.append(f"push record {message.push_id} (error code {message.error_code}) covers no time; ignored.")
+    return tuple(sorted(intervals, key=lambda interval: interval.start))
+
+
+def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> Float64Array | None:
+    """Chain of static transforms from the camera up to the table, if there is one."""
+    parents = {}
+    for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).message:
+        for stamped in message.transforms:
+            parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
+    if CAMERA_FRAME not in parents:
+        return None
+    frame, camera_in_frame = CAMERA_FRAME, np.eye(4)
+    while frame != TABLE_FRAME and frame in parents:
+        frame, transform = parents.pop(frame)
+        camera_in_frame = decode.homogeneous_of(transform) @ camera_in_frame
+    if frame != TABLE_FRAME:
+        notes.append(f"static transforms lead from {CAMERA_FRAME} to {frame}, not to {TABLE_FRAME}; extrinsics are unknown.")
+        return None
+    return camera_in_frame
+
+
+def _depth_frames(bag: OpenBag, origin: int, notes: list[str]) -> Iterator[DepthFrame]:
+    by_role = _connections_by_role(bag, [])
+    images, infos = (by_role.get(TopicRole(role), []) for role in (Role.DEPTH, Role.CAMERA_INFO))
+    if not images or not infos:
+        absent = Role.CAMERA_INFO if images else Role.DEPTH
+        raise BagError(f"{bag.path}: no `{absent.value.name}` ({absent.msgtype}); record depth images together with their camera info.")
+    bag.register([*images, *infos])
+    intrinsics: CameraIntrinsics | None = next((decode.intrinsics_of(info) for _, _, info in bag.messages(infos)), None)
+    refused: list[FrameError] = []
+    total = 0
+    for connection, log_time, message in bag.messages([*images, *infos]):
+        try:
+            if connection.msgtype == Role.CAMERA_INFO.msgtype:
+                intrinsics = decode.intrinsics_of(message)
+                continue
+            total += 1
+            if intrinsics is None:
+                raise FrameError("no camera info was recorded.")
+            stamp = decode.stamp_ns(message.header.stamp) or log_time
+            yield decode.depth_frame_of(message, intrinsics, (stamp - origin) * 1e-9)
+        except FrameError as error:
+            refused.append(error)
+    if refused and len(refused) >= total:
+        raise FrameError(f"{bag.path}: none of {total} depth images is usable; the first: {refused[0]}")
+    if refused:
+        notes.append(f"depth: {len(refused)} of {total} images are not usable and skipped; the first: {refused[0]}")

@@ -1,0 +1,74 @@
+"""Push records to a contract bag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import InputError
+from push_ident.types import PushRecord
+
+__all__ = ["write_records"]
+
+_CLEARANCE: Final = 2.0
+"""Pause between pushes that would otherwise touch or overlap in time [s]."""
+_FIRST: Final = 1.0
+"""Earliest stamp written [s]: a stamp of zero means that there is none."""
+
+
+def write_records(path: Path, records: Sequence[PushRecord]) -> None:
+    """Write pushes as a new bag that reads back as the same records, up to the origin of time of each push.
+
+    Times within a push are kept; a push that would start within 2 s of the end of the one before is moved to that distance.
+    Records of several objects with one and the same pusher path are one push. Raises InputError for records that cannot share a bag.
+    """
+    if not records:
+        raise InputError("there are no push records to write; a bag needs at least one.")
+    radii = sorted({record.pusher.radius for record in records})
+    if len(radii) > 1:
+        raise InputError(f"records have pushers of radius {radii} m; a bag has one pusher, write one bag for each.")
+    shapes = {record.object_id: record.shape for record in records}
+    for record in records:
+        shape = shapes[record.object_id]
+        if not (np.array_equal(shape.outline, record.shape.outline) and np.array_equal(shape.cells.centres, record.shape.cells.centres)):
+            raise InputError(f"records of object {record.object_id} differ in its shape; a bag has one shape for each object.")
+    with BagWriter(path) as writer:
+        writer.write_pusher_shape(_FIRST, radii[0])
+        for object_id, shape in sorted(shapes.items()):
+            writer.write_shape(object_id, shape, _FIRST)
+        end = _FIRST - _CLEARANCE
+        for push_id, push in enumerate(_by_push(records), start=1):
+            first = min(min(record.poses.time[0], record.pusher.time[0]) for record in push)
+            shift = max(0.0, end + _CLEARANCE - first)
+            end = _write_push(writer, push_id, push, shift)
+
+
+def _by_push(records: Sequence[PushRecord]) -> list[list[PushRecord]]:
+    pushes: list[list[PushRecord]] = []
+    for record in records:
+        same = pushes[-1] if pushes else []
+        if same and np.array_equal(same[0].pusher.time, record.pusher.time) and record.object_id not in {seen.object_id for seen in same}:
+            same.append(record)
+        else:
+            pushes.append([record])
+    return pushes
+
+
+def _write_push(writer: BagWriter, push_id: int, push: Sequence[PushRecord], shift: float) -> float:
+    """Write what was seen during one push, and when that was; returns the last time [s]."""
+    times = np.concatenate([push[0].pusher.time, *(record.poses.time for record in push)]) + shift
+    start, end = float(times.min()), float(times.max())
+    for record in push:
+        for time, pose, covariance in zip(record.poses.time, record.poses.pose, record.poses.covariance, strict=True):
+            writer.write_pose(record.object_id, float(time) + shift, pose, covariance)
+    for time, position in zip(push[0].pusher.time, push[0].pusher.position, strict=True):
+        writer.write_pusher(float(time) + shift, position)
+    if (wrench := push[0].wrench) is not None:
+        for time, force in zip(wrench.time, wrench.force, strict=True):
+            writer.write_wrench(float(time) + shift, force)
+    writer.write_push_record(push_id, push[0].object_id, start, end)
+    return end

@@ -1,0 +1,291 @@
+"""Writing contract bags, in MCAP, so that a kill in the middle loses a second at most.
+
+A chunk is finished when it is full or a second old, and is then on its way to the disk; what follows a kill is a file without an
+index, from which `salvage` recovers every finished chunk.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final
+
+import numpy as np
+import yaml
+from mcap.writer import Writer
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.bags.contract import CAMERA_FRAME, TABLE_FRAME, Role, object_frame, topic_of
+from push_ident.bags.typestore import definition_of, jazzy_typestore
+from push_ident.errors import BagError
+from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
+
+__all__ = ["BagWriter"]
+
+_CHUNK_SIZE: Final = 256 * 1024
+"""[bytes]"""
+_FLUSH_PERIOD: Final = 1.0
+"""Oldest message that a kill may lose [s]."""
+_PLANAR: Final = (0, 1, 5)
+"""Rows of x, y and yaw in a 6 x 6 covariance."""
+_FIXED_VARIANCE: Final = 1e-6
+"""Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
+_LATTICE_TOLERANCE: Final = 0.02
+"""How far a cell may lie off the lattice, in cells."""
+
+
+class BagWriter:
+    """Writes one bag; use it as a context manager. Not thread-safe.
+
+    Args:
+        path: A new folder (MCAP and metadata.yaml in it) or, ending in `.mcap`, a new file. Existing ones are refused.
+        chunk_size: Bytes of messages after which a chunk is finished.
+
+    Stamps are in seconds. Every method raises BagError when the disk refuses.
+    """
+
+    def __init__(self, path: Path, *, chunk_size: int = _CHUNK_SIZE) -> None:
+        self.path = Path(path)
+        self._chunk_size = chunk_size
+        self._file: IO[bytes] | None = None
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[str, int] = {}
+        self._counts: dict[int, int] = {}
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._flushed = 0.0
+
+    def __enter__(self) -> BagWriter:
+        if self.path.exists():
+            raise BagError(f"{self.path}: exists already and is not overwritten; give another name.")
+        try:
+            self._storage.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._storage.open("xb")
+            self._writer = Writer(self._file, chunk_size=self._chunk_size)
+            self._writer.start(profile="ros2", library="push_ident")
+            self._writer.flush()
+        except OSError as error:
+            raise self._refused(error) from error
+        self._flushed = time.monotonic()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        file, self._file = self._file, None
+        if file is None:
+            return
+        try:
+            with file:
+                self._writer.finish()
+            if self._storage != self.path:
+                (self.path / "metadata.yaml").write_text(self._metadata(), encoding="utf-8")
+        except OSError as failure:
+            if error is None:
+                raise self._refused(failure) from failure
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far."""
+        return sum(self._counts.values())
+
+    def write_raw(
+        self,
+        topic: str,
+        msgtype: str,
+        stamp_ns: int,
+        data: bytes | memoryview,
+        *,
+        publish_ns: int | None = None,
+        definition: tuple[str, bytes] | None = None,
+    ) -> None:
+        """Write a serialized message.
+
+        Args:
+            topic: Full topic name.
+            msgtype: As `package/msg/Name`; must be a type of ROS 2 Jazzy or push_ident_msgs unless `definition` is given.
+            stamp_ns: Log time [ns], since the same epoch as the header stamps.
+            data: The message in CDR, with its encapsulation header.
+            publish_ns: When it was published [ns]; by default `stamp_ns`.
+            definition: Encoding and text of the type's schema, for types that are not known here.
+        """
+        if self._file is None:
+            raise BagError(f"{self.path}: the bag is not open for writing; use BagWriter as a context manager.")
+        if not 0 <= stamp_ns < 2**63:
+            raise BagError(f"{self.path}: log time of a message on {topic} is {stamp_ns} ns, expected 0 to 2^63.")
+        try:
+            channel = self._channel(topic, msgtype, definition)
+            self._writer.add_message(channel, stamp_ns, bytes(data), stamp_ns if publish_ns is None else publish_ns, self._counts[channel])
+            now = time.monotonic()
+            if now - self._flushed > _FLUSH_PERIOD:
+                self._writer.flush()
+                self._flushed = now
+        except OSError as error:
+            raise self._refused(error) from error
+        self._counts[channel] += 1
+        self._first_ns = stamp_ns if self._first_ns is None else min(self._first_ns, stamp_ns)
+        self._last_ns = max(self._last_ns, stamp_ns)
+
+    def write_pose(self, object_id: str, stamp: float, pose: ArrayLike, covariance: ArrayLike) -> None:
+        """Pose (x, y, yaw) of the object frame in `table` [m, m, rad] and its covariance, shape (3, 3)."""
+        x, y, yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
+        full = np.eye(6) * _FIXED_VARIANCE
+        full[np.ix_(_PLANAR, _PLANAR)] = np.asarray(covariance, dtype=np.float64)
+        body = self._new("geometry_msgs/msg/PoseWithCovariance", self._pose(x, y, 0.0, yaw), full.ravel())
+        self._write(Role.POSE, stamp, self._header(stamp, TABLE_FRAME), body, object_id=object_id)
+
+    def write_pusher(self, stamp: float, position: ArrayLike, *, z: float = 0.0) -> None:
+        """Position of the tool tip in `table` [m], shape (2,), at height `z`."""
+        x, y = (float(value) for value in np.asarray(position, dtype=np.float64))
+        self._write(Role.PUSHER, stamp, self._header(stamp, TABLE_FRAME), self._pose(x, y, z, 0.0))
+
+    def write_pusher_shape(self, stamp: float, radius: float, *, height: float = 0.1) -> None:
+        """The pusher as an upright cylinder [m]."""
+        cylinder = self._store.types[Role.PUSHER_SHAPE.msgtype].CYLINDER  # type: ignore[attr-defined]
+        polygon = self._new("geometry_msgs/msg/Polygon", [])
+        self._write(Role.PUSHER_SHAPE, stamp, cylinder, np.array([height, radius]), polygon)
+
+    def write_wrench(self, stamp: float, force: ArrayLike) -> None:
+        """Force of the pusher on the object in `table` [N], shape (2,)."""
+        fx, fy = (float(value) for value in np.asarray(force, dtype=np.float64))
+        parts = (self._new("geometry_msgs/msg/Vector3", *vector) for vector in ((fx, fy, 0.0), (0.0, 0.0, 0.0)))
+        self._write(Role.WRENCH, stamp, self._header(stamp, TABLE_FRAME), self._new("geometry_msgs/msg/Wrench", *parts))
+
+    def write_shape(self, object_id: str, shape: ObjectShape, stamp: float) -> None:
+        """Cells and outline of an object, in its own frame. Raises BagError for cells off a lattice along the axes of that frame."""
+        header = self._header(stamp, object_frame(object_id))
+        origin, occupied = _lattice(shape.cells)
+        height, width = occupied.shape
+        info = self._new(
+            "nav_msgs/msg/MapMetaData", header.stamp, float(shape.cells.size), width, height, self._pose(float(origin[0]), float(origin[1]), 0.0, 0.0)
+        )
+        self._write(Role.CELLS, stamp, header, info, np.where(occupied, 100, 0).astype(np.int8).ravel(), object_id=object_id)
+        points = [self._new("geometry_msgs/msg/Point32", float(x), float(y), 0.0) for x, y in shape.outline]
+        self._write(Role.OUTLINE, stamp, header, self._new("geometry_msgs/msg/Polygon", points), object_id=object_id)
+
+    def write_depth(self, stamp: float, depth: NDArray[np.uint16] | NDArray[np.float32], *, frame_id: str = CAMERA_FRAME) -> None:
+        """Depth image, shape (height, width): uint16 in millimetres (0: unseen) or float32 in metres (NaN: unseen)."""
+        pixel, encoding = (np.dtype("<u2"), "16UC1") if depth.dtype == np.uint16 else (np.dtype("<f4"), "32FC1")
+        data = np.ascontiguousarray(depth, dtype=pixel)
+        rows = (data.shape[0], data.shape[1], encoding, 0, data.shape[1] * pixel.itemsize, data.view(np.uint8).ravel())
+        self._write(Role.DEPTH, stamp, self._header(stamp, frame_id), *rows)
+
+    def write_camera_info(self, stamp: float, intrinsics: CameraIntrinsics, *, frame_id: str = CAMERA_FRAME) -> None:
+        """Intrinsics of a rectified depth camera."""
+        fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+        k = np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+        p = np.array([fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
+        roi = self._new("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
+        size = (intrinsics.height, intrinsics.width)
+        self._write(Role.CAMERA_INFO, stamp, self._header(stamp, frame_id), *size, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(), p, 0, 0, roi)
+
+    def write_extrinsics(self, stamp: float, camera_in_table: ArrayLike, *, frame_id: str = CAMERA_FRAME) -> None:
+        """Pose of the optical frame in `table`, homogeneous, shape (4, 4), as a static transform."""
+        from scipy.spatial.transform import Rotation
+
+        transform = np.asarray(camera_in_table, dtype=np.float64)
+        turn = self._new("geometry_msgs/msg/Quaternion", *(float(q) for q in Rotation.from_matrix(transform[:3, :3]).as_quat()))
+        shift = self._new("geometry_msgs/msg/Vector3", *(float(t) for t in transform[:3, 3]))
+        body = self._new("geometry_msgs/msg/Transform", shift, turn)
+        stamped = self._new("geometry_msgs/msg/TransformStamped", self._header(stamp, TABLE_FRAME), frame_id, body)
+        self._write(Role.TF_STATIC, stamp, [stamped])
+
+    def write_push_record(self, push_id: int, object_id: str, start: float, end: float, *, error_code: int = 0, error_text: str = "") -> None:
+        """Say that a push lasted from `start` to `end` [s]; what only its plan knows is left empty."""
+        times = (self._time(start), self._time(0.0), self._time(end), self._time(end))
+        plan = (self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+        self._write(Role.PUSH_RECORD, end, self._header(end, TABLE_FRAME), push_id, object_id, error_code, error_text, *times, *plan)
+
+    @property
+    def _storage(self) -> Path:
+        return self.path if self.path.suffix == ".mcap" else self.path / f"{self.path.name}.mcap"
+
+    @property
+    def _store(self) -> Any:
+        return jazzy_typestore()
+
+    def _new(self, msgtype: str, *fields: Any) -> Any:
+        return self._store.types[msgtype](*fields)
+
+    def _time(self, stamp: float) -> Any:
+        return self._new("builtin_interfaces/msg/Time", *divmod(_nanoseconds(stamp), 10**9))
+
+    def _header(self, stamp: float, frame_id: str) -> Any:
+        return self._new("std_msgs/msg/Header", self._time(stamp), frame_id)
+
+    def _pose(self, x: float, y: float, z: float, yaw: float) -> Any:
+        quaternion = (float(q) for q in quaternion_of_yaw(yaw))
+        point = self._new("geometry_msgs/msg/Point", x, y, z)
+        return self._new("geometry_msgs/msg/Pose", point, self._new("geometry_msgs/msg/Quaternion", *quaternion))
+
+    def _write(self, role: Role, stamp: float, *fields: Any, object_id: str = "") -> None:
+        data = self._store.serialize_cdr(self._new(role.msgtype, *fields), role.msgtype)
+        self.write_raw("/" + topic_of(role, object_id), role.msgtype, _nanoseconds(stamp), data)
+
+    def _channel(self, topic: str, msgtype: str, definition: tuple[str, bytes] | None) -> int:
+        key = (topic, msgtype)
+        if key not in self._channels:
+            if msgtype not in self._schemas:
+                encoding, text = definition or ("ros2msg", definition_of(msgtype).encode())
+                self._schemas[msgtype] = self._writer.register_schema(msgtype, encoding, text)
+            self._channels[key] = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], {"offered_qos_profiles": ""})
+            self._counts[self._channels[key]] = 0
+        return self._channels[key]
+
+    def _metadata(self) -> str:
+        """The metadata.yaml that rosbag2 of Jazzy expects beside the storage file."""
+        start = {"nanoseconds_since_epoch": self._first_ns or 0}
+        duration = {"nanoseconds": self._last_ns - (self._first_ns or 0)}
+        # Copies, since a dictionary that appears twice becomes an anchor and an alias in YAML.
+        file = {"path": self._storage.name, "starting_time": dict(start), "duration": dict(duration), "message_count": self.message_count}
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": msgtype,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [],
+                    "type_description_hash": "",
+                },
+                "message_count": self._counts[channel],
+            }
+            for (topic, msgtype), channel in self._channels.items()
+        ]
+        information = {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [self._storage.name],
+            "duration": duration,
+            "starting_time": start,
+            "message_count": self.message_count,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [file],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+        return str(yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False))
+
+    def _refused(self, error: OSError) -> BagError:
+        return BagError(f"{self.path}: cannot be written ({error.strerror or error}); check the disk and the folder's rights.")
+
+
+def _nanoseconds(stamp: float) -> int:
+    if not (math.isfinite(stamp) and 0 <= stamp < 2**31):
+        raise BagError(f"stamp is {stamp} s, expected 0 to 2^31 s.")
+    return round(stamp * 1e9)
+
+
+def _lattice(cells: CellGrid) -> tuple[Float64Array, BoolArray]:
+    """Lower corner of an occupancy grid [m] and which of its cells are occupied, row by row in y."""
+    low = cells.centres.min(axis=0)
+    exact = (cells.centres - low) / cells.size
+    indices = np.rint(exact).astype(np.int64)
+    if np.abs(exact - indices).max() > _LATTICE_TOLERANCE:
+        raise BagError(f"cells do not lie on a lattice of {cells.size:g} m along the axes of the object frame; an occupancy grid cannot hold them.")
+    width, height = (int(n) + 1 for n in indices.max(axis=0))
+    occupied = np.zeros((height, width), dtype=np.bool_)
+    occupied[indices[:, 1], indices[:, 0]] = True
+    return low - 0.5 * cells.size, occupied

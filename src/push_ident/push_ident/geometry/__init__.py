@@ -1,0 +1,1 @@
+"""Planar rigid motions and outline polygons."""

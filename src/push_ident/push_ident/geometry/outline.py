@@ -1,0 +1,143 @@
+"""Outline polygons: traced from square cells, measured, and filled with cells.
+
+A polygon is simple, counter-clockwise and not closed, shape (n_vertices, 2), in metres.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from push_ident.errors import InputError
+from push_ident.geometry.se2 import rotation
+from push_ident.types import BoolArray, CellGrid, Float64Array
+
+__all__ = ["cells_in_outline", "outline_of_cells", "points_in_polygon", "polygon_area", "signed_distance"]
+
+_Corner = tuple[int, int]
+_LATTICE_TOLERANCE = 0.02
+"""How far a cell may lie off the lattice, in cells: float32 origins are off by far less, a wrong size by far more."""
+
+
+def polygon_area(polygon: ArrayLike) -> float:
+    """Signed area [m^2]: positive for counter-clockwise."""
+    x, y = np.asarray(polygon, dtype=np.float64).T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> BoolArray:
+    """Which of `points` (n, 2) lie inside, shape (n,), by the even-odd rule; points on the boundary may go either way."""
+    px, py = np.asarray(points, dtype=np.float64).T[:, :, None]
+    start = np.asarray(polygon, dtype=np.float64)
+    (ax, ay), (bx, by) = start.T, np.roll(start, -1, axis=0).T
+    crosses = (ay > py) != (by > py)
+    height = np.where(by == ay, 1.0, by - ay)
+    return np.asarray(np.count_nonzero(crosses & (px < ax + (py - ay) * (bx - ax) / height), axis=1) % 2 == 1)
+
+
+def signed_distance(points: ArrayLike, polygon: ArrayLike) -> Float64Array:
+    """Distance of each of `points` (n, 2) to the outline [m], shape (n,): positive outside, negative inside."""
+    points = np.asarray(points, dtype=np.float64)
+    start = np.asarray(polygon, dtype=np.float64)
+    edge = np.roll(start, -1, axis=0) - start
+    from_start = points[:, None, :] - start
+    along = np.clip(np.sum(from_start * edge, axis=2) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
+    distance = np.min(np.linalg.norm(from_start - along[..., None] * edge, axis=2), axis=1)
+    return np.where(points_in_polygon(points, start), -distance, distance)
+
+
+def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
+    """Square cells of edge `size` [m] whose centres lie inside `outline`; the frame's origin is a corner of the lattice.
+
+    Raises InputError when the outline is too small for a single centre.
+    """
+    if not (np.isfinite(size) and size > 0):
+        raise InputError(f"cell size is {size}, expected a positive length in metres.")
+    polygon = np.asarray(outline, dtype=np.float64)
+    low, high = np.floor(polygon.min(axis=0) / size), np.ceil(polygon.max(axis=0) / size)
+    x, y = (np.arange(a, b) * size + 0.5 * size for a, b in zip(low, high, strict=True))
+    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = points_in_polygon(centres, polygon)
+    if not inside.any():
+        raise InputError(f"no cell of {size:g} m has its centre inside an outline of {abs(polygon_area(polygon)):.3g} m^2; take smaller cells.")
+    return CellGrid(centres[inside], float(size))
+
+
+def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Float64Array:
+    """Exact boundary of the union of square cells, counter-clockwise, shape (n_vertices, 2), corners only.
+
+    `centres` [m], shape (n_cells, 2), lie on one square lattice of edge `size` [m], turned by `yaw` [rad]. Of several
+    pieces (cells that touch at a corner alone count as apart) the largest is taken; holes are left out.
+    Raises InputError when there are no cells or they do not lie on one lattice.
+    """
+    centres = np.asarray(centres, dtype=np.float64)
+    if centres.ndim != 2 or centres.shape[1] != 2 or len(centres) == 0:
+        raise InputError(f"cell centres have shape {centres.shape}, expected (n_cells, 2) with at least one cell.")
+    if not (np.isfinite(size) and size > 0 and np.isfinite(yaw) and np.isfinite(centres).all()):
+        raise InputError(f"cells are not finite, or their size {size} is not a positive length in metres.")
+    lattice = (centres - centres[0]) @ rotation(yaw) / size
+    indices = np.rint(lattice).astype(np.int64)
+    off = float(np.abs(lattice - indices).max())
+    if off > _LATTICE_TOLERANCE:
+        raise InputError(f"cell centres lie up to {off * size:.2g} m off a lattice of {size:g} m; give the size (and yaw) they were cut with.")
+    loops = _boundary_loops({(int(i), int(j)) for i, j in indices})
+    corners = max(loops, key=polygon_area)
+    vertices = _without_collinear(np.asarray(corners, dtype=np.float64))
+    return (vertices - 0.5) * size @ rotation(yaw).T + centres[0]
+
+
+def _boundary_loops(cells: set[_Corner]) -> list[list[_Corner]]:
+    """Simple loops of lattice corners around `cells`, which lie to their left: outer loops turn left, holes right.
+
+    Cell (i, j) has the corners (i, j) and (i + 1, j + 1).
+    """
+    next_corners: dict[_Corner, list[_Corner]] = defaultdict(list)
+    for i, j in sorted(cells):
+        for neighbour, start, end in (
+            ((i, j - 1), (i, j), (i + 1, j)),
+            ((i + 1, j), (i + 1, j), (i + 1, j + 1)),
+            ((i, j + 1), (i + 1, j + 1), (i, j + 1)),
+            ((i - 1, j), (i, j + 1), (i, j)),
+        ):
+            if neighbour not in cells:
+                next_corners[start].append(end)
+    loops: list[list[_Corner]] = []
+    while next_corners:
+        walk = [next(iter(next_corners))]
+        position = {walk[0]: 0}
+        while walk:
+            corner = _leave(next_corners, walk)
+            if corner not in position:
+                position[corner] = len(walk)
+                walk.append(corner)
+                continue
+            # Where cells meet at a corner alone the walk passes twice: cutting it there keeps every loop simple.
+            loops.append(walk[position[corner] :])
+            for closed in loops[-1]:
+                del position[closed]
+            del walk[len(walk) - len(loops[-1]) :]
+            if walk:
+                position[corner] = len(walk)
+                walk.append(corner)
+    return loops
+
+
+def _leave(next_corners: dict[_Corner, list[_Corner]], walk: list[_Corner]) -> _Corner:
+    """Take the edge out of the last corner of `walk`, the leftmost where there are two, and remove it."""
+    corner = walk[-1]
+    ends = next_corners[corner]
+    if len(ends) > 1 and len(walk) > 1:
+        back = walk[-2]
+        heading = (corner[0] - back[0], corner[1] - back[1])
+        ends.sort(key=lambda end: heading[0] * (end[1] - corner[1]) - heading[1] * (end[0] - corner[0]))
+    end = ends.pop()
+    if not ends:
+        del next_corners[corner]
+    return end
+
+
+def _without_collinear(loop: Float64Array) -> Float64Array:
+    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
+    return loop[before[:, 0] * after[:, 1] != before[:, 1] * after[:, 0]]

@@ -1,0 +1,122 @@
+"""Models as files: JSON, checked on the way in, with their posterior and where they came from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from push_ident import __version__
+from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.types import CellGrid, ObjectShape
+
+__all__ = ["load_model", "save_model"]
+
+_FORMAT = "push_ident/model/1"
+_MAX_BYTES = 64 << 20
+
+
+class _ModelFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    format: str
+    version: str
+    object_id: str
+    sources: list[str]
+    """Bags and pushes that the model rests on."""
+    cell_size: float
+    cells: list[tuple[float, float]]
+    outline: list[tuple[float, float]]
+    prior: dict[str, float]
+    modes: list[list[float]]
+    """Of the maps, one row a cell. Kept, since eigenvectors differ between machines."""
+    z: list[float]
+    covariance: list[list[float]]
+    total_mass: float
+    total_mass_std: float
+    total_mass_identifiable: bool
+    mass: list[float]
+    friction: list[float]
+    pusher_friction: float
+    """The last three follow from the others; they are there for readers of the file."""
+
+
+def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
+    """Write a model; the file appears whole or not at all."""
+    shape, model = posterior.parameters.shape, posterior.model
+    content = _ModelFile(
+        format=_FORMAT,
+        version=__version__,
+        object_id=object_id,
+        sources=list(sources),
+        cell_size=shape.cells.size,
+        cells=[(float(x), float(y)) for x, y in shape.cells.centres],
+        outline=[(float(x), float(y)) for x, y in shape.outline],
+        prior=asdict(posterior.prior),
+        modes=posterior.parameters.modes.tolist(),
+        z=posterior.z.tolist(),
+        covariance=posterior.covariance.tolist(),
+        total_mass=posterior.total_mass.value,
+        total_mass_std=posterior.total_mass.std,
+        total_mass_identifiable=posterior.total_mass_identifiable,
+        mass=model.mass.tolist(),
+        friction=model.friction.tolist(),
+        pusher_friction=model.pusher_friction,
+    )
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w") as file:
+            file.write(content.model_dump_json(indent=1))
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        raise ModelFileError(f"Cannot write the model to {path}: {error.strerror}; choose a place that can be written to.") from None
+
+
+def load_model(path: Path) -> tuple[str, ModelPosterior]:
+    """Read a model.
+
+    Returns:
+        The id of the object, and its posterior.
+
+    Raises:
+        ModelFileError: no such file, or not one written by `save_model`.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not a model file.")
+        content = _ModelFile.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise ModelFileError(f"Cannot read the model {path}: {error.strerror}; `push-ident identify BAG --out DIR` writes DIR/model.json.") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise ModelFileError(f"{path} is not a model file: {where}: {first['msg']}; write one with `push-ident identify BAG --out DIR`.") from None
+    if content.format != _FORMAT:
+        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
+    try:
+        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline))
+        known = {name: value for name, value in content.prior.items() if name in Prior.__dataclass_fields__}
+        known["max_modes"] = int(known.get("max_modes", Prior().max_modes))
+        parameters = MapParameters(shape, Prior(**known), modes=np.array(content.modes))  # type: ignore[arg-type]
+    except (InputError, ValueError) as error:
+        raise ModelFileError(f"{path} does not describe an object: {error}") from None
+    z, covariance = np.array(content.z), np.array(content.covariance)
+    if z.shape != (parameters.size,) or covariance.shape != (parameters.size, parameters.size):
+        raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {parameters.size} for its cells; the file is damaged.")
+    posterior = ModelPosterior(
+        parameters=parameters,
+        z=z,
+        covariance=covariance,
+        total_mass=Estimate(content.total_mass, content.total_mass_std),
+        total_mass_identifiable=content.total_mass_identifiable,
+    )
+    return content.object_id, posterior

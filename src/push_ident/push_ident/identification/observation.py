@@ -1,0 +1,96 @@
+"""What a push record says, condensed for a fit: few frames, each with the noise that it really carries.
+
+Frames before the touch all show one pose, and so do those after the object has come to rest: each group becomes its mean. Of the
+frames between, a limited number is kept. Noise is that of the frame plus a discrepancy that grows with the way the object has
+gone, since no model of pushing is exact, and frames of one push share it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.geometry.outline import signed_distance
+from push_ident.types import Float64Array, PushRecord
+
+__all__ = ["NoiseModel", "Observation", "observe_push"]
+
+_COAST = 0.15  # an object let go at 0.3 m/s on friction 0.2 rests within this [s]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Errors of observed poses beyond the covariance that comes with them."""
+
+    floor_position: float = 2e-4
+    """That averaging frames does not remove [m]."""
+    floor_yaw: float = 1e-3
+    """[rad]"""
+    growth_position: float = 0.008
+    """Discrepancy of position per way gone."""
+    growth_yaw: float = 0.08
+    """Discrepancy of yaw per way gone [rad/m]."""
+    max_moving_frames: int = 10
+    """Frames kept of the motion itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """A push, condensed."""
+
+    time: Float64Array
+    """[s], shape (n_frames,)."""
+    pose: Float64Array
+    """Table frame, shape (n_frames, 3). The first is the pose at rest before the touch, the last the pose at rest afterwards."""
+    whitening: Float64Array
+    """W with W' W = inverse covariance of a frame, shape (n_frames, 3, 3)."""
+    first_covariance: Float64Array
+    """Of the first pose, shape (3, 3)."""
+    touched: bool
+    """Whether the pusher comes near the observed object at all."""
+
+
+def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
+    """Condense one push record."""
+    noise = noise or NoiseModel()
+    poses, pusher = record.poses, record.pusher
+    gap = _gaps(record)
+    near = gap < max(3e-3, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
+    touch_time = float(pusher.time[np.argmax(near)]) if np.any(near) else np.inf
+    speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
+    driving = near & (speed > 0.05 * max(float(speed.max()), 1e-9))
+    rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + _COAST if np.any(driving) else -np.inf
+
+    before = np.flatnonzero(poses.time <= touch_time)
+    before = before if len(before) else np.array([0])
+    after = np.flatnonzero(poses.time >= max(rest_time, touch_time)) if np.isfinite(touch_time) else np.array([], dtype=int)
+    after = after[after > before[-1]]
+    after = after if len(after) else np.array([len(poses.time) - 1])
+    moving = np.arange(before[-1] + 1, after[0])
+    if len(moving) > noise.max_moving_frames:
+        moving = moving[np.linspace(0, len(moving) - 1, noise.max_moving_frames).round().astype(int)]
+    groups = [before, *([i] for i in moving), after] if after[0] > before[-1] else [before[:-1], after]
+
+    time = np.array([poses.time[g].mean() for g in groups])
+    pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
+    floor = np.diag([noise.floor_position**2, noise.floor_position**2, noise.floor_yaw**2])
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
+    travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
+    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2
+    covariance = np.array(
+        [poses.covariance[g].mean(axis=0) / len(g) + floor + np.diag(growth * way**2) for g, way in zip(groups, travel, strict=True)]
+    )
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    return Observation(time, pose, whitening, covariance[0], bool(np.any(near)))
+
+
+def _gaps(record: PushRecord) -> Float64Array:
+    """Gap between pusher and outline at every pusher sample, by the observed poses [m], shape (n_samples,)."""
+    poses, pusher = record.poses, record.pusher
+    pose = np.column_stack([np.interp(pusher.time, poses.time, poses.pose[:, axis]) for axis in range(3)])
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    away = pusher.position - pose[:, :2]
+    seen = np.column_stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]])
+    return np.asarray(signed_distance(seen, record.shape.outline), dtype=np.float64) - pusher.radius
+

@@ -1,0 +1,141 @@
+"""The unknowns of an object, their prior, and how the body that moves depends on them.
+
+Mass and friction of a cell are positive, so their logarithms are the unknowns; neighbouring cells are alike, so each logarithm is a
+Gaussian process over the object (Matern 3/2). In the coordinates `z` of its leading modes the prior is a unit normal:
+
+    m_i = M w_i,   w = softmax(a),   a = A z_a          masses, M the total mass
+    mu_i = mu_0 exp(b_i + s),        b = A z_b, s       support friction, map and common scale
+    mu_p = mu_p0 exp(p)                                 friction of the pusher
+
+Scaling M scales every force and leaves every motion as it is, so M is no unknown here: see `posterior`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
+from push_ident.physics.simulation import BodyParameters, body_of_cells
+from push_ident.types import Float64Array, ObjectModel, ObjectShape
+
+__all__ = ["MapParameters", "Prior"]
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is believed of an object before it is pushed."""
+
+    total_mass: float = 0.5
+    """Nominal, or known, total mass [kg]."""
+    total_mass_std: float = 0.7
+    """Of its logarithm; 0 where the weight is known."""
+    friction: float = 0.3
+    """Nominal support friction coefficient."""
+    friction_std: float = 0.4
+    """Of the logarithm of its common scale."""
+    pusher_friction: float = 0.3
+    """Nominal friction coefficient between pusher and object."""
+    pusher_friction_std: float = 0.6
+    """Of its logarithm."""
+    mass_map_std: float = 0.7
+    """Of the logarithm of a cell's mass about the mean."""
+    friction_map_std: float = 0.7
+    """Of the logarithm of a cell's friction about the mean."""
+    correlation_length: float = 0.25
+    """Distance over which the maps change, as a share of the object's diagonal."""
+    max_modes: int = 40
+    """Modes a map is made of at most."""
+
+    def __post_init__(self) -> None:
+        for name in ("total_mass", "friction", "pusher_friction", "friction_std", "pusher_friction_std", "correlation_length"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"Prior.{name} is {value}, expected a positive number.")
+        for name in ("total_mass_std", "mass_map_std", "friction_map_std"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
+
+
+class MapParameters:
+    """The unknowns `z` of one object.
+
+    Args:
+        shape: its cells.
+        prior: beliefs.
+        maps: False leaves equal cells and only the scales free (the `scalar` model).
+        modes: of a map, where they are known already (from a file), shape (n_cells, n_modes).
+
+    Attributes:
+        size: number of unknowns; the last two are the friction scale and the pusher friction.
+        modes: of a map, shape (n_cells, n_modes): a = modes @ z_a.
+    """
+
+    def __init__(self, shape: ObjectShape, prior: Prior, *, maps: bool = True, modes: Float64Array | None = None) -> None:
+        self.shape = shape
+        self.prior = prior
+        if modes is None:
+            modes = _leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
+        if modes.ndim != 2 or len(modes) != len(shape.cells):
+            raise InputError(f"`modes` has shape {modes.shape}, expected ({len(shape.cells)}, n_modes) as the cells.")
+        self.modes = modes
+        self.n_modes = self.modes.shape[1]
+        self.size = 2 * self.n_modes + 2
+
+    @property
+    def map_remainder(self) -> Float64Array:
+        """Prior variance of a unit map that the modes leave out, shape (n_cells,): posteriors add it back."""
+        return np.maximum(0.0, 1.0 - np.sum(self.modes**2, axis=1))
+
+    def model(self, z: Float64Array) -> ObjectModel:
+        """The object that `z`, shape (size,), stands for."""
+        n, prior = self.n_modes, self.prior
+        a = prior.mass_map_std * (self.modes @ z[:n])
+        weight = np.exp(a - a.max())
+        weight /= weight.sum()
+        b = prior.friction_map_std * (self.modes @ z[n : 2 * n]) + prior.friction_std * z[-2]
+        return ObjectModel(
+            shape=self.shape,
+            mass=prior.total_mass * weight,
+            friction=prior.friction * np.exp(b),
+            pusher_friction=float(prior.pusher_friction * np.exp(prior.pusher_friction_std * z[-1])),
+        )
+
+    def body(self, z: Float64Array) -> tuple[BodyParameters, float, Float64Array]:
+        """What moves, and how it depends on `z`.
+
+        Returns:
+            The body, the friction of the pusher, and d(body parameters)/dz, shape (8 + n_cells, size), rows as the columns of
+            `Motion.jacobian`.
+        """
+        n, prior, model = self.n_modes, self.prior, self.model(z)
+        body = body_of_cells(self.shape, model.mass, model.friction)
+        weight = model.mass / body.mass
+        arms = self.shape.cells.centres - body.centre
+        moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
+        derivative = np.zeros((N_BODY_PARAMETERS + len(weight), self.size))
+        d_mass = prior.mass_map_std * self.modes
+        # Of the weights w_i = softmax(a): only differences count.
+        d_mass = d_mass - weight @ d_mass
+        d_friction = prior.friction_map_std * self.modes
+        derivative[PARAM_CENTRE : PARAM_CENTRE + 2, :n] = (weight[:, None] * arms).T @ d_mass
+        derivative[PARAM_INERTIA, :n] = body.mass * ((weight * moment) @ d_mass)
+        derivative[PARAM_LIMIT:, :n] = body.limit[:, None] * d_mass
+        derivative[PARAM_LIMIT:, n : 2 * n] = body.limit[:, None] * d_friction
+        derivative[PARAM_LIMIT:, -2] = body.limit * prior.friction_std
+        derivative[PARAM_MU, -1] = model.pusher_friction * prior.pusher_friction_std
+        return body, model.pusher_friction, derivative
+
+
+def _leading_modes(shape: ObjectShape, prior: Prior) -> Float64Array:
+    """Modes of a unit Gaussian process over the cells, scaled so that modes @ unit normal has its covariance."""
+    centres = shape.cells.centres
+    diagonal = float(np.linalg.norm(np.ptp(centres, axis=0))) + shape.cells.size
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2) / (prior.correlation_length * diagonal)
+    covariance = (1 + np.sqrt(3) * distance) * np.exp(-np.sqrt(3) * distance)
+    value, vector = np.linalg.eigh(covariance)
+    keep = np.argsort(value)[::-1][: prior.max_modes]
+    return np.asarray(vector[:, keep] * np.sqrt(np.maximum(value[keep], 0.0)))

@@ -1,0 +1,126 @@
+"""The outcome of an identification: a model with its uncertainty, and what the data could not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.types import Float64Array, ObjectModel, SolveStatus
+
+__all__ = ["Estimate", "Identification", "ModelPosterior"]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its standard deviation."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModelPosterior:
+    """A Gaussian over the unknowns of one object, as the pushes left it."""
+
+    parameters: MapParameters
+    z: Float64Array
+    """Mean, shape (n_unknowns,)."""
+    covariance: Float64Array
+    """Shape (n_unknowns, n_unknowns)."""
+    total_mass: Estimate
+    """[kg]; the prior's where `total_mass_identifiable` is False."""
+    total_mass_identifiable: bool
+    """Whether a wrench or a given weight pins it; poses never do."""
+
+    @property
+    def model(self) -> ObjectModel:
+        """The mean model, at the total mass known best."""
+        at_nominal = self.parameters.model(self.z)
+        scale = self.total_mass.value / at_nominal.total_mass
+        return ObjectModel(at_nominal.shape, at_nominal.mass * scale, at_nominal.friction, at_nominal.pusher_friction)
+
+    @property
+    def prior(self) -> Prior:
+        return self.parameters.prior
+
+    def _log_std(self, d_modes: Float64Array, d_scale: Float64Array, left_out: float, *, mass: bool, friction: bool) -> Float64Array:
+        n = self.parameters.n_modes
+        rows = np.zeros((len(d_modes), len(self.z)))
+        prior = self.prior
+        if mass:
+            rows[:, :n] = prior.mass_map_std * d_modes
+        if friction:
+            rows[:, n : 2 * n] = prior.friction_map_std * self.parameters.modes
+            rows[:, -2] = prior.friction_std
+        variance = np.einsum("ip,pq,iq->i", rows, self.covariance, rows) + left_out * self.parameters.map_remainder
+        return np.sqrt(variance + d_scale)
+
+    def _centred_modes(self) -> Float64Array:
+        weight = self.model.mass / self.model.total_mass
+        return self.parameters.modes - weight @ self.parameters.modes
+
+    @property
+    def mass_std(self) -> Float64Array:
+        """Standard deviation of the mass of each cell [kg], shape (n_cells,)."""
+        total = (self.total_mass.std / self.total_mass.value) ** 2
+        log_std = self._log_std(self._centred_modes(), np.asarray(total), self.prior.mass_map_std**2, mass=True, friction=False)
+        return np.asarray(self.model.mass * log_std)
+
+    @property
+    def friction_std(self) -> Float64Array:
+        """Standard deviation of the support friction of each cell, shape (n_cells,)."""
+        left_out = self.prior.friction_map_std**2
+        return np.asarray(
+            self.model.friction * self._log_std(self.parameters.modes, np.asarray(0.0), left_out, mass=False, friction=True)
+        )
+
+    @property
+    def mass_friction_std(self) -> Float64Array:
+        """Standard deviation of mass times friction of each cell [kg], shape (n_cells,)."""
+        left_out = self.prior.mass_map_std**2 + self.prior.friction_map_std**2
+        total = (self.total_mass.std / self.total_mass.value) ** 2
+        log_std = self._log_std(self._centred_modes(), np.asarray(total), left_out, mass=True, friction=True)
+        return np.asarray(self.model.mass * self.model.friction * log_std)
+
+    @property
+    def pusher_friction(self) -> Estimate:
+        value = self.model.pusher_friction
+        return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(self.covariance[-1, -1])))
+
+    @property
+    def log_friction_force_variance(self) -> float:
+        """Variance of the logarithm of the total sliding friction at a given total mass."""
+        row = self._friction_force_row()
+        return float(row @ self.covariance @ row)
+
+    def _friction_force_row(self) -> Float64Array:
+        """d log(sum of friction limits) / dz at fixed total mass, shape (n_unknowns,)."""
+        _, _, d_body = self.parameters.body(self.z)
+        body, _, _ = self.parameters.body(self.z)
+        return np.asarray(d_body[-len(body.limit) :].sum(axis=0) / body.limit.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Result of `identify`."""
+
+    method: str
+    status: SolveStatus
+    posterior: ModelPosterior
+    scalar: ObjectModel
+    """Equal cells with the friction scale and the pusher friction fitted to the same pushes."""
+    uniform: ObjectModel
+    """Equal cells with nominal values."""
+    cost: float
+    """Half the robust sum of squared residuals plus half the squared unknowns."""
+    n_simulations: int
+    time_s: float
+    """The solve alone."""
+    x: Float64Array
+    """Where the solver ended: a warm start for the same pushes and more."""
+
+    @property
+    def model(self) -> ObjectModel:
+        return self.posterior.model

@@ -1,0 +1,152 @@
+"""The arm as the executor sees it: joint states in, joint trajectories out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.pushing.motion import ArmPlan
+from push_ident.pushing.push import PushCode
+from push_ident.types import Float64Array
+
+__all__ = ["ArmPort", "ArmState"]
+
+_HOLD_WITHIN = 0.1
+"""Time the arm is given to come to a halt [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmState:
+    """One joint state, with the tip from forward kinematics."""
+
+    stamp: Time
+    q: Float64Array
+    """[rad], shape (n_joints,), in the order of the kinematics."""
+    pose_tip_in_table: Float64Array
+    """Homogeneous, shape (4, 4)."""
+    received: float
+    """`time.monotonic` on receipt [s]: what a watchdog must look at, whatever the stamps say."""
+
+
+class ArmPort:
+    """Subscribes to `robot_description` and `joint_states`, publishes `joint_trajectory`."""
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        description_file: str,
+        tip_frame: str,
+        neutral: list[float],
+        callback_group: CallbackGroup,
+        on_state: Callable[[ArmState], None],
+    ) -> None:
+        """Without `description_file` the URDF is taken from the topic. Raises InputError when the file cannot be used."""
+        self._node, self._tip_frame, self._neutral, self._on_state = node, tip_frame, neutral, on_state
+        self._kinematics: ArmKinematics | None = None
+        self._planner: ArmKinematics | None = None
+        self.state: ArmState | None = None
+        self.n_received = 0
+        self.n_dropped = 0
+        self._publisher = node.create_publisher(JointTrajectoryMsg, "joint_trajectory", 10)
+        if description_file:
+            try:
+                with open(description_file, encoding="utf-8") as file:
+                    self._use_description(file.read())
+            except OSError as error:
+                raise InputError(f"Parameter robot_description_file: {error}.") from None
+        else:
+            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            node.create_subscription(String, "robot_description", self._on_description, latched, callback_group=callback_group)
+        node.create_subscription(JointState, "joint_states", self._on_joint_states, qos_profile_sensor_data, callback_group=callback_group)
+
+    @property
+    def planner(self) -> ArmKinematics:
+        """Kinematics for planning, apart from those of the joint state callback. Raises PlanningError ARM_SILENT before there are any."""
+        if self._planner is None:
+            topic = self._node.resolve_topic_name("robot_description")
+            raise PlanningError(PushCode.ARM_SILENT, f"no robot description received on {topic}; is the arm's driver running?")
+        return self._planner
+
+    @property
+    def silence(self) -> float:
+        """Wall time since the last joint state [s]."""
+        return math.inf if self.state is None else time.monotonic() - self.state.received
+
+    def fresh_state(self, timeout: float) -> ArmState:
+        """Latest state; raises PlanningError ARM_SILENT when it is older than `timeout` [s] by wall time."""
+        state, silence = self.state, self.silence
+        if state is None or silence > timeout:
+            since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, limit {1e3 * timeout:.0f} ms"
+            raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}.")
+        return state
+
+    def has_rival(self) -> bool:
+        """Whether another node commands the same arm."""
+        return self._node.count_publishers(self._node.resolve_topic_name("joint_trajectory")) > 1
+
+    def send(self, plan: ArmPlan) -> None:
+        """Start a planned motion now."""
+        self._publish(plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity)
+
+    def hold(self, q: Float64Array) -> None:
+        """Replace whatever is being executed by standing still at `q` [rad].
+
+        One point rather than an empty trajectory, which some controllers refuse and carry on.
+        """
+        self._publish(np.array([_HOLD_WITHIN]), q[None, :], np.zeros((1, len(q))))
+
+    def _publish(self, times: Float64Array, position: Float64Array, velocity: Float64Array) -> None:
+        # The stamp stays zero: start on receipt, whatever the controller's clock.
+        msg = JointTrajectoryMsg(joint_names=list(self.planner.joint_names))
+        for t, q, v in zip(times, position, velocity, strict=True):
+            nanoseconds = round(1e9 * float(t))
+            msg.points.append(
+                JointTrajectoryPoint(
+                    positions=q.tolist(),
+                    velocities=v.tolist(),
+                    time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
+                )
+            )
+        self._publisher.publish(msg)
+
+    def _on_description(self, msg: String) -> None:
+        try:
+            self._use_description(msg.data)
+        except InputError as error:
+            self._node.get_logger().error(f"robot_description refused: {error}")
+
+    def _use_description(self, urdf_xml: str) -> None:
+        self._planner, self._kinematics = (ArmKinematics(urdf_xml, self._tip_frame, self._neutral) for _ in range(2))
+
+    def _on_joint_states(self, msg: JointState) -> None:
+        received = time.monotonic()
+        if self._kinematics is None:
+            return
+        position = dict(zip(msg.name, msg.position, strict=False))
+        missing = [name for name in self._kinematics.joint_names if not math.isfinite(position.get(name, math.nan))]
+        if missing:
+            self.n_dropped += 1
+            self._node.get_logger().warning(
+                f"joint_states dropped: no finite position of {', '.join(missing)}; it has {', '.join(msg.name) or 'no joints'}.",
+                throttle_duration_sec=5.0,
+            )
+            return
+        q = np.array([position[name] for name in self._kinematics.joint_names])
+        self.n_received += 1
+        self.state = ArmState(msg.header.stamp, q, self._kinematics.forward(q), received)
+        self._on_state(self.state)

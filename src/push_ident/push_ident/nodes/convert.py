@@ -1,0 +1,311 @@
+"""Between messages and the types of the package: pairs `x_to_msg`, `x_from_msg`.
+
+Message fields are not type-checked at run time and a wrong type is silently corrupted, hence the casts.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from typing import Any, Final
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point32, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from shape_msgs.msg import SolidPrimitive
+
+from push_ident.errors import FrameError, InputError
+from push_ident.geometry.outline import outline_of_cells
+from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
+from push_ident.perception.depth import check_intrinsics, depth_from_buffer
+from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
+
+__all__ = [
+    "TABLE_FRAME",
+    "cylinder_radius_from_msg",
+    "cylinder_to_msg",
+    "depth_frame_from_msgs",
+    "depth_frame_to_msgs",
+    "force_from_msg",
+    "force_to_msg",
+    "intrinsics_from_msg",
+    "object_frame",
+    "occupancy_to_msg",
+    "planar_pose_from_msg",
+    "planar_pose_to_msg",
+    "position_from_msg",
+    "position_to_msg",
+    "shape_from_msgs",
+    "shape_to_msgs",
+    "stamp_from_msg",
+    "stamp_to_msg",
+]
+
+TABLE_FRAME: Final = "table"
+
+_CELL: Final = 100
+_PLANAR: Final = (0, 1, 5)
+"""Rows of x, y and yaw in a 6 x 6 covariance."""
+_FIXED_VARIANCE: Final = 1e-6
+"""Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
+_MAX_TILT: Final = 0.1
+"""[rad] a pose may be tilted against the table and still count as planar."""
+
+
+def object_frame(object_id: str) -> str:
+    """Name of the frame fixed in an object."""
+    return f"object_{object_id}"
+
+
+def stamp_from_msg(stamp: Time) -> float:
+    """[s]; exact to the nanosecond up to 4e6 s, to 0.24 us for times of day (what a float can hold)."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def stamp_to_msg(seconds: float) -> Time:
+    """Nearest nanosecond; times before 1970 are refused."""
+    if not (math.isfinite(seconds) and 0 <= seconds < 2**31):
+        raise InputError(f"Time stamp is {seconds} s, expected 0 to 2^31 s.")
+    whole = math.floor(seconds)
+    nanoseconds = round((seconds - whole) * 1e9)
+    return Time(sec=int(whole + nanoseconds // 10**9), nanosec=int(nanoseconds % 10**9))
+
+
+def planar_pose_to_msg(
+    stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, frame_id: str = TABLE_FRAME
+) -> PoseWithCovarianceStamped:
+    """Pose (x, y, yaw) [m, m, rad] with its 3 x 3 covariance; z, roll and pitch get a small variance."""
+    x, y, yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
+    full = np.eye(6) * _FIXED_VARIANCE
+    full[np.ix_(_PLANAR, _PLANAR)] = np.asarray(covariance, dtype=np.float64)
+    msg = PoseWithCovarianceStamped()
+    msg.header.stamp = stamp
+    msg.header.frame_id = frame_id
+    msg.pose.pose.position.x, msg.pose.pose.position.y = x, y
+    _set_yaw(msg.pose.pose.orientation, yaw)
+    msg.pose.covariance = full.ravel()
+    return msg
+
+
+def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array, Float64Array]:
+    """Stamp [s], pose (x, y, yaw) and its covariance, shape (3, 3).
+
+    Raises:
+        InputError: Another frame, values not finite, a pose that is tilted against the table, or a covariance that is not positive definite.
+    """
+    _check_frame(msg.header.frame_id, frame_id)
+    position = msg.pose.pose.position
+    pose = np.array([position.x, position.y, _yaw(msg.pose.pose.orientation)])
+    covariance = np.asarray(msg.pose.covariance, dtype=np.float64).reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
+    if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
+        raise InputError("Object pose or its covariance is not finite; the tracker that published it is at fault.")
+    if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0:
+        raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw); a pose is never known exactly.")
+    return stamp_from_msg(msg.header.stamp), pose, covariance
+
+
+def position_to_msg(stamp: Time, position: ArrayLike, *, yaw: float = 0.0, frame_id: str = TABLE_FRAME) -> PoseStamped:
+    """Pose of the tool tip (or another point) [m], shape (3,), turned about z by `yaw` [rad]."""
+    msg = PoseStamped()
+    msg.header.stamp = stamp
+    msg.header.frame_id = frame_id
+    x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
+    msg.pose.position.x, msg.pose.position.y, msg.pose.position.z = x, y, z
+    _set_yaw(msg.pose.orientation, yaw)
+    return msg
+
+
+def position_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array]:
+    """Stamp [s] and position [m], shape (3,).
+
+    Raises:
+        InputError: Another frame, or values not finite.
+    """
+    _check_frame(msg.header.frame_id, frame_id)
+    position = np.array([msg.pose.position.x, msg.pose.position.y, msg.pose.position.z])
+    if not np.isfinite(position).all():
+        raise InputError(f"Position in {frame_id} is {position.tolist()}, expected finite metres.")
+    return stamp_from_msg(msg.header.stamp), position
+
+
+def force_to_msg(stamp: Time, force: ArrayLike, *, frame_id: str = TABLE_FRAME) -> WrenchStamped:
+    """Horizontal force of the pusher on the object [N], shape (2,)."""
+    msg = WrenchStamped()
+    msg.header.stamp = stamp
+    msg.header.frame_id = frame_id
+    x, y = (float(value) for value in np.asarray(force, dtype=np.float64))
+    msg.wrench.force.x, msg.wrench.force.y = x, y
+    return msg
+
+
+def force_from_msg(msg: WrenchStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array]:
+    """Stamp [s] and horizontal force [N], shape (2,).
+
+    Raises:
+        InputError: Another frame, or values not finite.
+    """
+    _check_frame(msg.header.frame_id, frame_id)
+    force = np.array([msg.wrench.force.x, msg.wrench.force.y])
+    if not np.isfinite(force).all():
+        raise InputError("Force on the object is not finite; check the sensor.")
+    return stamp_from_msg(msg.header.stamp), force
+
+
+def cylinder_to_msg(radius: float, height: float) -> SolidPrimitive:
+    """The pusher, a vertical cylinder [m]."""
+    dimensions = [0.0, 0.0]
+    dimensions[SolidPrimitive.CYLINDER_HEIGHT], dimensions[SolidPrimitive.CYLINDER_RADIUS] = float(height), float(radius)
+    return SolidPrimitive(type=SolidPrimitive.CYLINDER, dimensions=dimensions)
+
+
+def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
+    """Radius of the pusher [m].
+
+    Raises:
+        InputError: Not a cylinder, or an impossible radius.
+    """
+    if msg.type != SolidPrimitive.CYLINDER or len(msg.dimensions) != 2:
+        raise InputError(f"Pusher shape has type {msg.type} and {len(msg.dimensions)} dimensions, expected a CYLINDER (height, radius).")
+    radius = float(msg.dimensions[SolidPrimitive.CYLINDER_RADIUS])
+    if not (math.isfinite(radius) and 0 <= radius < 1):
+        raise InputError(f"Pusher radius is {radius}, expected 0 to 1 m.")
+    return radius
+
+
+def shape_to_msgs(shape: ObjectShape, object_id: str, stamp: Time) -> tuple[OccupancyGrid, PolygonStamped]:
+    """Cells (100 = cell, 0 = none) and outline, both in the object frame."""
+    size = shape.cells.size
+    low = shape.cells.centres.min(axis=0)
+    index = np.rint((shape.cells.centres - low) / size).astype(np.int64)
+    width, height = (index.max(axis=0) + 1).tolist()
+    data = np.zeros((height, width), dtype=np.int8)
+    data[index[:, 1], index[:, 0]] = _CELL
+    cells = occupancy_to_msg(data, size, low - 0.5 * size, stamp, frame_id=object_frame(object_id))
+    outline = PolygonStamped()
+    outline.header = cells.header
+    outline.polygon.points = [Point32(x=float(x), y=float(y), z=0.0) for x, y in shape.outline]
+    return cells, outline
+
+
+def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None) -> ObjectShape:
+    """Shape of an object; without an outline it is traced from the cells. Cells run row by row: x fastest, then y.
+
+    Raises:
+        InputError: No cells, sizes that do not fit, or cells and outline of different objects.
+    """
+    size, width, height = float(cells.info.resolution), int(cells.info.width), int(cells.info.height)
+    if len(cells.data) != width * height:
+        raise InputError(f"Cells of {cells.header.frame_id!r} have {len(cells.data)} entries, expected {width} * {height}.")
+    if not (math.isfinite(size) and size > 0):
+        raise InputError(f"Cells of {cells.header.frame_id!r} have resolution {size}, expected a positive length in metres.")
+    rows, columns = np.nonzero(np.asarray(cells.data, dtype=np.int8).reshape(height, width) == _CELL)
+    if len(rows) == 0:
+        raise InputError(f"Cells of {cells.header.frame_id!r} hold no cell of value {_CELL}.")
+    origin = cells.info.origin
+    yaw = _yaw(origin.orientation)
+    centres = transform_points([origin.position.x, origin.position.y, yaw], (np.stack([columns, rows], axis=1) + 0.5) * size)
+    if outline is None:
+        return ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size, yaw=yaw))
+    _check_frame(outline.header.frame_id, cells.header.frame_id)
+    return ObjectShape(CellGrid(centres, size), np.array([(point.x, point.y) for point in outline.polygon.points]).reshape(-1, 2))
+
+
+def occupancy_to_msg(data: NDArray[np.int8], resolution: float, origin: ArrayLike, stamp: Time, *, frame_id: str = TABLE_FRAME) -> OccupancyGrid:
+    """Grid of -1 (unknown), 0 (free) to 100 (occupied), shape (rows along y, columns along x); `origin` is its low corner [m]."""
+    msg = OccupancyGrid()
+    msg.header.stamp = stamp
+    msg.header.frame_id = frame_id
+    msg.info.map_load_time = stamp
+    msg.info.resolution = float(resolution)
+    msg.info.height, msg.info.width = (int(n) for n in data.shape)
+    x, y = (float(value) for value in np.asarray(origin, dtype=np.float64))
+    msg.info.origin.position.x, msg.info.origin.position.y = x, y
+    msg.info.origin.orientation.w = 1.0
+    msg.data = array("b", np.ascontiguousarray(data, dtype=np.int8).tobytes())
+    return msg
+
+
+def intrinsics_from_msg(info: CameraInfo) -> CameraIntrinsics:
+    """Pinhole camera of a rectified image: the left 3 x 3 of P, or K where P is empty.
+
+    Raises:
+        FrameError: Zero, negative or not finite focal length, or an empty size.
+    """
+    projection = np.asarray(info.p, dtype=np.float64).reshape(3, 4)[:, :3]
+    matrix = projection if np.any(projection != 0) else np.asarray(info.k, dtype=np.float64).reshape(3, 3)
+    if info.width == 0 or info.height == 0:
+        raise FrameError(f"Camera info is for {info.width} x {info.height} pixels; the camera driver has not filled it.")
+    intrinsics = CameraIntrinsics(
+        int(info.width), int(info.height), float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
+    )
+    check_intrinsics(intrinsics)
+    return intrinsics
+
+
+def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | None = 0.05) -> DepthFrame:
+    """One depth frame in metres.
+
+    Args:
+        image: `16UC1` or `32FC1`.
+        info: Its camera.
+        max_skew: Stamps further apart [s] are refused; None accepts any (a camera that stands still and publishes its info once).
+
+    Raises:
+        FrameError: Image and info do not belong together, or one is refused for itself.
+    """
+    if image.header.frame_id != info.header.frame_id:
+        raise FrameError(f"Depth image is in frame {image.header.frame_id!r}, its camera info in {info.header.frame_id!r}; expected the same.")
+    if (image.width, image.height) != (info.width, info.height):
+        raise FrameError(f"Depth image is {image.width} x {image.height}, camera info {info.width} x {info.height}; expected the same size.")
+    stamp = stamp_from_msg(image.header.stamp)
+    skew = stamp - stamp_from_msg(info.header.stamp)
+    if max_skew is not None and abs(skew) > max_skew:
+        raise FrameError(f"Depth image and camera info are {skew * 1e3:.0f} ms apart, expected at most {max_skew * 1e3:.0f} ms.")
+    depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data))
+    return DepthFrame(stamp, depth, intrinsics_from_msg(info), image.header.frame_id)
+
+
+def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC1") -> tuple[Image, CameraInfo]:
+    """Image and camera info of one depth frame; `16UC1` rounds to millimetres and writes 0 where nothing was seen."""
+    if encoding == "16UC1":
+        pixels: NDArray[Any] = np.nan_to_num(np.rint(frame.depth * 1e3), nan=0.0).clip(0, 65535).astype("<u2")
+    elif encoding == "32FC1":
+        pixels = frame.depth.astype("<f4")
+    else:
+        raise InputError(f"Depth encoding is {encoding!r}, expected 16UC1 or 32FC1.")
+    height, width = pixels.shape
+    image = Image(encoding=encoding, height=int(height), width=int(width), step=int(width * pixels.itemsize), is_bigendian=0)
+    image.header.stamp = stamp
+    image.header.frame_id = frame.frame_id
+    image.data = array("B", pixels.tobytes())
+    camera = frame.intrinsics
+    info = CameraInfo(height=int(camera.height), width=int(camera.width), distortion_model="plumb_bob", d=[0.0] * 5)
+    info.header = image.header
+    fx, fy, cx, cy = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    info.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    info.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return image, info
+
+
+def _check_frame(got: str, expected: str) -> None:
+    if got != expected:
+        raise InputError(f"Message is in frame {got!r}, expected {expected!r}; transform it first or remap the topic.")
+
+
+def _set_yaw(orientation: Any, yaw: float) -> None:
+    orientation.x, orientation.y, orientation.z, orientation.w = (float(value) for value in quaternion_of_yaw(yaw))
+
+
+def _yaw(orientation: Any) -> float:
+    quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
+    norm = float(np.linalg.norm(quaternion))
+    if not (math.isfinite(norm) and abs(norm - 1) < 1e-3):
+        raise InputError(f"Orientation {quaternion.tolist()} has norm {norm:.3g}, expected a unit quaternion (x, y, z, w).")
+    x, y = quaternion[:2] / norm
+    if 2 * math.hypot(x, y) > _MAX_TILT:
+        raise InputError(f"Pose is tilted by {2 * math.asin(min(1.0, math.hypot(x, y))):.2f} rad against the table, expected a planar pose.")
+    return float(yaw_of_quaternion(quaternion))

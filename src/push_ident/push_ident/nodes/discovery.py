@@ -1,0 +1,44 @@
+"""Finding the objects that are being tracked, by the topics they are published on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+__all__ = ["ObjectTopics"]
+
+_POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+
+class ObjectTopics:
+    """Watches the ROS graph for `objects/<id>/pose` in the namespace of a node.
+
+    Polled each second of wall time, since the graph changes whether or not simulated time runs.
+    """
+
+    def __init__(self, node: Node, on_new_object: Callable[[str], None], *, callback_group: CallbackGroup | None = None) -> None:
+        """`on_new_object` is called once with the id of each object, as soon as somebody publishes its pose."""
+        self._node = node
+        self._on_new_object = on_new_object
+        self._pattern = re.compile(re.escape(node.resolve_topic_name("objects")) + r"/([^/]+)/pose")
+        self._ids: set[str] = set()
+        self._timer = node.create_timer(1.0, self.poll, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.poll()
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Every object found so far, sorted."""
+        return tuple(sorted(self._ids))
+
+    def poll(self) -> None:
+        """Look now rather than at the next second."""
+        for topic, types in self._node.get_topic_names_and_types():
+            match = self._pattern.fullmatch(topic)
+            if match is None or _POSE_TYPE not in types or match[1] in self._ids or self._node.count_publishers(topic) == 0:
+                continue
+            self._ids.add(match[1])
+            self._on_new_object(match[1])

@@ -1,0 +1,118 @@
+"""Depth images: from raw bytes to metres, and from metres to points in the table frame.
+
+Pixel (u, v) looks along ((u - cx) / fx, (v - cy) / fy, 1) in the optical frame (x right, y down, z forward; REP 103),
+so a point is the camera centre plus its depth times that direction.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import FrameError
+from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
+
+__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "depth_from_buffer", "points_in_table", "rays_in_table"]
+
+ACCEPTED_ENCODINGS: Final = {"16UC1": (np.dtype(np.uint16), 1e-3), "32FC1": (np.dtype(np.float32), 1.0)}
+"""Encoding -> (type of a pixel, metres per unit), as REP 118 has them."""
+
+_MAX_SIDE: Final = 16384
+
+
+def depth_from_buffer(encoding: str, height: int, width: int, step: int, is_bigendian: bool, data: bytes | memoryview) -> NDArray[np.float32]:
+    """Decode the pixels of a depth image.
+
+    Args:
+        encoding: `16UC1` (millimetres, 0 is no measurement) or `32FC1` (metres; NaN, infinite and <= 0 are none), REP 118.
+        height, width: Size [px].
+        step: Length of a row in bytes, padding included.
+        is_bigendian: Byte order of the pixels.
+        data: The rows, `step * height` bytes.
+
+    Returns:
+        Depth along the optical axis [m], shape (height, width); NaN where nothing was measured.
+
+    Raises:
+        FrameError: Another encoding, or sizes that do not fit the data.
+    """
+    if encoding not in ACCEPTED_ENCODINGS:
+        raise FrameError(f"Depth encoding is {encoding[:40]!r}, expected one of {', '.join(ACCEPTED_ENCODINGS)}; publish rectified depth.")
+    pixel, unit = ACCEPTED_ENCODINGS[encoding]
+    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
+        raise FrameError(f"Depth image is {width} x {height} pixels, expected 1 to {_MAX_SIDE} each way.")
+    if step < width * pixel.itemsize or step % pixel.itemsize:
+        raise FrameError(f"Depth step is {step} bytes, expected at least {width * pixel.itemsize} for {width} pixels of {encoding}.")
+    if step * height != len(data):
+        raise FrameError(f"Depth data has {len(data)} bytes, expected step * height = {step * height}; the image was cut or mislabelled.")
+    raw = np.frombuffer(data, dtype=pixel.newbyteorder(">" if is_bigendian else "<")).reshape(height, step // pixel.itemsize)[:, :width]
+    depth = raw.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
+    return depth if unit == 1.0 else depth * np.float32(unit)
+
+
+def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
+    """Refuse a camera matrix that no pinhole camera has.
+
+    Raises:
+        FrameError: Focal length not positive, or a value not finite.
+    """
+    k = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
+    if not all(math.isfinite(value) for value in k) or intrinsics.fx <= 0 or intrinsics.fy <= 0:
+        raise FrameError(f"Camera info has (fx, fy, cx, cy) = {k}, expected finite values and focal lengths > 0; calibrate the camera.")
+
+
+@lru_cache(maxsize=8)
+def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
+    check_intrinsics(intrinsics)
+    u, v = np.meshgrid(np.arange(intrinsics.width, dtype=np.float64), np.arange(intrinsics.height, dtype=np.float64))
+    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones_like(u)], axis=-1).astype(np.float32)
+    rays.setflags(write=False)
+    return rays
+
+
+@lru_cache(maxsize=8)
+def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Float64Array, NDArray[np.float32]]:
+    camera_in_table = np.frombuffer(transform).reshape(4, 4)
+    rays = _rays_in_camera(intrinsics) @ camera_in_table[:3, :3].T.astype(np.float32)
+    rays.setflags(write=False)
+    return camera_in_table[:3, 3], rays
+
+
+def rays_in_table(intrinsics: CameraIntrinsics, camera_in_table: ArrayLike) -> tuple[Float64Array, NDArray[np.float32]]:
+    """Line of sight of every pixel; computed once for a camera that stands still.
+
+    Args:
+        intrinsics: The camera.
+        camera_in_table: Pose of the optical frame in the table frame, homogeneous, shape (4, 4).
+
+    Returns:
+        Camera centre [m], shape (3,), and the direction per metre of depth, shape (height, width, 3), table frame.
+    """
+    transform = np.ascontiguousarray(camera_in_table, dtype=np.float64)
+    if transform.shape != (4, 4) or not np.all(np.isfinite(transform)):
+        raise FrameError(f"camera_in_table has shape {transform.shape}, expected a finite homogeneous (4, 4) transform.")
+    return _rays_in_table(intrinsics, transform.tobytes())
+
+
+def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np.float32]:
+    """Point of every pixel.
+
+    Returns:
+        [m], shape (height, width, 3), table frame; NaN where nothing was seen.
+
+    Raises:
+        FrameError: The image has another size than its camera info.
+    """
+    expected = (frame.intrinsics.height, frame.intrinsics.width)
+    if frame.depth.shape != expected:
+        raise FrameError(f"Depth image has shape {frame.depth.shape}, camera info says {expected}; they belong to different cameras.")
+    centre, rays = rays_in_table(frame.intrinsics, camera_in_table)
+    points: NDArray[np.float32] = rays * frame.depth[..., None]
+    points += centre.astype(np.float32)
+    return points

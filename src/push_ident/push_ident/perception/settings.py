@@ -1,0 +1,47 @@
+"""What perception needs to be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from push_ident.errors import InputError
+
+__all__ = ["PerceptionSettings"]
+
+
+@dataclass(frozen=True, slots=True)
+class PerceptionSettings:
+    """Defaults suit a depth camera about 1 m away and objects of 3 to 30 cm."""
+
+    workspace_low: tuple[float, float] = (-0.4, -0.4)
+    """Smallest x and y looked at [m], table frame."""
+    workspace_high: tuple[float, float] = (0.4, 0.4)
+    """Largest x and y looked at [m], table frame."""
+    min_object_height: float = 0.008
+    """Lower things are table [m]; keep it above four times the noise of a height."""
+    max_object_height: float = 0.12
+    """Whatever reaches higher is robot [m]."""
+    min_object_area: float = 4e-4
+    """Smaller things are ignored [m^2]."""
+    mask_margin: float = 0.006
+    """Added to the radius of the tool when it is masked [m]: delay, calibration and noise."""
+    rest_frames: int = 10
+    """Frames at rest before an object is taken in; their mean gives its shape."""
+    rest_distance: float = 0.002
+    """An object whose middle moves less than this between frames is at rest [m]."""
+    cell_count: int = 80
+    """Cells aimed at per object."""
+    grid_resolution: float = 0.002
+    """Edge of a cell of the workspace occupancy [m]."""
+    occupancy_period: float = 1.0
+    """Between two workspace occupancies and checks of the table plane [s]."""
+    search_period: float = 0.1
+    """Between two searches for new or lost objects while another one is tracked [s]."""
+
+    def __post_init__(self) -> None:
+        if not (self.workspace_low[0] < self.workspace_high[0] and self.workspace_low[1] < self.workspace_high[1]):
+            raise InputError(f"Workspace from {self.workspace_low} to {self.workspace_high} is empty; low must be below high.")
+        if not 0 < self.min_object_height < self.max_object_height:
+            raise InputError(f"Object heights {self.min_object_height} to {self.max_object_height} m; expected 0 < min < max.")
+        if self.rest_frames < 1 or self.cell_count < 1:
+            raise InputError(f"rest_frames {self.rest_frames} and cell_count {self.cell_count} must be at least 1.")

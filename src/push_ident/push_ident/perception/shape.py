@@ -1,0 +1,247 @@
+"""Outline, cells and heights of an object at rest.
+
+A pixel tells more than the point it sees: its line of sight is empty up to there. So a pixel that sees something below the
+top of the object beside it proves that the place where its line of sight passes the height of that top is empty, also above the
+shadow behind the object, where no table is seen. Places seen to be full and places proved empty, both about one pixel apart on
+either side of the edge, are spread on a fine grid; the outline is where they balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import PerceptionError
+from push_ident.geometry.outline import cells_in_outline, polygon_area, signed_distance
+from push_ident.perception.depth import rays_in_table
+from push_ident.perception.segments import Segment
+from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+
+__all__ = ["SeenObject", "mean_depth", "see_object"]
+
+_GRID: Final = 0.001
+"""Edge of a cell of the fine grid [m]."""
+_SPREAD: Final = 0.0015
+"""Standard deviation of the spreading of one sample [m]: about the distance between pixels on the table."""
+_MARGIN: Final = 0.015
+"""Of the fine grid around the object [m]."""
+_FINER: Final = 4
+"""The fine grid is interpolated by this factor before it is cut at the half level."""
+_SIMPLIFY: Final = 0.0007
+"""Largest distance of the simplified outline from the traced one [m]."""
+_PASSES: Final = 3
+"""Of tracing the outline: the first decides for each line of sight which of its ends matters."""
+_PAD: Final = 16
+"""Pixels looked at around a segment."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenObject:
+    """An object as it was first seen."""
+
+    shape: ObjectShape
+    pose: Float64Array
+    """(x, y, yaw) of the object frame in the table frame: origin in the centroid of the outline, yaw 0."""
+    top: NDArray[np.float32]
+    """Height of its upper side over the fine grid [m], shape (rows along y, columns along x); continued outwards by the nearest."""
+    top_origin: Float64Array
+    """Centre of the first cell of `top` [m], shape (2,), object frame."""
+    top_resolution: float
+    """Edge of a cell of `top` [m]."""
+
+
+def mean_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
+    """Median depth of each pixel over frames at rest; NaN where fewer than half of them saw something."""
+    stack = np.stack([frame.depth for frame in frames])
+    n_seen = np.count_nonzero(np.isfinite(stack), axis=0)
+    stack.sort(axis=0)  # NaN sorts to the end, so the median of what was seen is in the middle of the first n_seen.
+    last = np.maximum(n_seen - 1, 0)
+    low, high = (np.take_along_axis(stack, half[None], axis=0)[0] for half in (last // 2, (last + 1) // 2))
+    return np.where(2 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+
+
+def see_object(
+    depth: NDArray[np.float32],
+    intrinsics: CameraIntrinsics,
+    camera_in_table: ArrayLike,
+    segment: Segment,
+    *,
+    noise: float,
+    min_height: float,
+    cell_count: int,
+) -> SeenObject:
+    """Shape of the object under `segment`.
+
+    Args:
+        depth: [m], shape (height, width), best the `mean_depth` of several frames.
+        camera_in_table: Optical frame in the table frame whose z = 0 is the plane, shape (4, 4).
+        noise: Standard deviation of the heights in `depth` [m].
+        min_height: Lower points are table [m].
+        cell_count: Cells aimed at.
+
+    Raises:
+        PerceptionError: Nothing of an upper side is seen, or the outline falls apart.
+    """
+    rows = slice(max(0, segment.rows.start - _PAD), segment.rows.stop + _PAD)
+    columns = slice(max(0, segment.columns.start - _PAD), segment.columns.stop + _PAD)
+    centre, rays = rays_in_table(intrinsics, camera_in_table)
+    rays = rays[rows, columns]
+    points = rays * depth[rows, columns, None] + centre.astype(np.float32)
+    body = np.zeros(points.shape[:2], dtype=bool)
+    top, left = segment.rows.start - rows.start, segment.columns.start - columns.start
+    body[top : top + segment.mask.shape[0], left : left + segment.mask.shape[1]] = segment.mask
+    pixel = float(np.nanmedian(depth[rows, columns])) / intrinsics.fx
+    stopped, passing = _lines_of_sight(points, centre, rays, body, pixel=pixel, noise=noise, min_height=min_height)
+    outline = None
+    for _ in range(_PASSES):
+        full = stopped.places(outline)
+        outline, origin = _balance(full, passing.places(outline))
+    x, y = _centroid(outline)
+    shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
+    grid, grid_origin = _height_grid(full, stopped.level, origin)
+    return SeenObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Lines of sight that the object stops, or that pass it, and where they are at the level of its top and a little below."""
+
+    upper: Float64Array
+    """[m], shape (n, 2), table frame."""
+    lower: Float64Array
+    level: Float64Array
+    """Height of the top beside the line [m], shape (n,)."""
+
+    def places(self, outline: Float64Array | None) -> Float64Array:
+        """The place of each line that decides whether it is stopped: whichever end is further inside; the middle at first."""
+        if outline is None:
+            return 0.5 * (self.upper + self.lower)
+        use_upper = signed_distance(self.upper, outline) < signed_distance(self.lower, outline)
+        return np.where(use_upper[:, None], self.upper, self.lower)
+
+
+def _lines_of_sight(
+    points: NDArray[np.float32],
+    centre: Float64Array,
+    rays: NDArray[np.float32],
+    body: BoolArray,
+    *,
+    pixel: float,
+    noise: float,
+    min_height: float,
+) -> tuple[_Lines, _Lines]:
+    """Lines of sight stopped by the upper side of `body`, and those that pass it."""
+    z = points[..., 2]
+    seen = np.isfinite(z)
+    body = body & seen & (z > min_height)
+    step = max(3.0 * noise, 0.002)
+    filled = np.where(seen, z, np.float32(0.0))
+    # Upper sides are flat against walls: a wall rises by more than a pixel's width from one pixel to the next.
+    slope = np.hypot(*(cv2.Sobel(filled, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8) for dx, dy in ((1, 0), (0, 1))))
+    flat = body & (slope < 0.7 * pixel)
+    if np.count_nonzero(flat) < 20:
+        raise PerceptionError(f"{np.count_nonzero(flat)} of {np.count_nonzero(body)} pixels see an upper side, expected at least 20.")
+    smooth = cv2.blur(np.where(flat, filled, np.float32(0.0)), (3, 3)) / np.maximum(cv2.blur(flat.astype(np.float32), (3, 3)), 1e-6)
+    window = np.ones((7, 7), np.uint8)
+    highest = cv2.dilate(np.where(flat, smooth, np.float32(-1.0)), window)
+    lowest = cv2.erode(np.where(flat, smooth, np.float32(1.0)), window)
+    near_highest, near_lowest = np.abs(z - highest) < step, np.abs(z - lowest) < step
+    stopped = body & (flat | near_highest | near_lowest)
+    # Level of the top beside the other pixels: the highest within the window, else that of the nearest flat pixel.
+    _, nearest = cv2.distanceTransformWithLabels((~flat).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    level_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
+    level_of[nearest[flat]] = smooth[flat]
+    beside = np.where(highest > 0, highest, level_of[nearest])
+    passing = seen & ~stopped & (z < beside - step)
+
+    def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
+        ray, top = rays[chosen].astype(np.float64), level[chosen].astype(np.float64)
+        ends = (centre[:2] + ray[:, :2] * ((height - centre[2]) / ray[:, 2])[:, None] for height in (top, top - step))
+        return _Lines(*ends, top)
+
+    return lines(stopped, np.where(flat, smooth, np.where(near_highest, highest, lowest))), lines(passing, beside)
+
+
+def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Outline where full and empty balance, table frame, and the low corner of the fine grid."""
+    origin = full.min(axis=0) - _MARGIN
+    columns, rows = (int(n) for n in np.ceil((full.max(axis=0) + _MARGIN - origin) / _GRID))
+    counted_full, counted_empty = (_counted(samples, origin, rows, columns) for samples in (full, empty))
+    # Deep inside, emptiness is seen only against steps of the upper side; it says nothing of the outline.
+    reach = lambda n: cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))  # noqa: E731
+    core = cv2.erode(cv2.dilate((counted_full > 0).astype(np.uint8), reach(3)), reach(6)) > 0
+    counted_empty[core] = 0.0
+    share = np.zeros((rows, columns), dtype=np.float32)
+    for spread in (8.0 * _SPREAD, 3.0 * _SPREAD, _SPREAD):
+        a, b = (cv2.GaussianBlur(counted, (0, 0), spread / _GRID) for counted in (counted_full, counted_empty))
+        known = a + b > 0.02
+        share[known] = a[known] / (a + b)[known]
+    fine = cv2.resize(share, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
+    contours, _ = cv2.findContours((fine > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        raise PerceptionError("The outline of the object cannot be traced: nothing of it is surely full.")
+    contour = max(contours, key=cv2.contourArea)
+    traced = cv2.approxPolyDP(contour, _SIMPLIFY / _GRID * _FINER, True)[:, 0].astype(np.float64)
+    if len(traced) < 3:
+        raise PerceptionError(f"The outline of the object has {len(traced)} corners; it is too small for this camera.")
+    # findContours walks through the centres of the outermost pixels, half a pixel inside the edge.
+    outline = _grown(traced, 0.5)
+    return origin + (outline + 0.5) / _FINER * _GRID, origin
+
+
+def _counted(samples: Float64Array, origin: Float64Array, rows: int, columns: int) -> NDArray[np.float32]:
+    """Samples per cell of the fine grid, each shared among the four nearest cells."""
+    place = (samples - origin) / _GRID - 0.5
+    low = np.floor(place).astype(np.int64)
+    part = place - low
+    counted = np.zeros(rows * columns)
+    for dx in (0, 1):
+        for dy in (0, 1):
+            x, y = low[:, 0] + dx, low[:, 1] + dy
+            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+            inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+            counted += np.bincount((y * columns + x)[inside], weights=weight[inside], minlength=rows * columns)
+    return counted.reshape(rows, columns).astype(np.float32)
+
+
+def _grown(polygon: Float64Array, distance: float) -> Float64Array:
+    """Every edge moved outwards by `distance`; counter-clockwise result."""
+    if polygon_area(polygon) < 0:
+        polygon = polygon[::-1]
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    before = np.roll(normal, 1, axis=0)
+    # The corner moves along the sum of both normals; sharp corners are held back to twice the distance.
+    return polygon + distance * (normal + before) / np.maximum(1.0 + np.sum(normal * before, axis=1, keepdims=True), 0.5)
+
+
+def _centroid(polygon: Float64Array) -> tuple[float, float]:
+    x, y = polygon.T
+    x_next, y_next = np.roll(x, -1), np.roll(y, -1)
+    cross = x * y_next - x_next * y
+    return float(np.sum((x + x_next) * cross) / (3 * np.sum(cross))), float(np.sum((y + y_next) * cross) / (3 * np.sum(cross)))
+
+
+def _cell_size(outline: Float64Array, cell_count: int) -> float:
+    return float(np.sqrt(abs(polygon_area(outline)) / cell_count))
+
+
+def _height_grid(places: Float64Array, heights: Float64Array, origin: Float64Array) -> tuple[NDArray[np.float32], Float64Array]:
+    """Mean height per cell of twice the fine grid, gaps and surroundings filled by the nearest; and the centre of its first cell."""
+    size = 2 * _GRID
+    index = np.floor((places - origin) / size).astype(np.int64)
+    columns, rows = (int(n) for n in index.max(axis=0) + 1 + int(np.ceil(_MARGIN / size)))
+    flat = index[:, 1] * columns + index[:, 0]
+    count = np.bincount(flat, minlength=rows * columns)
+    total = np.bincount(flat, weights=heights, minlength=rows * columns)
+    known = (count > 0).reshape(rows, columns)
+    mean = (total / np.maximum(count, 1)).reshape(rows, columns)
+    _, nearest = cv2.distanceTransformWithLabels((~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    level_of = np.zeros(int(nearest.max()) + 1)
+    level_of[nearest[known]] = mean[known]
+    return level_of[nearest].astype(np.float32), origin + 0.5 * size

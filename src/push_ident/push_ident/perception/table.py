@@ -1,0 +1,109 @@
+"""The table plane: where it really is, given where the extrinsics say it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import PerceptionError
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.types import Float64Array
+
+__all__ = ["TablePlane", "fit_table"]
+
+_SEARCH: Final = 0.05
+"""Points within this height of the expected plane are candidates [m]."""
+_MAX_TILT: Final = 0.06
+"""Larger corrections mean wrong extrinsics [rad]."""
+_MAX_OFFSET: Final = 0.03
+"""[m]"""
+_STRIDE: Final = 4
+_HYPOTHESES: Final = 60
+_MIN_POINTS: Final = 500
+_MIN_SHARE: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class TablePlane:
+    """z = slope_x x + slope_y y + offset in the table frame of the extrinsics; all zero when they are right."""
+
+    slope: tuple[float, float]
+    offset: float
+    """[m]"""
+    noise: float
+    """Standard deviation of the heights of single points about the plane [m]."""
+    n_points: int
+
+    def height(self, x: float, y: float) -> float:
+        """Of the plane above the expected one [m]."""
+        return self.slope[0] * x + self.slope[1] * y + self.offset
+
+    def correct(self, camera_in_table: ArrayLike) -> Float64Array:
+        """Camera pose, shape (4, 4), in the table frame moved by the smallest motion that puts the plane at z = 0."""
+        normal = np.array([-self.slope[0], -self.slope[1], 1.0])
+        normal /= np.linalg.norm(normal)
+        # Smallest rotation that takes the normal to the z axis (Rodrigues with the axis normal x z).
+        ax, ay = normal[1], -normal[0]
+        skew = np.array([[0.0, 0.0, ay], [0.0, 0.0, -ax], [-ay, ax, 0.0]])
+        correction = np.eye(4)
+        correction[:3, :3] += skew + skew @ skew / (1.0 + normal[2])
+        correction[2, 3] = -normal[2] * self.offset
+        return np.asarray(correction @ np.asarray(camera_in_table, dtype=np.float64))
+
+
+def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> TablePlane:
+    """Fit the plane to the points near z = 0 in the workspace: a few random planes, then least squares on the inliers.
+
+    Args:
+        points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was seen.
+
+    Raises:
+        PerceptionError: Nothing valid, too little of it is a plane, or the plane is further off than extrinsics can be.
+    """
+    sample = points[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
+    valid = sample[np.isfinite(sample[:, 2])]
+    if len(valid) == 0:
+        raise PerceptionError(f"Depth image has 0 valid of {points.shape[0] * points.shape[1]} pixels; check the camera and its range.")
+    low, high = settings.workspace_low, settings.workspace_high
+    in_workspace = np.all((valid[:, :2] >= low) & (valid[:, :2] <= high), axis=1)
+    near = valid[in_workspace & (np.abs(valid[:, 2]) < _SEARCH)]
+    needed = max(_MIN_POINTS // _STRIDE, int(_MIN_SHARE * np.count_nonzero(in_workspace)))
+    if len(near) < needed:
+        raise PerceptionError(
+            f"{len(near)} of {len(valid)} points lie within {_SEARCH * 1e3:.0f} mm of the table, expected at least {needed}; "
+            "check the extrinsics and that the camera sees the workspace."
+        )
+    plane = _best_random_plane(near)
+    for _ in range(4):
+        distance = near[:, 2] - near[:, :2] @ plane[:2] - plane[2]
+        noise = 1.4826 * float(np.median(np.abs(distance[np.abs(distance) < 0.01]))) if np.any(np.abs(distance) < 0.01) else 0.01
+        inliers = np.abs(distance) < 3.0 * max(noise, 2e-4)
+        if np.count_nonzero(inliers) < needed:
+            raise PerceptionError(f"{np.count_nonzero(inliers)} of {len(near)} points agree on a plane, expected {needed}; clear the table.")
+        design = np.column_stack([near[inliers, :2], np.ones(np.count_nonzero(inliers))])
+        plane = np.linalg.lstsq(design, near[inliers, 2], rcond=None)[0]
+    if np.hypot(plane[0], plane[1]) > _MAX_TILT or abs(plane[2]) > _MAX_OFFSET:
+        raise PerceptionError(
+            f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm off the extrinsics, "
+            f"expected at most {_MAX_TILT} rad and {_MAX_OFFSET * 1e3:.0f} mm; calibrate the camera."
+        )
+    return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4), int(np.count_nonzero(inliers)))
+
+
+def _best_random_plane(points: Float64Array) -> Float64Array:
+    """The plane through three points that has most others within 6 mm."""
+    rng = np.random.default_rng(0)
+    scored = points[rng.integers(len(points), size=min(len(points), 1500))]
+    best, best_count = np.zeros(3), -1
+    for triple in rng.integers(len(points), size=(_HYPOTHESES, 3)):
+        design = np.column_stack([points[triple, :2], np.ones(3)])
+        if abs(np.linalg.det(design)) < 1e-3:
+            continue
+        plane = np.linalg.solve(design, points[triple, 2])
+        count = int(np.count_nonzero(np.abs(scored[:, 2] - scored[:, :2] @ plane[:2] - plane[2]) < 0.006))
+        if count > best_count and np.hypot(plane[0], plane[1]) < 2 * _MAX_TILT:
+            best, best_count = plane, count
+    return best

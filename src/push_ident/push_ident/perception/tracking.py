@@ -1,0 +1,316 @@
+"""Pose of a known object in each frame.
+
+Every pixel near the object says one of two things: its line of sight is stopped by the upper part of the object (full), or it
+passes and sees something lower (empty). For a pose T the line of sight is stopped where the piece of it between the top of the
+object and a little below lies inside the outline, so with the signed distance d (negative inside) of both ends of that piece
+
+    expected(T) = sigmoid(-min(d(T^-1 a), d(T^-1 b)) / s)
+
+and the pose is the least-squares fit of the expected to the seen, by Gauss-Newton, first with a wide s, then with a narrow one.
+Pixels that see something higher (a hand, the pusher) or nothing say nothing and are left out, so occlusion does not pull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
+from push_ident.perception.depth import rays_in_table
+from push_ident.perception.labels import Cylinder, in_cylinders
+from push_ident.perception.shape import SeenObject
+from push_ident.types import BoolArray, DepthFrame, Float64Array
+
+__all__ = ["PoseFit", "Template", "TrackStatus", "fit_pose", "relocate"]
+
+_GRID: Final = 0.001
+"""Edge of a cell of the signed distance field [m]."""
+_MARGIN: Final = 0.04
+"""Of the field around the outline [m]; further out the distance is held."""
+_LEVELS: Final = ((0.006, 0.02, 3, 8), (0.0015, 0.006, 1, 8))
+"""Width s [m], half width of the band of pixels used [m], stride over pixels, iterations: wide, then narrow."""
+_STEP: Final = 0.005
+"""A line of sight counts as stopped this far below the top, if that is above half height [m]: three times the noise of a height."""
+_ABOVE: Final = 0.01
+"""Points this far above the top belong to something in front [m]."""
+_MIN_PIXELS: Final = 120
+"""Fewer pixels in the narrow band are no measurement."""
+_MIN_SHARE: Final = 0.25
+"""Of the pixels in the narrow band that must say something."""
+_MAX_WRONG: Final = 0.2
+"""Share of the pixels off the edge that may contradict the pose."""
+_FLOOR: Final = (2.5e-4, 2.5e-4, 2.5e-3)
+"""Standard deviations no fit goes below [m, m, rad]: errors of outline and calibration, which no residual shows."""
+_MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
+"""Standard deviations above which a pose is no use [m, m, rad]."""
+
+
+class TrackStatus(Enum):
+    """How a pose came about; the value says what to do about it."""
+
+    TRACKED = "tracked"
+    HIDDEN = "too little of the object is visible; move the robot out of the way"
+    POOR_FIT = "what is seen does not fit the outline; the object was tipped, lifted, or replaced"
+    UNDETERMINED = "what is visible of the object leaves its pose open; move the robot out of the way"
+    OUT_OF_VIEW = "the object left the image or the workspace; put it back"
+
+
+@dataclass(frozen=True, slots=True)
+class PoseFit:
+    """Pose of one object in one frame. When the status is not TRACKED, pose and covariance must not be used."""
+
+    status: TrackStatus
+    pose: Float64Array
+    """(x, y, yaw) [m, m, rad], table frame."""
+    covariance: Float64Array
+    """Shape (3, 3), table frame, positive definite."""
+    n_pixels: int
+    """Pixels in the narrow band that said something."""
+    share_visible: float
+    """Share of the pixels in the narrow band that said something."""
+    share_wrong: float
+    """Share of the pixels clearly inside or outside that contradict the pose."""
+
+
+class Template:
+    """What the tracker knows of an object: the signed distance field of its outline and the heights of its upper side."""
+
+    def __init__(self, seen: SeenObject) -> None:
+        self.outline = seen.shape.outline
+        self._seen = seen
+        self._origin = self.outline.min(axis=0) - _MARGIN
+        columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - self._origin) / _GRID) + 1)
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        nodes = self._origin + _GRID * np.stack([x.ravel(), y.ravel()], axis=1)
+        self._distance = np.concatenate([signed_distance(part, self.outline) for part in np.array_split(nodes, 40)]).reshape(rows, columns)
+        self.top_range = float(seen.top.min()), float(seen.top.max())
+        self.radius = float(np.linalg.norm(self.outline, axis=1).max())
+        """Of the circle around the origin that holds the outline [m]."""
+
+    def distance(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Signed distance [m], shape (n,), and its gradient, shape (n, 2), at points (n, 2) in the object frame."""
+        rows, columns = self._distance.shape
+        place = np.clip((points - self._origin) / _GRID, 0.0, np.array([columns, rows]) - 1.001)
+        low = place.astype(np.int64)
+        u, v = (place - low).T
+        corner = self._distance.ravel()
+        index = low[:, 1] * columns + low[:, 0]
+        d00, d10, d01, d11 = corner[index], corner[index + 1], corner[index + columns], corner[index + columns + 1]
+        along_x, along_x_above = d10 - d00, d11 - d01
+        below, above = d00 + u * along_x, d01 + u * along_x_above
+        gradient = np.stack([along_x + v * (along_x_above - along_x), above - below], axis=1) / _GRID
+        return below + v * (above - below), gradient
+
+    def distance_nearby(self, points: NDArray[np.floating]) -> Float64Array:
+        """Signed distance [m] of the nearest node of the field, shape (n,): quicker, and good to half its edge."""
+        rows, columns = self._distance.shape
+        index = np.rint((points - self._origin.astype(points.dtype)) * (1 / _GRID)).astype(np.int32)
+        return self._distance[np.clip(index[:, 1], 0, rows - 1), np.clip(index[:, 0], 0, columns - 1)]
+
+    def top(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Height of the upper side at (or nearest to) points (n, 2) in the object frame [m], shape (n,)."""
+        heights = self._seen.top
+        index = np.rint((points - self._seen.top_origin) / self._seen.top_resolution).astype(np.int64)
+        return heights[np.clip(index[:, 1], 0, heights.shape[0] - 1), np.clip(index[:, 0], 0, heights.shape[1] - 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Lines of sight near an object, those that say something."""
+
+    upper: Float64Array
+    """Where they pass the height of the top [m], shape (n, 2), table frame."""
+    lower: Float64Array
+    """Where they pass a little below."""
+    stopped: Float64Array
+    """1 where the object stops them, 0 where they pass, shape (n,)."""
+    n_silent: int
+    """Lines of sight in the narrow band that say nothing."""
+
+
+def fit_pose(
+    template: Template,
+    frame: DepthFrame,
+    camera_in_table: ArrayLike,
+    start: ArrayLike,
+    *,
+    robot: Sequence[Cylinder] = (),
+    mask_margin: float = 0.006,
+    others: Sequence[tuple[Template, Float64Array]] = (),
+) -> PoseFit:
+    """Fit the pose of the object to one frame.
+
+    Args:
+        start: Pose (x, y, yaw) to start from; within about 15 mm and 10 degrees.
+        robot: Cylinders whose pixels say nothing.
+        others: Templates and poses of other objects; their pixels say nothing either.
+    """
+    start = np.asarray(start, dtype=np.float64)
+    pose = start.copy()
+    normal = np.zeros((3, 3))
+    residual_variance = 1.0
+    lines = None
+    for width, band, stride, iterations in _LEVELS:
+        lines = _lines_of_sight(template, frame, camera_in_table, pose, band, stride, robot, mask_margin, others)
+        if lines is None:
+            return _failed(TrackStatus.OUT_OF_VIEW, pose)
+        if len(lines.stopped) < _MIN_PIXELS / stride**2:
+            return _failed(TrackStatus.HIDDEN, pose, lines)
+        pose, normal, residual_variance = _gauss_newton(template, lines, pose, width, iterations)
+    assert lines is not None
+    share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_silent)
+    share_wrong = _share_wrong(template, lines, pose)
+    covariance = residual_variance * np.linalg.inv(normal + 1e-6 * np.diag([1.0, 1.0, 1e-4])) + np.diag(np.square(_FLOOR))
+    status = TrackStatus.TRACKED
+    if np.hypot(*(pose - start)[:2]) > 0.05 or share_wrong > _MAX_WRONG:
+        status = TrackStatus.POOR_FIT
+    elif share_visible < _MIN_SHARE:
+        status = TrackStatus.HIDDEN
+    elif np.any(np.diag(covariance) > np.square(_MAX_DEVIATION)):
+        status = TrackStatus.UNDETERMINED
+    pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
+    return PoseFit(status, pose, 0.5 * (covariance + covariance.T), len(lines.stopped), share_visible, share_wrong)
+
+
+def relocate(
+    template: Template,
+    frame: DepthFrame,
+    camera_in_table: ArrayLike,
+    centre: ArrayLike,
+    *,
+    robot: Sequence[Cylinder] = (),
+    mask_margin: float = 0.006,
+    others: Sequence[tuple[Template, Float64Array]] = (),
+) -> PoseFit:
+    """Find a lost object at `centre` (x, y) [m] whatever its yaw: compare all headings coarsely, fit from the best three."""
+    everywhere = template.radius + _MARGIN
+    headings = np.linspace(-np.pi, np.pi, 36, endpoint=False)
+    starts = [np.array([*np.asarray(centre, dtype=np.float64), heading]) for heading in headings]
+    lines = _lines_of_sight(template, frame, camera_in_table, starts[0], everywhere, 4, robot, mask_margin, others)
+    if lines is None or len(lines.stopped) == 0:
+        return _failed(TrackStatus.OUT_OF_VIEW, starts[0])
+    misfit = [float(np.mean(np.square(_residual(template, lines, start, 2 * _LEVELS[0][0])[0]))) for start in starts]
+    fits = [
+        fit_pose(template, frame, camera_in_table, starts[index], robot=robot, mask_margin=mask_margin, others=others)
+        for index in np.argsort(misfit)[:3]
+    ]
+    return min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_wrong))
+
+
+def _lines_of_sight(
+    template: Template,
+    frame: DepthFrame,
+    camera_in_table: ArrayLike,
+    pose: Float64Array,
+    band: float,
+    stride: int,
+    robot: Sequence[Cylinder],
+    mask_margin: float,
+    others: Sequence[tuple[Template, Float64Array]],
+) -> _Lines | None:
+    """Lines of sight that pass the outline at `pose` within `band` [m]; None where the object is not in the image."""
+    camera = np.asarray(camera_in_table, dtype=np.float64)
+    box = _image_box(template, frame, camera, pose, band)
+    if box is None:
+        return None
+    rows, columns = (slice(side.start, side.stop, stride) for side in box)
+    centre, all_rays = rays_in_table(frame.intrinsics, camera)
+    depth, rays = frame.depth[rows, columns], all_rays[rows, columns]
+    level = float(np.mean(template.top_range))
+    at_level = centre[:2].astype(np.float32) + rays[..., :2] * ((np.float32(level - centre[2])) / rays[..., 2])[..., None]
+    in_object = ((at_level - pose[:2].astype(np.float32)) @ rotation(pose[2]).astype(np.float32)).reshape(-1, 2)
+    slack = 0.5 * (template.top_range[1] - template.top_range[0])
+    near = np.abs(template.distance_nearby(in_object)) < band + slack
+    depth, rays = depth.ravel()[near], rays.reshape(-1, 3)[near].astype(np.float64)
+    # The top beside a line of sight is looked up where the line passes the mean level, then once more where it passes that top.
+    top = template.top(in_object[near])
+    for _ in range(2):
+        upper = centre[:2] + rays[:, :2] * ((top - centre[2]) / rays[:, 2])[:, None]
+        top = template.top((upper - pose[:2]) @ rotation(pose[2]))
+    threshold = np.maximum(top - _STEP, 0.5 * top)
+    lower = centre[:2] + rays[:, :2] * ((threshold - centre[2]) / rays[:, 2])[:, None]
+    seen = (centre + rays * depth[:, None]).astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        speaks = np.isfinite(depth) & (seen[:, 2] < top + _ABOVE) & ~in_cylinders(seen, robot, mask_margin)
+    speaks &= ~_in_others(seen, others)
+    return _Lines(
+        upper[speaks], lower[speaks], (seen[speaks, 2] > threshold[speaks]).astype(np.float64), int(np.count_nonzero(~speaks))
+    )
+
+
+def _image_box(
+    template: Template, frame: DepthFrame, camera_in_table: Float64Array, pose: Float64Array, band: float
+) -> tuple[slice, slice] | None:
+    """Rows and columns that show the outline at `pose`, grown by `band`; None when its origin is outside the image."""
+    outline = transform_points(pose, template.outline)
+    low, high = outline.min(axis=0) - band, outline.max(axis=0) + band
+    corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, template.top_range[1])])
+    points = np.vstack([corners, [pose[0], pose[1], 0.5 * template.top_range[1]]])
+    in_camera = (points - camera_in_table[:3, 3]) @ camera_in_table[:3, :3]
+    if np.any(in_camera[:, 2] <= 0):
+        return None
+    intrinsics = frame.intrinsics
+    u = intrinsics.fx * in_camera[:, 0] / in_camera[:, 2] + intrinsics.cx
+    v = intrinsics.fy * in_camera[:, 1] / in_camera[:, 2] + intrinsics.cy
+    if not (0 <= u[-1] < intrinsics.width and 0 <= v[-1] < intrinsics.height):
+        return None
+    rows = slice(max(0, int(v.min())), min(intrinsics.height, int(v.max()) + 2))
+    columns = slice(max(0, int(u.min())), min(intrinsics.width, int(u.max()) + 2))
+    return rows, columns
+
+
+def _in_others(points: NDArray[np.float32], others: Sequence[tuple[Template, Float64Array]]) -> BoolArray:
+    inside = np.zeros(len(points), dtype=bool)
+    for other, pose in others:
+        in_other = np.nan_to_num((points[:, :2] - pose[:2]) @ rotation(pose[2]), nan=1e3)
+        inside |= (other.distance_nearby(in_other) < 0.003) & (points[:, 2] > 0.5 * other.top_range[0])
+    return inside
+
+
+def _residual(template: Template, lines: _Lines, pose: Float64Array, width: float) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Seen minus expected, shape (n,), the derivative of the expected by the pose, shape (n, 3), and the distances, shape (n,)."""
+    turn = rotation(pose[2])
+    upper, lower = (lines.upper - pose[:2]) @ turn, (lines.lower - pose[:2]) @ turn
+    use_upper = template.distance_nearby(upper) < template.distance_nearby(lower)
+    point = np.where(use_upper[:, None], upper, lower)
+    distance, gradient = template.distance(point)
+    expected = 1.0 / (1.0 + np.exp(np.clip(distance / width, -30.0, 30.0)))
+    by_pose = np.column_stack([-gradient @ turn.T, gradient[:, 0] * point[:, 1] - gradient[:, 1] * point[:, 0]])
+    return lines.stopped - expected, by_pose * (-expected * (1.0 - expected) / width)[:, None], distance
+
+
+def _gauss_newton(
+    template: Template, lines: _Lines, pose: Float64Array, width: float, iterations: int
+) -> tuple[Float64Array, Float64Array, float]:
+    """Fitted pose, normal matrix J'J there, and the variance of the residuals near the edge."""
+    for _ in range(iterations):
+        residual, jacobian, _ = _residual(template, lines, pose, width)
+        normal = jacobian.T @ jacobian
+        step = np.linalg.solve(normal + 1e-3 * np.diag(np.diag(normal)) + np.diag([1.0, 1.0, 1e-4]), jacobian.T @ residual)
+        # A step longer than the width leaves the reach of the linearisation.
+        step *= min(1.0, 2.0 * width / max(float(np.hypot(step[0], step[1])), template.radius * abs(float(step[2])), 1e-12))
+        pose = pose + step
+        if np.hypot(step[0], step[1]) < 2e-5 and abs(step[2]) < 2e-4:
+            break
+    residual, jacobian, distance = _residual(template, lines, pose, width)
+    at_edge = np.abs(distance) < 3.0 * width
+    variance = float(np.mean(np.square(residual[at_edge]))) if at_edge.any() else 1.0
+    return pose, jacobian.T @ jacobian, variance
+
+
+def _share_wrong(template: Template, lines: _Lines, pose: Float64Array) -> float:
+    _, _, distance = _residual(template, lines, pose, _LEVELS[-1][0])
+    clear = np.abs(distance) > 0.003
+    return float(np.mean((distance[clear] < 0) != (lines.stopped[clear] > 0.5))) if clear.any() else 1.0
+
+
+def _failed(status: TrackStatus, pose: Float64Array, lines: _Lines | None = None) -> PoseFit:
+    n_pixels = 0 if lines is None else len(lines.stopped)
+    share = 0.0 if lines is None else n_pixels / max(n_pixels + lines.n_silent, 1)
+    return PoseFit(status, pose, np.diag([1.0, 1.0, 10.0]), n_pixels, share, 1.0)

@@ -1,0 +1,1 @@
+"""Choosing a push, checking it, and planning the arm's motion for it."""

@@ -1,0 +1,247 @@
+"""The arm's motion for one push, checked whole before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
+from push_ident.pushing.push import PushCode, PushPlan2D
+from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
+from push_ident.types import Float64Array
+
+__all__ = ["ArmPlan", "MotionSettings", "plan_push"]
+
+_STEP = 0.004
+"""Distance between inverse kinematics along a straight line [m]."""
+_POSTURE_RATE = 3.0
+"""Share of the way to the neutral posture per metre of tool travel [1/m]: slow beside the push itself."""
+_LINE_TOLERANCE = 5e-4
+"""How far the tool may leave its straight line between two inverse kinematics [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings:
+    """Heights, speeds and pauses of the arm around a push."""
+
+    home: tuple[float, ...]
+    """Posture between pushes, high and out of the camera's view [rad], one per joint."""
+    clearance: float = 0.03
+    """Travel of the pusher before it touches [m]."""
+    push_height: float = 0.012
+    """Tip above the table while pushing [m]."""
+    min_height: float = 0.006
+    """Lowest the tip may ever be commanded [m]."""
+    safe_height: float = 0.12
+    """Tip height from which free moves start and end [m]."""
+    free_height: float = 0.09
+    """Lowest the tip may dip during a free move [m]: above every object."""
+    free_speed: float = 0.25
+    """Tool speed going up and down [m/s]."""
+    acceleration: float = 2.0
+    """Tool acceleration at both ends of the push, and most of all other straight moves [m/s^2]."""
+    settle: float = 0.3
+    """Pause with the tool lowered, before the push [s]."""
+    rest: float = 0.6
+    """Pause after the push, for frames of the object at rest [s]."""
+    back_off: float = 0.015
+    """Way back from the object before the tool rises [m]."""
+    velocity_scale: float = 0.9
+    """Share of a joint's velocity limit that may be used."""
+    max_joint_velocity: float = 1.3
+    """Cap on every joint's velocity [rad/s], whatever the description allows."""
+    max_joint_acceleration: float = 5.0
+    """Of free moves [rad/s^2]."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.min_height <= self.push_height < self.free_height <= self.safe_height:
+            raise InputError(
+                "heights must rise as 0 < min_height <= push_height < free_height <= safe_height, got "
+                f"{self.min_height}, {self.push_height}, {self.free_height}, {self.safe_height} m."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPlan:
+    """Motion of the arm for one push. Times in seconds from the start of the motion."""
+
+    push: PushPlan2D
+    joint_names: tuple[str, ...]
+    trajectory: JointTrajectory
+    lowered: float
+    """Tool is down, object and tool at rest."""
+    departure: float
+    """The push line begins."""
+    contact: float
+    """First touch, by the plan."""
+    stop: float
+    """Tool stands still after the push."""
+    rested: float
+    """Rest is over, the tool leaves."""
+    tip: Float64Array
+    """Tip at every sample of the trajectory [m], shape (n, 3), root frame."""
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.trajectory.duration
+
+    @property
+    def tool_path(self) -> tuple[Float64Array, Float64Array]:
+        """Time from 0 [s], shape (n,), and tip [m], shape (n, 3), of the pushing part."""
+        time = self.trajectory.time
+        pushing = (time >= self.departure - 1e-9) & (time <= self.stop + 1e-9)
+        return time[pushing] - self.departure, self.tip[pushing]
+
+
+def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings) -> ArmPlan:
+    """Up, home, above the start of the push, down, push, rest, back off, up, home.
+
+    `q_now` [rad] is the measured posture, at rest. Raises PlanningError: UNREACHABLE when the arm has no posture for a point of the way,
+    LIMIT for a joint, velocity or height limit; the text names joint, value and limit.
+    """
+    q_now = kinematics.check_configuration(q_now)
+    _check_positions(kinematics, q_now[None, :])
+    home = kinematics.check_configuration(settings.home)
+    max_velocity = np.minimum(settings.velocity_scale * kinematics.velocity_limit, settings.max_joint_velocity)
+
+    def point(xy: Float64Array, height: float) -> Float64Array:
+        return np.array([xy[0], xy[1], height])
+
+    def straight(q: Float64Array, target: Float64Array, axis: Float64Array = TOOL_DOWN) -> JointTrajectory:
+        postures, length = _line(kinematics, q, target, axis)
+        return path_move(postures, length, settings.free_speed, settings.acceleration, max_velocity)
+
+    start, end = push.tool_start(settings.clearance), push.tool_end
+    approach: list[JointTrajectory] = []
+    pose_now = kinematics.forward(q_now)
+    q = q_now
+    if pose_now[2, 3] < settings.safe_height - 1e-3:
+        approach.append(straight(q, point(pose_now[:2, 3], settings.safe_height), pose_now[:3, 2]))
+        q = approach[-1].position[-1]
+    if np.max(np.abs(q - home)) > 1e-3:
+        approach.append(_free_move(kinematics, q, home, max_velocity, settings))
+        q = home
+    above = _reach(kinematics, point(start, settings.safe_height), kinematics.neutral)
+    approach.append(_free_move(kinematics, q, above, max_velocity, settings))
+    approach.append(straight(above, point(start, settings.push_height)))
+    settle = stand_still(approach[-1].position[-1], settings.settle)
+
+    postures, length = _line(kinematics, settle.position[-1], point(end, settings.push_height), TOOL_DOWN)
+    pushing = path_at_speed(postures, length, push.speed, settings.acceleration)
+    ramp = push.speed / settings.acceleration
+    if 0.5 * push.speed * ramp > settings.clearance:
+        raise PlanningError(
+            PushCode.LIMIT, f"{push.speed:.3f} m/s is not reached within the clearance of {settings.clearance:.3f} m; push slower."
+        )
+    rest = stand_still(pushing.position[-1], settings.rest)
+
+    back = straight(rest.position[-1], point(end - settings.back_off * push.heading, settings.push_height))
+    lift = straight(back.position[-1], point(end - settings.back_off * push.heading, settings.safe_height))
+    away = _free_move(kinematics, lift.position[-1], home, max_velocity, settings)
+
+    lowered = sum(part.duration for part in approach)
+    departure = lowered + settle.duration
+    stop = departure + pushing.duration
+    trajectory = join([*approach, settle, pushing, rest, back, lift, away])
+    _check_positions(kinematics, trajectory.position)
+    _check_velocities(kinematics, trajectory, max_velocity)
+    plan = ArmPlan(
+        push,
+        kinematics.joint_names,
+        trajectory,
+        lowered,
+        departure,
+        departure + settings.clearance / push.speed + 0.5 * ramp,
+        stop,
+        stop + rest.duration,
+        np.array([kinematics.forward(q)[:3, 3] for q in trajectory.position]),
+    )
+    _check_tip(plan, settings)
+    return plan
+
+
+def _line(kinematics: ArmKinematics, q: Float64Array, target: Float64Array, axis: Float64Array) -> tuple[Float64Array, float]:
+    """Postures at even steps along the straight line of the tip from `q` to `target`, shape (n, n_joints), and its length [m]."""
+    start = kinematics.forward(q)[:3, 3]
+    length = float(np.linalg.norm(target - start))
+    n_steps = max(int(np.ceil(length / _STEP)), 2)
+    postures = [q]
+    for share in np.linspace(0.0, 1.0, n_steps + 1)[1:]:
+        # The drift to the neutral posture goes before the correction, which is of minimum norm: what is left of it is the part
+        # that does not move the tool, in proportion to the travel and so smooth in time.
+        drift = _POSTURE_RATE * length / n_steps * (kinematics.neutral - postures[-1])
+        postures.append(_reach(kinematics, start + share * (target - start), postures[-1] + drift, axis, posture_gain=0.0))
+    return np.array(postures), length
+
+
+def _reach(
+    kinematics: ArmKinematics, position: Float64Array, q_start: Float64Array, axis: Float64Array = TOOL_DOWN, posture_gain: float = 0.05
+) -> Float64Array:
+    q, converged = kinematics.inverse(position, q_start, axis=axis, posture_gain=posture_gain)
+    if not converged:
+        miss = float(np.linalg.norm(kinematics.forward(q)[:3, 3] - position))
+        at_limit = [
+            f"{name} at its limit {value:.3f} rad"
+            for name, value, low, high in zip(kinematics.joint_names, q, kinematics.position_lower, kinematics.position_upper, strict=True)
+            if min(value - low, high - value) < 1e-6
+        ]
+        where = "(" + ", ".join(f"{v:.3f}" for v in position) + ")"
+        raise PlanningError(
+            PushCode.UNREACHABLE,
+            f"the tool cannot reach {where} m: the nearest posture is {1e3 * miss:.1f} mm off, {', '.join(at_limit) or 'arm stretched'}.",
+        )
+    return q
+
+
+def _free_move(
+    kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Array, settings: MotionSettings
+) -> JointTrajectory:
+    move = joint_move(q_from, q_to, max_velocity, settings.max_joint_acceleration)
+    lowest = min((kinematics.forward(q)[2, 3] for q in move.position[::5]), default=np.inf)
+    if lowest < settings.free_height:
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"a free move would dip to tip height {lowest:.3f} m, limit {settings.free_height:.3f} m; bring the arm nearer to home.",
+        )
+    return move
+
+
+def _check_positions(kinematics: ArmKinematics, postures: Float64Array) -> None:
+    excess = np.maximum(kinematics.position_lower - postures, postures - kinematics.position_upper)
+    row, joint = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    if excess[row, joint] > 1e-6:
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"{kinematics.joint_names[joint]} would be at {postures[row, joint]:.3f} rad, limits "
+            f"{kinematics.position_lower[joint]:.3f}..{kinematics.position_upper[joint]:.3f} rad.",
+        )
+
+
+def _check_velocities(kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array) -> None:
+    share = np.abs(trajectory.velocity) / max_velocity
+    row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
+    if share[row, joint] > 1.0 + 1e-3:
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"{kinematics.joint_names[joint]} would turn at {abs(trajectory.velocity[row, joint]):.3f} rad/s, limit "
+            f"{max_velocity[joint]:.3f} rad/s; push slower.",
+        )
+
+
+def _check_tip(plan: ArmPlan, settings: MotionSettings) -> None:
+    time, tip = plan.trajectory.time, plan.tip
+    # The way up from a start below the limit is the remedy, not a fault: heights count from where the tool comes down.
+    lowest = float(np.min(tip[time > plan.lowered - 1e-9, 2]))
+    if lowest < settings.min_height:
+        raise PlanningError(PushCode.LIMIT, f"the tip would come {lowest:.4f} m near the table, limit {settings.min_height:.4f} m.")
+    _, path = plan.tool_path
+    across = np.array([-plan.push.heading[1], plan.push.heading[0]])
+    off = np.hypot((path[:, :2] - plan.push.tool_at_contact) @ across, path[:, 2] - settings.push_height)
+    if float(np.max(off)) > _LINE_TOLERANCE:
+        raise PlanningError(
+            PushCode.UNREACHABLE, f"the tool would leave the push line by {1e3 * float(np.max(off)):.2f} mm; choose another push."
+        )

@@ -1,0 +1,93 @@
+"""What a planar push is, and the limits it must keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.types import Float64Array
+
+__all__ = ["PushCode", "PushPlan2D", "PushSettings"]
+
+
+class PushCode(IntEnum):
+    """Why a push failed; the numbers are those of the result of action/ExecutePush."""
+
+    NONE = 0
+    UNKNOWN_OBJECT = -1
+    INVALID_GOAL = -2
+    UNREACHABLE = -3
+    LIMIT = -4
+    NO_CONTACT = -5
+    ARM_SILENT = -6
+    CANCELED = -7
+    TRACKING = -8
+    BUSY = -9
+
+
+@dataclass(frozen=True, slots=True)
+class PushSettings:
+    """Limits of a planar push and the ranges random ones are drawn from."""
+
+    workspace: tuple[float, float, float, float] = (-0.20, 0.15, -0.25, 0.25)
+    """(x_min, x_max, y_min, y_max) that the axis of the lowered tool stays in [m], table frame."""
+    pusher_radius: float = 0.018
+    """Radius of the cylinder that touches the object [m]."""
+    clearance: float = 0.03
+    """Travel of the pusher before it touches [m]."""
+    lowering_gap: float = 0.005
+    """Least gap between the pusher and any object where the tool comes down [m]."""
+    distance_range: tuple[float, float] = (0.04, 0.10)
+    """Travel after contact of random pushes [m]."""
+    speed_range: tuple[float, float] = (0.1, 0.2)
+    """Speed of random pushes [m/s]."""
+    cone: float = np.pi / 4
+    """Random directions lie within this angle of the inward normal [rad]."""
+    max_distance: float = 0.25
+    """Longest travel after contact that a goal may ask for [m]."""
+    max_speed: float = 0.25
+    """Highest speed that a goal may ask for [m/s]."""
+
+    def __post_init__(self) -> None:
+        x_min, x_max, y_min, y_max = self.workspace
+        if not (x_min < x_max and y_min < y_max):
+            raise InputError(f"workspace is {self.workspace}, expected x_min < x_max and y_min < y_max in metres.")
+        for name in ("distance", "speed"):
+            (low, high), most = getattr(self, f"{name}_range"), getattr(self, f"max_{name}")
+            if not 0 < low <= high <= most:
+                raise InputError(f"{name}_range is ({low}, {high}), expected 0 < low <= high <= max_{name} = {most}.")
+        if not 0 < self.lowering_gap < self.clearance:
+            raise InputError(f"lowering_gap is {self.lowering_gap} m, expected more than 0 and less than clearance = {self.clearance} m.")
+
+
+@dataclass(frozen=True, slots=True)
+class PushPlan2D:
+    """A straight push, before it is known whether an arm can make it. All in the table frame."""
+
+    contact_point: Float64Array
+    """Where the pusher touches the outline first [m], shape (2,)."""
+    tool_at_contact: Float64Array
+    """Axis of the pusher at that moment [m], shape (2,): one radius off along the outward normal."""
+    direction: float
+    """Heading of the push [rad]."""
+    distance: float
+    """Travel after contact [m]."""
+    speed: float
+    """[m/s]"""
+
+    @property
+    def heading(self) -> Float64Array:
+        """Unit vector of the push, shape (2,)."""
+        return np.array([np.cos(self.direction), np.sin(self.direction)])
+
+    @property
+    def tool_end(self) -> Float64Array:
+        """Axis of the pusher where the push ends [m], shape (2,)."""
+        return self.tool_at_contact + self.distance * self.heading
+
+    def tool_start(self, clearance: float) -> Float64Array:
+        """Axis of the pusher where the tool comes down, `clearance` [m] before contact, shape (2,)."""
+        return self.tool_at_contact - clearance * self.heading

@@ -1,0 +1,173 @@
+"""Choosing where and how to push: from a goal, or at random over the whole outline as in the paper."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from push_ident.errors import PlanningError
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["check_push", "push_from_goal", "sample_push"]
+
+_MAX_DRAWS = 1000
+_GRAZING = np.radians(80.0)
+"""A pusher that comes in flatter than this slides past rather than pushes."""
+_EARLY_TOUCH = 1e-4
+"""Overlap [m] with the outline that still counts as the planned touch and not an earlier one."""
+
+
+def push_from_goal(
+    shape: ObjectShape,
+    pose_object_in_table: ArrayLike,
+    contact_point_in_table: ArrayLike,
+    direction: float,
+    distance: float,
+    speed: float,
+    settings: PushSettings,
+    obstacles: Sequence[Float64Array] = (),
+) -> PushPlan2D:
+    """Push asked for by a goal, with the contact point moved to the nearest point of the outline.
+
+    `direction` [rad] is in the table frame, `distance` [m], `speed` [m/s]; `obstacles` as in `check_push`.
+    Raises PlanningError: INVALID_GOAL for numbers out of range or a direction away from the object, else as `check_push`.
+    """
+    point = np.asarray(contact_point_in_table, dtype=np.float64)
+    for name, value in (("contact_point", point), ("direction", direction), ("distance", distance), ("speed", speed)):
+        if not np.all(np.isfinite(value)):
+            raise PlanningError(PushCode.INVALID_GOAL, f"{name} is {value}, expected finite numbers.")
+    for name, value, most in (("distance", distance, settings.max_distance), ("speed", speed, settings.max_speed)):
+        if not 0 < value <= most:
+            raise PlanningError(PushCode.INVALID_GOAL, f"{name} is {value:.3f}, expected more than 0 and at most {most:.3f}.")
+    outline = transform_points(pose_object_in_table, shape.outline)
+    heading = np.array([np.cos(direction), np.sin(direction)])
+    contact, normal = _nearest_on_outline(point, outline, heading)
+    inward = float(np.arctan2(-normal[1], -normal[0]))
+    if abs(float(wrap_angle(direction - inward))) > _GRAZING:
+        raise PlanningError(
+            PushCode.INVALID_GOAL,
+            f"direction {direction:.2f} rad does not push into the object at ({contact[0]:.3f}, {contact[1]:.3f}) m; "
+            f"the inward normal there is {inward:.2f} rad, stay within {_GRAZING:.2f} rad of it.",
+        )
+    push = PushPlan2D(contact, contact + settings.pusher_radius * normal, float(direction), float(distance), float(speed))
+    check_push(push, outline, settings, obstacles)
+    return push
+
+
+def sample_push(
+    shape: ObjectShape,
+    pose_object_in_table: ArrayLike,
+    rng: np.random.Generator,
+    settings: PushSettings,
+    obstacles: Sequence[Float64Array] = (),
+) -> PushPlan2D:
+    """Random push: contact uniform over the outline's length, direction uniform in a cone about the inward normal.
+
+    Pushes that `check_push` refuses are drawn again, as are those that would carry an object near the edge of the workspace
+    further out. Raises PlanningError UNREACHABLE, with counts of the refusals, when none of many draws is good.
+    """
+    outline = transform_points(pose_object_in_table, shape.outline)
+    refused: Counter[str] = Counter()
+    for _ in range(_MAX_DRAWS):
+        contact, normal = _point_on_outline(rng.uniform(), outline)
+        direction = float(wrap_angle(np.arctan2(-normal[1], -normal[0]) + rng.uniform(-settings.cone, settings.cone)))
+        distance, speed = float(rng.uniform(*settings.distance_range)), float(rng.uniform(*settings.speed_range))
+        push = PushPlan2D(contact, contact + settings.pusher_radius * normal, direction, distance, speed)
+        if _leaves_workspace(outline, push, settings):
+            refused["would push the object out of the workspace"] += 1
+            continue
+        try:
+            check_push(push, outline, settings, obstacles)
+        except PlanningError as error:
+            refused["leave the workspace" if error.code == PushCode.LIMIT else "cannot touch there first"] += 1
+            continue
+        return push
+    counts = ", ".join(f"{n} {why}" for why, n in refused.most_common())
+    raise PlanningError(PushCode.UNREACHABLE, f"none of {_MAX_DRAWS} random pushes is possible ({counts}); move the object to the middle.")
+
+
+def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, obstacles: Sequence[Float64Array] = ()) -> None:
+    """Raise PlanningError unless the lowered pusher stays in the workspace and touches the object first where planned.
+
+    `outline` and each of `obstacles` (outlines of the other objects) have shape (n_vertices, 2), table frame [m].
+    LIMIT: the pusher's path leaves the workspace. UNREACHABLE: something is in the way.
+    """
+    start, end = push.tool_start(settings.clearance), push.tool_end
+    x_min, x_max, y_min, y_max = settings.workspace
+    for name, (x, y) in (("start", start), ("end", end)):
+        if not (x_min <= x <= x_max and y_min <= y <= y_max):
+            raise PlanningError(
+                PushCode.LIMIT,
+                f"the tool at the {name} of the push, ({x:.3f}, {y:.3f}) m, leaves the workspace "
+                f"x {x_min:.3f}..{x_max:.3f}, y {y_min:.3f}..{y_max:.3f}; shorten or turn the push.",
+            )
+    for other in (outline, *obstacles):
+        gap = float(signed_distance(start[None, :], other)[0]) - settings.pusher_radius
+        if gap < settings.lowering_gap:
+            raise PlanningError(
+                PushCode.UNREACHABLE,
+                f"the tool cannot come down at ({start[0]:.3f}, {start[1]:.3f}) m: {1e3 * gap:.1f} mm from an object, "
+                f"needs {1e3 * settings.lowering_gap:.1f} mm; choose another contact or direction.",
+            )
+    approach = _line(start, push.tool_at_contact)
+    sweep = np.vstack([approach, _line(push.tool_at_contact, end)])
+    for path, other in ((approach, outline), *((sweep, obstacle) for obstacle in obstacles)):
+        gaps = signed_distance(path, other) - settings.pusher_radius
+        if float(np.min(gaps)) < -_EARLY_TOUCH:
+            x, y = path[int(np.argmax(gaps < -_EARLY_TOUCH))]
+            raise PlanningError(
+                PushCode.UNREACHABLE,
+                f"the pusher of radius {settings.pusher_radius:.3f} m would touch an object at ({x:.3f}, {y:.3f}) m, before or beside "
+                "the planned contact; choose another contact or direction.",
+            )
+
+
+def _leaves_workspace(outline: Float64Array, push: PushPlan2D, settings: PushSettings) -> bool:
+    """Whether the object, carried along the whole push, would stick out of the workspace and further than before."""
+    x_min, x_max, y_min, y_max = settings.workspace
+    low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+    moved = outline + push.distance * push.heading
+
+    def excess(points: Float64Array) -> float:
+        return float(np.max(np.maximum(low - points, points - high), initial=0.0))
+
+    return excess(moved) > 0.0 and excess(moved) >= excess(outline)
+
+
+def _line(start: Float64Array, end: Float64Array, step: float = 1e-3) -> Float64Array:
+    """Points from `start` to `end`, at most `step` [m] apart, shape (n, 2)."""
+    n = int(np.ceil(float(np.linalg.norm(end - start)) / step)) + 1
+    return np.linspace(start, end, max(n, 2))
+
+
+def _edges(outline: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Length, unit direction and outward normal of each edge of a counter-clockwise outline."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    length = np.linalg.norm(edge, axis=1)
+    along = edge / np.maximum(length, 1e-300)[:, None]
+    return length, along, np.stack([along[:, 1], -along[:, 0]], axis=1)
+
+
+def _point_on_outline(share: float, outline: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Point at `share` (0..1) of the outline's length, and the outward normal there."""
+    length, along, normal = _edges(outline)
+    ends = np.cumsum(length)
+    i = min(int(np.searchsorted(ends, share * ends[-1], side="right")), len(length) - 1)
+    return outline[i] + (share * ends[-1] - (ends[i] - length[i])) * along[i], normal[i]
+
+
+def _nearest_on_outline(point: Float64Array, outline: Float64Array, heading: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Nearest point of the outline and its outward normal; at a corner the normal of the edge that `heading` faces most."""
+    length, along, normal = _edges(outline)
+    travel = np.clip(np.sum((point - outline) * along, axis=1), 0.0, length)
+    nearest = outline + travel[:, None] * along
+    distance = np.linalg.norm(nearest - point, axis=1)
+    candidates = np.flatnonzero((distance < distance.min() + 1e-9) & (length > 0))
+    i = int(min(candidates, key=lambda k: float(normal[k] @ heading)))
+    return nearest[i], normal[i]

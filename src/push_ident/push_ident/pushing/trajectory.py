@@ -1,0 +1,125 @@
+"""Joint trajectories: smooth moves between postures, and motion along a path at a given tool speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from push_ident.errors import PlanningError
+from push_ident.pushing.push import PushCode
+from push_ident.types import Float64Array
+
+__all__ = ["JointTrajectory", "join", "joint_move", "path_at_speed", "path_move", "stand_still"]
+
+_PERIOD = 0.01
+"""Time between samples [s]."""
+_MIN_JERK_SPEED = 1.875
+"""Highest speed of the minimum-jerk profile over unit way and time (Flash & Hogan 1985)."""
+_MIN_JERK_ACCELERATION = 5.774
+"""Highest acceleration of the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrajectory:
+    """Samples of a motion, about 100 per second."""
+
+    time: Float64Array
+    """[s], shape (n,), from 0, strictly increasing."""
+    position: Float64Array
+    """[rad], shape (n, n_joints)."""
+    velocity: Float64Array
+    """[rad/s], shape (n, n_joints)."""
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.time[-1])
+
+    def at(self, time: float) -> Float64Array:
+        """Posture at `time` [s], held at either end, shape (n_joints,)."""
+        i = int(np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1))
+        share = float(np.clip((time - self.time[i - 1]) / (self.time[i] - self.time[i - 1]), 0.0, 1.0))
+        return np.asarray((1.0 - share) * self.position[i - 1] + share * self.position[i])
+
+
+def join(parts: Sequence[JointTrajectory]) -> JointTrajectory:
+    """One trajectory of `parts` in turn; each must begin where the one before ends."""
+    starts = np.cumsum([0.0, *(part.duration for part in parts)])
+    rest = [slice(0, None)] + [slice(1, None)] * (len(parts) - 1)
+    return JointTrajectory(
+        np.concatenate([start + part.time[s] for start, part, s in zip(starts[:-1], parts, rest, strict=True)]),
+        np.concatenate([part.position[s] for part, s in zip(parts, rest, strict=True)]),
+        np.concatenate([part.velocity[s] for part, s in zip(parts, rest, strict=True)]),
+    )
+
+
+def stand_still(q: Float64Array, duration: float) -> JointTrajectory:
+    """Stay at posture `q` for `duration` [s]."""
+    time = _samples(duration)
+    return JointTrajectory(time, np.tile(q, (len(time), 1)), np.zeros((len(time), len(q))))
+
+
+def joint_move(q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Array, max_acceleration: float) -> JointTrajectory:
+    """Minimum-jerk move that takes every joint from one posture to another.
+
+    `max_velocity` [rad/s] has shape (n_joints,), `max_acceleration` [rad/s^2] holds for every joint.
+    """
+    way = np.abs(q_to - q_from)
+    time = _samples(
+        max(_MIN_JERK_SPEED * float(np.max(way / max_velocity)), float(np.sqrt(_MIN_JERK_ACCELERATION * np.max(way) / max_acceleration)))
+    )
+    share, rate = _min_jerk(time / time[-1])
+    return JointTrajectory(time, q_from + share[:, None] * (q_to - q_from), rate[:, None] / time[-1] * (q_to - q_from))
+
+
+def path_move(postures: Float64Array, length: float, max_speed: float, acceleration: float, max_velocity: Float64Array) -> JointTrajectory:
+    """Minimum-jerk motion along a path, as fast as the limits allow.
+
+    `postures` (n, n_joints) are even steps along the `length` [m]; `max_speed` [m/s] and `acceleration` [m/s^2] hold for the tool,
+    `max_velocity` [rad/s], shape (n_joints,), for the joints.
+    """
+    spline = _spline(postures, length)
+    steepest = float(np.max(np.abs(spline(np.linspace(0.0, length, 4 * len(postures)), 1)) / max_velocity))
+    by_speed = _MIN_JERK_SPEED * length * max(1.0 / max_speed, steepest)
+    time = _samples(max(by_speed, float(np.sqrt(_MIN_JERK_ACCELERATION * length / acceleration))))
+    share, rate = _min_jerk(time / time[-1])
+    return _along(spline, time, length * share, length / time[-1] * rate)
+
+
+def path_at_speed(postures: Float64Array, length: float, speed: float, acceleration: float) -> JointTrajectory:
+    """Motion along a path at constant tool `speed` [m/s], with ramps of constant `acceleration` [m/s^2] at either end.
+
+    Raises PlanningError LIMIT when the path is too short for the ramps.
+    """
+    ramp = speed / acceleration
+    if speed * ramp > length:
+        raise PlanningError(PushCode.LIMIT, f"{length:.3f} m is too short to reach and leave {speed:.3f} m/s; push slower or further.")
+    end = length / speed + ramp
+    time = _samples(end)
+    rate = np.clip(np.minimum(time, end - time) * acceleration, 0.0, speed)
+    travel = np.select(
+        [time < ramp, time > end - ramp],
+        [0.5 * acceleration * time**2, length - 0.5 * acceleration * (end - time) ** 2],
+        speed * (time - 0.5 * ramp),
+    )
+    return _along(_spline(postures, length), time, travel, rate)
+
+
+def _along(spline: CubicSpline, time: Float64Array, travel: Float64Array, rate: Float64Array) -> JointTrajectory:
+    return JointTrajectory(time, spline(travel), spline(travel, 1) * rate[:, None])
+
+
+def _spline(postures: Float64Array, length: float) -> CubicSpline:
+    return CubicSpline(np.linspace(0.0, length, len(postures)), postures)
+
+
+def _samples(duration: float) -> Float64Array:
+    return np.linspace(0.0, max(duration, 2 * _PERIOD), max(int(np.ceil(duration / _PERIOD)), 2) + 1)
+
+
+def _min_jerk(phase: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Share of the way and its rate, at `phase` from 0 to 1."""
+    return phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2), 30.0 * phase**2 * (1.0 - phase) ** 2

@@ -1,0 +1,252 @@
+"""The vocabulary of the package: what every stage takes and returns.
+
+Frozen down to the arrays. Lengths in metres, angles in radians, masses in kilograms, times in seconds. Frames are named:
+`table` (z up, origin in the middle of the workspace) and `object` (fixed in the object, z up). A planar pose is
+(x, y, yaw) of the object frame in the table frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.errors import InputError
+
+__all__ = [
+    "BoolArray",
+    "CameraIntrinsics",
+    "CellGrid",
+    "DepthFrame",
+    "Float64Array",
+    "ObjectModel",
+    "ObjectShape",
+    "PoseTrack",
+    "PushRecord",
+    "PusherPath",
+    "SolveStatus",
+    "WrenchTrack",
+]
+
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def _freeze(owner: Any, name: str, shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
+    """Store field `name` of a frozen dataclass as a read-only float64 array, checking its shape and that it is finite.
+
+    Letters in `shape` are sizes that must agree between the fields of one dataclass.
+    """
+    try:
+        array = np.array(getattr(owner, name), dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{type(owner).__name__}.{name} is not an array of numbers: {error}") from None
+    expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
+    if array.ndim != len(expected) or any(isinstance(n, int) and n != got for n, got in zip(expected, array.shape)):
+        raise InputError(f"{type(owner).__name__}.{name} has shape {array.shape}, expected {expected}.")
+    for n, got in zip(shape, array.shape):
+        if isinstance(n, str):
+            sizes[n] = got
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"{type(owner).__name__}.{name} holds {int(np.sum(~np.isfinite(array)))} values that are not finite.")
+    array.setflags(write=False)
+    object.__setattr__(owner, name, array)
+
+
+def _check_increasing(owner: Any, name: str) -> None:
+    time = getattr(owner, name)
+    if np.any(np.diff(time) <= 0):
+        raise InputError(f"{type(owner).__name__}.{name} must increase strictly; sort and drop repeated stamps first.")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIntrinsics:
+    """Pinhole camera without distortion; pixel (u, v) has its centre at integer coordinates (as CameraInfo.k)."""
+
+    width: int
+    height: int
+    fx: float
+    """Focal length [px]."""
+    fy: float
+    cx: float
+    """Principal point [px]."""
+    cy: float
+
+
+@dataclass(frozen=True, slots=True)
+class DepthFrame:
+    """One depth image, already converted to metres."""
+
+    stamp: float
+    """[s]"""
+    depth: NDArray[np.float32]
+    """Depth along the optical axis [m], shape (height, width); NaN where nothing was seen."""
+    intrinsics: CameraIntrinsics
+    frame_id: str = "camera_depth_optical_frame"
+
+
+@dataclass(frozen=True, slots=True)
+class CellGrid:
+    """The square cells an object is cut into."""
+
+    centres: Float64Array
+    """[m], shape (n_cells, 2), object frame."""
+    size: float
+    """Edge of a cell [m]."""
+
+    def __post_init__(self) -> None:
+        _freeze(self, "centres", ("n_cells", 2), {})
+        if len(self.centres) == 0:
+            raise InputError("CellGrid.centres is empty; an object needs at least one cell.")
+        if not (np.isfinite(self.size) and self.size > 0):
+            raise InputError(f"CellGrid.size is {self.size}, expected a positive length in metres.")
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectShape:
+    """What is known of an object by looking: its cells and its exact contact outline."""
+
+    cells: CellGrid
+    outline: Float64Array
+    """Simple polygon, counter-clockwise, not closed [m], shape (n_vertices, 2), object frame."""
+
+    def __post_init__(self) -> None:
+        _freeze(self, "outline", ("n_vertices", 2), {})
+        if len(self.outline) < 3:
+            raise InputError(f"ObjectShape.outline has {len(self.outline)} points, expected at least 3.")
+        x, y = self.outline.T
+        if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) < 0:
+            flipped = self.outline[::-1].copy()
+            flipped.setflags(write=False)
+            object.__setattr__(self, "outline", flipped)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTrack:
+    """Observed poses of one object during one push."""
+
+    time: Float64Array
+    """[s], shape (n_frames,), strictly increasing."""
+    pose: Float64Array
+    """(x, y, yaw) [m, m, rad], shape (n_frames, 3), table frame, yaw unwrapped."""
+    covariance: Float64Array
+    """Of (x, y, yaw), shape (n_frames, 3, 3), table frame."""
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        _freeze(self, "time", ("n_frames",), sizes)
+        _freeze(self, "pose", ("n_frames", 3), sizes)
+        _freeze(self, "covariance", ("n_frames", 3, 3), sizes)
+        _check_increasing(self, "time")
+        if len(self.time) < 2:
+            raise InputError(f"PoseTrack has {len(self.time)} frames, expected at least the two end poses of a push.")
+        unwrapped = self.pose.copy()
+        unwrapped[:, 2] = np.unwrap(unwrapped[:, 2])
+        unwrapped.setflags(write=False)
+        object.__setattr__(self, "pose", unwrapped)
+        if np.any(np.linalg.eigvalsh(self.covariance)[:, 0] <= 0):
+            raise InputError("PoseTrack.covariance must be positive definite; a pose is never known exactly.")
+
+
+@dataclass(frozen=True, slots=True)
+class PusherPath:
+    """Path of the pusher, a vertical cylinder, during one push."""
+
+    time: Float64Array
+    """[s], shape (n_samples,), strictly increasing."""
+    position: Float64Array
+    """Axis of the cylinder [m], shape (n_samples, 2), table frame."""
+    radius: float
+    """[m]; 0 is a point."""
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        _freeze(self, "time", ("n_samples",), sizes)
+        _freeze(self, "position", ("n_samples", 2), sizes)
+        _check_increasing(self, "time")
+        if len(self.time) < 2:
+            raise InputError(f"PusherPath has {len(self.time)} samples, expected at least 2.")
+        if not (np.isfinite(self.radius) and self.radius >= 0):
+            raise InputError(f"PusherPath.radius is {self.radius}, expected a length >= 0 in metres.")
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchTrack:
+    """Measured force of the pusher on the object during one push."""
+
+    time: Float64Array
+    """[s], shape (n_samples,), strictly increasing."""
+    force: Float64Array
+    """[N], shape (n_samples, 2), table frame."""
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        _freeze(self, "time", ("n_samples",), sizes)
+        _freeze(self, "force", ("n_samples", 2), sizes)
+        _check_increasing(self, "time")
+
+
+@dataclass(frozen=True, slots=True)
+class PushRecord:
+    """One push of one object as it was seen. Real arm, simulated cell and bag all end in this."""
+
+    object_id: str
+    shape: ObjectShape
+    poses: PoseTrack
+    """Every frame that was seen; only the two end poses may be known."""
+    pusher: PusherPath
+    wrench: WrenchTrack | None = None
+    source: str = ""
+    """Where it came from (bag and push number), for messages and reports."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectModel:
+    """Mechanical model of one object: the maps and the friction of the pusher on it."""
+
+    shape: ObjectShape
+    mass: Float64Array
+    """Cell mass [kg], shape (n_cells,), all > 0."""
+    friction: Float64Array
+    """Support friction coefficient of each cell [-], shape (n_cells,), all >= 0."""
+    pusher_friction: float
+    """[-], >= 0."""
+
+    def __post_init__(self) -> None:
+        sizes = {"n_cells": len(self.shape.cells)}
+        _freeze(self, "mass", ("n_cells",), sizes)
+        _freeze(self, "friction", ("n_cells",), sizes)
+        if np.any(self.mass <= 0):
+            raise InputError(f"ObjectModel.mass has {int(np.sum(self.mass <= 0))} cells that are not > 0 kg.")
+        if np.any(self.friction < 0):
+            raise InputError(f"ObjectModel.friction has {int(np.sum(self.friction < 0))} cells below 0.")
+        if not (np.isfinite(self.pusher_friction) and self.pusher_friction >= 0):
+            raise InputError(f"ObjectModel.pusher_friction is {self.pusher_friction}, expected a number >= 0.")
+
+    @property
+    def total_mass(self) -> float:
+        """[kg]"""
+        return float(np.sum(self.mass))
+
+    @property
+    def centre_of_friction(self) -> Float64Array:
+        """Centre of the support friction forces in pure translation [m], shape (2,), object frame."""
+        load = self.mass * self.friction
+        total = float(np.sum(load))
+        return load @ self.shape.cells.centres / total if total > 0 else self.shape.cells.centres.mean(axis=0)
+
+
+class SolveStatus(Enum):
+    """How a solve ended; the value says what to do about it."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "not converged within the iterations allowed; allow more, or start from a nearer model"
+    STALLED = "no step lowers the cost although the gradient is not zero; the pushes may contradict each other"
+    SIMULATION_FAILED = "the simulation did not converge for this model; check masses, outline and pusher path"
+    NO_CONTACT = "no push touches the object; nothing can be learned from these pushes"

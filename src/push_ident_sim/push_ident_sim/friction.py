@@ -1,0 +1,43 @@
+"""What is missing of Coulomb's law in Bullet's cone friction, as a wrench that puts it right.
+
+For each contact Bullet projects on the friction cone after dividing the slip velocity, axis by axis, by the inverse mass D that
+the contact sees along the two axes of the table. A sliding contact so gets the friction -L (v_x/D_x, v_y/D_y)/|...| in place of
+-L v/|v|. In the middle of the object D_x = D_y and both are the same; at the ends of a long object the direction is off by up to 30 degrees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["cone_friction_correction"]
+
+FloatArray = NDArray[np.float64]
+
+
+def cone_friction_correction(
+    arms: FloatArray, mass: FloatArray, cell_size: float, limit: FloatArray, velocity: FloatArray, *, lowest_speed: float = 1e-4
+) -> FloatArray:
+    """Coulomb friction minus what Bullet applies on sliding cells: (fx, fy) [N] and torque about the frame origin [N m], shape (3,).
+
+    Args:
+        arms: cells from the origin of the object frame [m], shape (n_cells, 2), axes of the table.
+        mass: [kg], shape (n_cells,).
+        cell_size: edge of a cell [m].
+        limit: friction force of each cell when it slides [N], shape (n_cells,).
+        velocity: (vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s], shape (3,), axes of the table.
+        lowest_speed: a cell slower than this [m/s] is left to Bullet, which holds it.
+    """
+    slip = velocity[:2] + velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
+    speed = np.hypot(slip[:, 0], slip[:, 1])
+    total = mass.sum()
+    from_centre = arms - mass @ arms / total
+    inertia = mass @ (np.sum(from_centre**2, axis=1) + cell_size**2 / 6.0)
+    inverse_mass = 1.0 / total + from_centre[:, ::-1] ** 2 / inertia
+    weighted = slip / inverse_mass
+    sliding = speed > lowest_speed
+    # Both speeds are zero together, and then the cell is not counted.
+    bullet = weighted / np.maximum(np.hypot(weighted[:, 0], weighted[:, 1]), 1e-12)[:, None]
+    coulomb = slip / np.maximum(speed, lowest_speed)[:, None]
+    force = (limit * sliding)[:, None] * (bullet - coulomb)
+    return np.array([*force.sum(axis=0), np.sum(arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0])])

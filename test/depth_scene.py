@@ -1,0 +1,97 @@
+"""A small exact depth renderer for tests: prisms on a table, seen by a pinhole camera with the noise of a depth sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.geometry.outline import points_in_polygon
+from push_ident.geometry.se2 import transform_points
+from push_ident.types import CameraIntrinsics, DepthFrame
+
+INTRINSICS = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+
+
+def look_at(position, target) -> np.ndarray:
+    """Optical frame (x right, y down, z forward) in the table frame, shape (4, 4)."""
+    forward = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = position
+    return pose
+
+
+CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
+
+
+def rectangle(x0, y0, x1, y1) -> np.ndarray:
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], dtype=float)
+
+
+def circle(radius, n=24) -> np.ndarray:
+    angle = 2 * np.pi * np.arange(n) / n
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@dataclass(frozen=True)
+class Prism:
+    polygon: np.ndarray
+    top: float
+    bottom: float = 0.0
+
+    def at(self, pose) -> Prism:
+        return Prism(transform_points(pose, self.polygon), self.top, self.bottom)
+
+
+# Handle 160 x 22 x 25 mm along x, head 36 x 100 x 35 mm across its end.
+HANDLE, HEAD = rectangle(-0.11, -0.011, 0.05, 0.011), rectangle(0.05, -0.05, 0.086, 0.05)
+HAMMER = (Prism(HANDLE, 0.025), Prism(HEAD, 0.035))
+HAMMER_OUTLINE = np.array(
+    [(-0.11, -0.011), (0.05, -0.011), (0.05, -0.05), (0.086, -0.05), (0.086, 0.05), (0.05, 0.05), (0.05, 0.011), (-0.11, 0.011)]
+)
+
+
+def render(prisms, camera=CAMERA, *, rng=None, stamp=0.0, intrinsics=INTRINSICS) -> DepthFrame:
+    """Depth of a table at z = 0 with prisms on it; with `rng` noisy and in whole millimetres."""
+    u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
+    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], axis=-1) @ camera[:3, :3].T
+    rays, centre = rays.reshape(-1, 3), camera[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(rays[:, 2] < 0, -centre[2] / rays[:, 2], np.nan)
+        for prism in prisms:
+            _hit(prism, centre, rays, depth)
+    if rng is not None:
+        depth += rng.normal(size=depth.shape) * (0.0012 + 0.0019 * (depth - 0.4) ** 2)
+        depth = np.rint(depth * 1e3) * 1e-3
+    return DepthFrame(stamp, depth.reshape(u.shape).astype(np.float32), intrinsics)
+
+
+def _hit(prism, centre, rays, depth) -> None:
+    near = np.flatnonzero(_near(prism, centre, rays))
+    ray = rays[near]
+    best = depth[near]
+    t = (prism.top - centre[2]) / ray[:, 2]
+    inside = points_in_polygon(centre[:2] + t[:, None] * ray[:, :2], prism.polygon)
+    best = np.where(inside & (t > 0) & ~(t > best), t, best)
+    for a, b in zip(prism.polygon, np.roll(prism.polygon, -1, axis=0), strict=True):
+        edge = b - a
+        cross = ray[:, 0] * edge[1] - ray[:, 1] * edge[0]
+        offset = a - centre[:2]
+        t = (offset[0] * edge[1] - offset[1] * edge[0]) / cross
+        along = (offset[0] * ray[:, 1] - offset[1] * ray[:, 0]) / cross
+        z = centre[2] + t * ray[:, 2]
+        best = np.where((t > 0) & (along >= 0) & (along <= 1) & (z >= prism.bottom) & (z <= prism.top) & ~(t > best), t, best)
+    depth[near] = best
+
+
+def _near(prism, centre, rays) -> np.ndarray:
+    """Rays that pass the bounding circle of the prism between its bottom and top."""
+    middle = prism.polygon.mean(axis=0)
+    radius = np.linalg.norm(prism.polygon - middle, axis=1).max()
+    at_top, at_bottom = (centre[:2] + ((z - centre[2]) / rays[:, 2])[:, None] * rays[:, :2] - middle for z in (prism.top, prism.bottom))
+    piece = at_bottom - at_top
+    share = np.clip(-np.sum(at_top * piece, axis=1) / np.maximum(np.sum(piece * piece, axis=1), 1e-12), 0.0, 1.0)
+    return np.sum((at_top + share[:, None] * piece) ** 2, axis=1) < (radius + 0.01) ** 2

@@ -1,0 +1,21 @@
+# Lets CMake take the interface packages that come as wheels.
+#
+# The wheels were compiled under /opt/python/cpXY-cpXY, and every exported <package>__rosidl_generator_py target
+# still names that folder in INTERFACE_INCLUDE_DIRECTORIES. CMake refuses include folders that do not exist, so they
+# are taken out once all targets are known; rosidl_generator_py adds the headers of the interpreter in use by itself.
+#
+# Use: cmake -DCMAKE_PROJECT_INCLUDE=<this file>
+function(push_ident_drop_foreign_python_headers)
+  get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
+  foreach(target IN LISTS targets)
+    get_target_property(include_dirs ${target} INTERFACE_INCLUDE_DIRECTORIES)
+    if(include_dirs)
+      list(FILTER include_dirs EXCLUDE REGEX "^/opt/python/cp[0-9]+-cp[0-9]+/")
+      set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${include_dirs}")
+    endif()
+  endforeach()
+endfunction()
+
+if(PROJECT_IS_TOP_LEVEL)
+  cmake_language(DEFER CALL push_ident_drop_foreign_python_headers)
+endif()

