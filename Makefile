@@ -3,13 +3,11 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 # The interpreter that .venv is made from: the first one of 3.12 and 3.11 that starts. Another: make setup PYTHON=/path/to/python3.11
-PYTHON ?= $(shell for p in python3.12 python3.11 python3; do \
+ifndef PYTHON
+PYTHON := $(shell for p in python3.12 python3.11 python3; do \
   "$$p" -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' >/dev/null 2>&1 && echo "$$p" && break; done)
+endif
 VENV := .venv/bin
-
-# Tests in parallel trees must not hear each other, and wrong field types must raise instead of corrupting messages.
-export ROS_PYTHON_CHECK_FIELDS ?= 1
-TEST_DOMAIN = $$(( $$$$ % 100 + 1 ))
 
 .PHONY: help setup demo test lint format clean
 
@@ -26,7 +24,7 @@ demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
 	$(VENV)/push-ident demo
 
 test: setup lint  ## lint, types and all tests
-	@export ROS_DOMAIN_ID=$${ROS_DOMAIN_ID:-$(TEST_DOMAIN)}; $(VENV)/python -m pytest
+	ROS_PYTHON_CHECK_FIELDS=1 $(VENV)/pytest
 
 lint: setup  ## ruff and mypy
 	$(VENV)/ruff check

@@ -57,7 +57,9 @@ HAMMER_OUTLINE = np.array(
 def render(prisms, camera=CAMERA, *, rng=None, stamp=0.0, intrinsics=INTRINSICS) -> DepthFrame:
     """Depth of a table at z = 0 with prisms on it; with `rng` noisy and in whole millimetres."""
     u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
-    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], axis=-1) @ camera[:3, :3].T
+    rays = (
+        np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], axis=-1) @ camera[:3, :3].T
+    )
     rays, centre = rays.reshape(-1, 3), camera[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(rays[:, 2] < 0, -centre[2] / rays[:, 2], np.nan)

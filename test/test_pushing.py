@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from push_ident_sim.objects import make_object
-from push_ident_sim.robot import HOME, PUSHER_RADIUS, robot_description
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
@@ -15,6 +13,8 @@ from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.sampling import push_from_goal, sample_push
 from push_ident.types import CellGrid, ObjectShape
+from push_ident_sim.objects import make_object
+from push_ident_sim.robot import HOME, PUSHER_RADIUS, robot_description
 
 SETTINGS = PushSettings(workspace=(-0.2, 0.2, -0.25, 0.25))
 PARKED = (1.4, *HOME[1:])  # turned aside, out of the camera's view
@@ -203,10 +203,10 @@ def test_impossible_goal_is_refused_with_its_code(
 
 
 def test_goal_inside_a_slot_and_goal_behind_another_object_are_unreachable() -> None:
-    with pytest.raises(PlanningError, match="come down|would touch") as error:
+    with pytest.raises(PlanningError, match=r"come down|would touch") as error:
         push_from_goal(shape_of(SLOTTED), [0, 0, 0], [0, -0.02], -np.pi / 2, 0.05, 0.1, SETTINGS)
     assert error.value.code == PushCode.UNREACHABLE
-    beyond = BAR + [0.0, 0.06]
+    beyond = BAR + np.array([0.0, 0.06])
     with pytest.raises(PlanningError, match="would touch"):
         push_from_goal(shape_of(BAR[:, ::-1].copy()), [0, 0, 0], [0, -0.08], np.pi / 2, 0.15, 0.1, SETTINGS, obstacles=[beyond])
 
@@ -276,7 +276,7 @@ def test_push_out_of_reach_is_refused_with_the_point_and_the_miss(arm: ArmKinema
 
 
 def test_start_beyond_a_joint_limit_is_refused_by_its_name(arm: ArmKinematics, push: PushPlan2D) -> None:
-    with pytest.raises(PlanningError, match="lbr_iiwa_joint_4 would be at -2.500 rad") as error:
+    with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_4 would be at -2\.500 rad") as error:
         plan_push(arm, [0, 0, 0, -2.5, 0, 0, 0], push, MOTION)
     assert error.value.code == PushCode.LIMIT
 

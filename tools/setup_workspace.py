@@ -26,6 +26,7 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / "bin" / "python"
 STAMPS = VENV / ".setup"
+LOG = ROOT / "log" / "setup.log"
 REQUIREMENTS = ROOT / "requirements"
 ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
 PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
@@ -87,6 +88,9 @@ def main() -> int:
     ros = Ros.find(os.environ)
     try:
         check_interpreter()
+        check_ros(ros)
+        LOG.parent.mkdir(exist_ok=True)
+        LOG.write_text("")
         run_steps(steps(ros))
     except SetupError as error:
         print(f"make setup: {error}", file=sys.stderr)
@@ -106,7 +110,7 @@ def steps(ros: Ros) -> list[Step]:
         Step("system", "compilers and the libraries of Open3D", lambda: "", install_system_packages),
         Step("venv", f".venv of Python {version}", lambda: f"{version} {ros.prefixes} {VENV}", lambda: make_venv(ros), (VENV_PYTHON,)),
         Step("torch", "PyTorch, the CPU build where one is on offer", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch),
-        pip_step("python", "numpy, scipy, numba, Open3D, OpenCV ..."),
+        pip_step("python", "numpy, scipy, numba, Open3D, OpenCV and more"),
         pip_step("sim", f"PyBullet{rebuilt}"),
         pip_step("dev", "pytest, hypothesis, ruff, mypy"),
         pip_step("colcon", "colcon"),
@@ -114,8 +118,20 @@ def steps(ros: Ros) -> list[Step]:
     if ros.is_wheels:
         result.append(pip_step("ros", ros_name))
     result += [
-        Step("build", f"colcon build on {ros_name} (about a minute)", workspace_digest, lambda: build(ros), tuple(map(package_xml, PACKAGES))),
-        Step("command", "push-ident, python and pytest of .venv know ROS: nothing to source", lambda: environment_line(ros) + digest(ENVIRONMENT), lambda: write_environment(ros), (command,)),
+        Step(
+            "build",
+            f"colcon build on {ros_name} (about a minute)",
+            made_from=workspace_digest,
+            run=lambda: build(ros),
+            products=tuple(package_xml(package) for package in PACKAGES),
+        ),
+        Step(
+            "commands",
+            "python, pytest, push-ident in .venv/bin: nothing to source",
+            made_from=lambda: environment_line(ros) + digest(ENVIRONMENT),
+            run=lambda: write_environment(ros),
+            products=(command,),
+        ),
     ]
     return result
 
@@ -148,6 +164,15 @@ def check_interpreter() -> None:
         raise SetupError(
             f"{sys.executable} is Python {sys.version.split()[0]}, expected 3.11 or 3.12 (ROS 2 Jazzy); "
             "name another one, e.g. `make setup PYTHON=python3.12`"
+        )
+
+
+def check_ros(ros: Ros) -> None:
+    """A forgotten `source` must not replace the environment that was made on an installed ROS."""
+    if ros.is_wheels and venv_settings().get("include-system-site-packages") == "true":
+        raise SetupError(
+            ".venv was made on an installed ROS, and none is sourced now; source it (e.g. `. /opt/ros/jazzy/setup.bash`), "
+            "or remove .venv to work with the ROS wheels"
         )
 
 
@@ -205,10 +230,9 @@ def make_venv(ros: Ros) -> None:
 
 
 def venv_fits(ros: Ros) -> bool:
-    config, pip = VENV / "pyvenv.cfg", VENV / "bin" / "pip"
-    if not (VENV_PYTHON.exists() and config.is_file() and pip.is_file()):
+    settings, pip = venv_settings(), VENV / "bin" / "pip"
+    if not (VENV_PYTHON.exists() and pip.is_file()):
         return False
-    settings = dict(re.findall(r"^([\w-]+) *= *(.*)$", config.read_text(), re.MULTILINE))
     version = ".".join(settings.get("version", "").split(".")[:2])
     return (
         version == "{}.{}".format(*sys.version_info[:2])
@@ -217,8 +241,14 @@ def venv_fits(ros: Ros) -> bool:
     )
 
 
+def venv_settings() -> dict[str, str]:
+    """What pyvenv.cfg says; empty without one."""
+    config = VENV / "pyvenv.cfg"
+    return dict(re.findall(r"^([\w-]+) *= *(.*)$", config.read_text(), re.MULTILINE)) if config.is_file() else {}
+
+
 def pip_install(*arguments: str, check: bool = True) -> bool:
-    call = [str(VENV_PYTHON), "-m", "pip", "install", "-q", "--no-input", "--disable-pip-version-check", *arguments]
+    call = [str(VENV_PYTHON), "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check", *arguments]
     return run(call, check=check)
 
 
@@ -232,7 +262,7 @@ def install_torch() -> None:
     pins = dict(re.findall(r"^([\w-]+)==(\S+)", (REQUIREMENTS / "torch.txt").read_text(), re.MULTILINE))
     pip_install("--no-deps", f"setuptools=={pins['setuptools']}")
     cpu = ["--no-deps", "--retries", "1", "--timeout", "20", "--extra-index-url", TORCH_CPU_INDEX, f"torch=={pins['torch']}+cpu"]
-    if pip_install("-qq", *cpu, check=False):
+    if pip_install(*cpu, check=False):
         return
     print("      no CPU build on offer: taking the one with CUDA (several GB)", flush=True)
     pip_install("-c", str(REQUIREMENTS / "python.txt"), f"torch=={pins['torch']}")
@@ -267,7 +297,7 @@ def build(ros: Ros) -> None:
         environ["LD_LIBRARY_PATH"] = os.pathsep.join(wheel_libraries())
         cmake.append(f"-DCMAKE_PROJECT_INCLUDE={ROOT / 'tools' / 'ros_wheels.cmake'}")
     colcon = [str(VENV / "bin" / "colcon"), "--log-base", str(ROOT / "log")]
-    run([*colcon, "build", "--symlink-install", "--base-paths", str(ROOT / "src"), "--cmake-args", *cmake], environ=environ, quiet=True)
+    run([*colcon, "build", "--symlink-install", "--base-paths", str(ROOT / "src"), "--cmake-args", *cmake], environ=environ)
     unbuilt = [package for package in PACKAGES if not package_xml(package).exists()]
     if unbuilt:
         # colcon takes a package with an invalid package.xml for a plain Python one and says nothing.
@@ -336,19 +366,22 @@ def digest(*paths: Path) -> str:
     return result.hexdigest()
 
 
-def run(call: list[str], *, environ: Mapping[str, str] | None = None, quiet: bool = False, check: bool = True) -> bool:
-    """Run a command; whether it succeeded.
+def run(call: list[str], *, environ: Mapping[str, str] | None = None, check: bool = True) -> bool:
+    """Run a command; whether it succeeded. What it prints goes to the log and is shown only when it fails.
 
-    Args:
-        quiet: Keep its output back and show the end of it only when it fails.
-        check: Raise `SetupError` when it fails.
+    Raises:
+        SetupError: It failed; not with `check=False`.
     """
-    done = subprocess.run(call, env=environ, check=False, text=True, capture_output=quiet or not check)
-    if done.returncode != 0 and check:
-        if quiet:
-            print("\n".join((done.stdout + done.stderr).splitlines()[-40:]), file=sys.stderr)
-        raise SetupError(f"failed with exit code {done.returncode}: {shlex.join(call)}")
-    return done.returncode == 0
+    with LOG.open("a") as log:
+        print(f"$ {shlex.join(call)}", file=log, flush=True)
+        start = log.tell()
+        code = subprocess.run(call, env=environ, check=False, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT).returncode
+    if code != 0 and check:
+        with LOG.open() as log:
+            log.seek(start)
+            print("\n".join(log.read().splitlines()[-40:]), file=sys.stderr)
+        raise SetupError(f"failed with exit code {code}: {shlex.join(call)} (all of it: {LOG})")
+    return code == 0
 
 
 if __name__ == "__main__":

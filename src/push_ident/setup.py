@@ -31,6 +31,7 @@ setup(
             "push_executor_node = push_ident.nodes.push_executor_node:main",
             "identification_node = push_ident.nodes.identification_node:main",
             "bag_player_node = push_ident.nodes.bag_player_node:main",
+            "bag_recorder_node = push_ident.nodes.bag_recorder_node:main",
         ],
     },
 )

@@ -29,7 +29,10 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of the nodes"),
             DeclareLaunchArgument("log_level", default_value="info"),
-            *(DeclareLaunchArgument(name, default_value=topic, description=f"topic of the cell for {topic}") for name, topic in TOPICS.items()),
+            *(
+                DeclareLaunchArgument(name, default_value=topic, description=f"topic of the cell for {topic}")
+                for name, topic in TOPICS.items()
+            ),
             *(
                 Node(
                     package="push_ident",

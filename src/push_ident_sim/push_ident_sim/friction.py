@@ -2,7 +2,8 @@
 
 For each contact Bullet projects on the friction cone after dividing the slip velocity, axis by axis, by the inverse mass D that
 the contact sees along the two axes of the table. A sliding contact so gets the friction -L (v_x/D_x, v_y/D_y)/|...| in place of
--L v/|v|. In the middle of the object D_x = D_y and both are the same; at the ends of a long object the direction is off by up to 30 degrees.
+-L v/|v|. Where D_x = D_y, in the middle of the object, both are the same; at the ends of a long one the direction is off by up
+to 30 degrees.
 """
 
 from __future__ import annotations

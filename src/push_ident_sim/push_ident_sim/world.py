@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pybullet as bullet
 from numpy.typing import ArrayLike, NDArray
-from pybullet_utils.bullet_client import BulletClient
+from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
 from push_ident.errors import InputError
 from push_ident_sim.friction import cone_friction_correction
@@ -30,9 +30,13 @@ FloatArray = NDArray[np.float64]
 _TABLE_GROUP, _CELL_GROUP, _OUTLINE_GROUP, _PUSHER_GROUP, _ARM_GROUP = (1 << bit for bit in range(8, 13))
 _N_PLANE_JOINTS = 3
 _FRAME_LINK = 2
-"""Link that moves in the plane (x, y, yaw); the outline is its collision shape, the cells hang below it."""
+"""Link that moves in the plane (x, y, yaw); outline and cells hang below it."""
+_OUTLINE_LINK = 3
+"""Held up by little more than its weight: friction along z, which cannot push the object, then takes no share of the friction cone."""
+_FIRST_CELL_LINK = 4
 _FRAME_MASS = 1e-4
-"""Of each link of the chain [kg]: small against any cell."""
+"""Of each link that is no cell [kg]: small against any cell."""
+_CORNER_RADIUS = 1e-4
 _FOOT_RADIUS = 0.004
 """A cell stands on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
 
@@ -100,6 +104,9 @@ class CellWorld:
         joint_index = {info[1].decode(): info[0] for info in infos}
         link_index = {info[12].decode(): info[0] for info in infos}
         self._arm_joints = [joint_index[name] for name in self.joint_names]
+        self.joint_lower = np.array([infos[i][8] for i in self._arm_joints])
+        self.joint_upper = np.array([infos[i][9] for i in self._arm_joints])
+        self._link_names = list(link_index)
         self._pusher_link = link_index["hand_pusher"]
         self._tip_link = link_index["tool_tip"]
         for index in range(-1, len(infos)):
@@ -115,45 +122,62 @@ class CellWorld:
 
     def _add_object(self) -> None:
         thing, n_cells = self.object, len(self.object)
-        height = float(thing.height.max())
-        rectangles = outline_rectangles(thing.cells, thing.cell_size)
-        outline = self._client.createCollisionShapeArray(
-            shapeTypes=[bullet.GEOM_BOX] * len(rectangles),
-            halfExtents=[[edges[0] / 2, edges[1] / 2, height / 2] for _, edges in rectangles],
-            collisionFramePositions=[[centre[0], centre[1], height / 2] for centre, _ in rectangles],
-        )
+        outline = self._outline_shape()
         foot = self._client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
-        n_links = _N_PLANE_JOINTS + n_cells
+        n_links = _FIRST_CELL_LINK + n_cells
         self._body = self._client.createMultiBody(
             baseMass=0.0,
-            linkMasses=[_FRAME_MASS] * _N_PLANE_JOINTS + thing.mass.tolist(),
-            linkCollisionShapeIndices=[-1, -1, outline] + [foot] * n_cells,
+            linkMasses=[_FRAME_MASS] * _FIRST_CELL_LINK + thing.mass.tolist(),
+            linkCollisionShapeIndices=[-1, -1, -1, outline] + [foot] * n_cells,
             linkVisualShapeIndices=[-1] * n_links,
-            linkPositions=[[0.0, 0.0, 0.0]] * _N_PLANE_JOINTS
-            + [[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
+            linkPositions=[[0.0, 0.0, 0.0]] * _FIRST_CELL_LINK + [[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
             linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
             linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n_links,
             linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
-            linkParentIndices=[0, 1, 2] + [_FRAME_LINK + 1] * n_cells,
-            linkJointTypes=[bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE] + [bullet.JOINT_PRISMATIC] * n_cells,
-            linkJointAxis=[[1, 0, 0], [0, 1, 0], [0, 0, 1]] + [[0, 0, 1]] * n_cells,
+            linkParentIndices=[0, 1, 2] + [_FRAME_LINK + 1] * (1 + n_cells),
+            linkJointTypes=[bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
+            + [bullet.JOINT_PRISMATIC] * (1 + n_cells),
+            linkJointAxis=[[1, 0, 0], [0, 1, 0], [0, 0, 1]] + [[0, 0, 1]] * (1 + n_cells),
         )
         self._client.setJointMotorControlArray(self._body, range(n_links), bullet.VELOCITY_CONTROL, forces=[0.0] * n_links)
         for link in range(n_links):
-            self._client.changeDynamics(
-                self._body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0, rollingFriction=0.0, spinningFriction=0.0
-            )
+            self._client.changeDynamics(self._body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
             self._client.setCollisionFilterGroupMask(self._body, link, _CELL_GROUP, _TABLE_GROUP)
-        for link in range(_N_PLANE_JOINTS):
+        for link in range(_FIRST_CELL_LINK):
             self._client.changeDynamics(self._body, link, localInertiaDiagonal=[1e-8] * 3)
-        for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_N_PLANE_JOINTS):
+        for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
             self._client.changeDynamics(
                 self._body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3
             )
-        self._client.changeDynamics(self._body, _FRAME_LINK, lateralFriction=thing.pusher_friction)
-        self._client.setCollisionFilterGroupMask(self._body, _FRAME_LINK, _OUTLINE_GROUP, _PUSHER_GROUP)
+        self._client.changeDynamics(self._body, _OUTLINE_LINK, lateralFriction=thing.pusher_friction)
+        self._client.setJointMotorControl2(
+            self._body, _OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * self.config.gravity
+        )
+        self._client.setCollisionFilterGroupMask(self._body, _OUTLINE_LINK, _OUTLINE_GROUP, _PUSHER_GROUP)
         self._friction_limit = thing.friction * thing.mass * self.config.gravity
         self._place_object(self._start_pose, np.zeros(3))
+
+    def _outline_shape(self) -> int:
+        """Collision shape of the outline: one box per rectangle and one thin post per convex corner.
+
+        Bullet rounds the edges of a box by its collision margin of 1 mm, which would put a pusher at a corner up to 0.4 mm off.
+        """
+        thing = self.object
+        height = float(thing.height.max())
+        rectangles = outline_rectangles(thing.cells, thing.cell_size)
+        before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
+        outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
+        convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
+        posts = (thing.outline - _CORNER_RADIUS * outward)[convex]
+        centres = [*(centre for centre, _ in rectangles), *posts]
+        shape: int = self._client.createCollisionShapeArray(
+            shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
+            halfExtents=[[edges[0] / 2, edges[1] / 2, height / 2] for _, edges in rectangles] + [[0.0, 0.0, 0.0]] * len(posts),
+            radii=[0.0] * len(rectangles) + [_CORNER_RADIUS] * len(posts),
+            lengths=[0.0] * len(rectangles) + [height] * len(posts),
+            collisionFramePositions=[[float(x), float(y), height / 2] for x, y in centres],
+        )
+        return shape
 
     # --- time ----------------------------------------------------------------------------------------------------------
 
@@ -207,10 +231,8 @@ class CellWorld:
 
     def robot_link_poses(self) -> dict[str, FloatArray]:
         """Pose of each robot link's frame, homogeneous (4, 4), by link name."""
-        n_links = self._client.getNumJoints(self._robot)
-        states = self._client.getLinkStates(self._robot, range(n_links), computeForwardKinematics=1)
-        names = [self._client.getJointInfo(self._robot, i)[12].decode() for i in range(n_links)]
-        return {name: self._homogeneous(state[4], state[5]) for name, state in zip(names, states, strict=True)}
+        states = self._client.getLinkStates(self._robot, range(len(self._link_names)), computeForwardKinematics=1)
+        return {name: self._homogeneous(state[4], state[5]) for name, state in zip(self._link_names, states, strict=True)}
 
     def _homogeneous(self, position: Sequence[float], quaternion: Sequence[float]) -> FloatArray:
         pose = np.eye(4)
@@ -229,12 +251,15 @@ class CellWorld:
         return np.array([s[1] for s in self._client.getJointStates(self._body, range(_N_PLANE_JOINTS))])
 
     def place_object(self, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Put the object at `pose` (x, y, yaw) with `velocity`; raises InputError where the pusher is in the way, and leaves it as it was."""
+        """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate).
+
+        Raises InputError where the pusher is in the way, and leaves the object where it was.
+        """
         before = self.object_pose(), self.object_velocity()
         self._place_object(_checked_pose(pose), np.asarray(velocity, dtype=np.float64))
-        if self._client.getClosestPoints(self._robot, self._body, 0.0, self._pusher_link, _FRAME_LINK):
+        if self._client.getClosestPoints(self._robot, self._body, 0.0, self._pusher_link, _OUTLINE_LINK):
             self._place_object(*before)
-            raise InputError(f"The pusher stands where the object should go, {np.round(pose, 4)}; lift or move the tool first.")
+            raise InputError(f"The pusher stands where the object should go, {np.round(np.asarray(pose), 4)}; lift or move the tool first.")
 
     def reset_object(self) -> None:
         """Put the object back to its start pose, at rest; raises InputError where the pusher is in the way."""
@@ -243,8 +268,6 @@ class CellWorld:
     def _place_object(self, pose: FloatArray, velocity: FloatArray) -> None:
         for joint in range(_N_PLANE_JOINTS):
             self._client.resetJointState(self._body, joint, pose[joint], velocity[joint])
-        for joint in range(_N_PLANE_JOINTS, _N_PLANE_JOINTS + len(self.object)):
-            self._client.resetJointState(self._body, joint, 0.0, 0.0)
 
     def _friction_correction(self) -> FloatArray:
         states = self._client.getJointStates(self._body, range(_N_PLANE_JOINTS))
@@ -263,13 +286,13 @@ class CellWorld:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
         loads = np.zeros(len(self.object))
         for contact in self._client.getContactPoints(self._body, self._table):
-            loads[contact[3] - _N_PLANE_JOINTS] += contact[9]
+            loads[contact[3] - _FIRST_CELL_LINK] += contact[9]
         return loads
 
     def _contact_force(self) -> FloatArray:
         """Force of the pusher on the object in the last step [N], shape (3,)."""
         force = np.zeros(3)
-        for contact in self._client.getContactPoints(self._body, self._robot, _FRAME_LINK, self._pusher_link):
+        for contact in self._client.getContactPoints(self._body, self._robot, _OUTLINE_LINK, self._pusher_link):
             force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
         return force
 

@@ -32,6 +32,11 @@ DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
 _OCCUPIED: Final = 50
 """Least occupancy [percent] of a cell that belongs to the object; the contract writes 100."""
 _PLANAR: Final = (0, 1, 5)
+"""Rows of x, y and yaw in a 6 x 6 covariance."""
+_CYLINDER: Final = 3
+"""SolidPrimitive.CYLINDER"""
+_CYLINDER_RADIUS: Final = 1
+"""SolidPrimitive.CYLINDER_RADIUS, an index of `dimensions`."""
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -95,21 +100,23 @@ def traced_outline(cells: CellGrid, yaw: float) -> Float64Array:
 
 def cylinder_radius_of(primitive: Any) -> float | None:
     """Radius [m] of a shape_msgs/SolidPrimitive; None unless it is a cylinder with a sensible one."""
-    cylinder, radius_index = 3, 1
-    if primitive.type != cylinder or len(primitive.dimensions) <= radius_index:
+    if primitive.type != _CYLINDER or len(primitive.dimensions) <= _CYLINDER_RADIUS:
         return None
-    radius = float(primitive.dimensions[radius_index])
+    radius = float(primitive.dimensions[_CYLINDER_RADIUS])
     return radius if np.isfinite(radius) and radius >= 0 else None
 
 
 def homogeneous_of(transform: Any) -> Float64Array:
-    """Homogeneous matrix, shape (4, 4), of a geometry_msgs/Transform."""
+    """Homogeneous matrix, shape (4, 4), of a geometry_msgs/Transform. Raises BagError where it is no rigid motion."""
     from scipy.spatial.transform import Rotation
 
     turn, shift = transform.rotation, transform.translation
+    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
     matrix[:3, 3] = (shift.x, shift.y, shift.z)
+    if not (np.isfinite(matrix).all() and np.isfinite(quaternion).all() and np.linalg.norm(quaternion) > 1e-3):
+        raise BagError(f"static transform has quaternion {quaternion} and translation {matrix[:3, 3]}, expected a finite rigid motion.")
+    matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     return matrix
 
 
@@ -123,9 +130,10 @@ def intrinsics_of(info: Any) -> CameraIntrinsics:
 
 def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float) -> DepthFrame:
     """Depth frame of a sensor_msgs/Image. Raises FrameError for another encoding or sizes that do not fit."""
-    depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data).cast("B"))
+    data = memoryview(image.data).cast("B")
+    depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), data)
     if depth.shape != (intrinsics.height, intrinsics.width):
         raise FrameError(
-            f"depth image is {image.width} x {image.height}, its camera info says {intrinsics.width} x {intrinsics.height}; different cameras."
+            f"depth image is {image.width} x {image.height}, its camera info {intrinsics.width} x {intrinsics.height}; different cameras."
         )
     return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from push_ident.errors import BagError, PushIdentError
 __all__ = ["OpenBag", "open_bag", "storage_of"]
 
 _STORAGE: Final = (".mcap", ".db3", ".bag")
+_CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")
 _MAX_SEQUENCE: Final = 2**28
 """Longest array accepted in a message: far above any image, far below what would exhaust the memory."""
 
@@ -53,19 +55,33 @@ class OpenBag:
         Only what is read is learned, so a foreign type elsewhere in the bag does no harm.
         """
         for connection in connections:
-            if connection.msgtype not in self._store.fielddefs:
+            if _lower_package(connection.msgtype) not in self._store.fielddefs:
                 self._store.register(_definitions(connection, self._store))
 
     def messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, Any]]:
         """Messages of these (registered) topics with their log time [ns], decoded one at a time."""
         for connection, log_time, raw in self._reader.messages(connections=connections) if connections else ():
             decode = self._store.deserialize_ros1 if self._is_ros1 else self._store.deserialize_cdr
-            yield connection, log_time, decode(raw, connection.msgtype)
+            yield connection, log_time, decode(raw, _lower_package(connection.msgtype))
+
+    def raw_messages(self) -> Iterator[tuple[Connection, int, bytes | memoryview]]:
+        """All messages with their log time [ns] as they were serialised (CDR).
+
+        Raises BagError for a ROS 1 bag, whose messages are serialised otherwise.
+        """
+        if self._is_ros1:
+            raise BagError(f"{self.path}: a ROS 1 bag cannot be played as it is; convert it first, with `rosbags-convert`.")
+        yield from self._reader.messages()
+
+
+def _lower_package(text: str) -> str:
+    """Package names with capitals (`Mocap/marker_set`), which ROS 1 let pass and the parser does not, in lower case."""
+    return _CAPITAL_PACKAGE.sub(lambda match: match.group().lower(), text)
 
 
 def _definitions(connection: Connection, known: Typestore) -> dict[str, Any]:
     if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+        types = get_types_from_msg(_lower_package(connection.msgdef.data), _lower_package(connection.msgtype))
     else:
         types = jazzy_typestore().fielddefs
         if connection.msgtype not in types:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from push_ident.bags.reader import BagContents, ObjectTrack, PushInterval
+from push_ident.bags.reader import BagContents, PushInterval
 from push_ident.errors import BagError
-from push_ident.types import Float64Array, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident.types import BoolArray, Float64Array, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
 __all__ = ["split_pushes"]
 
@@ -28,7 +29,7 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     track = contents.objects[object_id]
     if track.shape is None or len(track.time) < 2:
         lacking = "usable cells" if track.shape is None else "poses"
-        raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it from the depth images, or record `objects/{object_id}/*`.")
+        raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it in the depth images, or record `objects/<id>/*`.")
     intervals = contents.push_intervals or _intervals_by_gaps(contents.pusher.time, gap)
     records = []
     skipped: list[str] = []
@@ -36,11 +37,24 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
         # A failed push may have moved the object too, so it bounds its neighbours although it is not taken itself.
         earliest = 0.5 * (intervals[number - 1].end + interval.start) if number else -math.inf
         latest = 0.5 * (interval.end + intervals[number + 1].start) if number + 1 < len(intervals) else math.inf
-        record = _record(contents, object_id, track, interval, (earliest, latest), gap, number)
-        if isinstance(record, PushRecord):
-            records.append(record)
-        else:
-            skipped.append(f"push {number} of object {object_id} is left out: {record}.")
+        pusher = _within(contents.pusher.time, interval.start, interval.end)
+        poses = _pose_indices(track.time, interval.start, interval.end, (earliest, latest), gap)
+        if reason := _unusable(interval, int(np.count_nonzero(pusher)), len(poses)):
+            skipped.append(f"push {number} of object {object_id} is left out: {reason}.")
+            continue
+        wrench = None
+        if contents.wrench is not None and (felt := _within(contents.wrench.time, interval.start, interval.end)).any():
+            wrench = WrenchTrack(contents.wrench.time[felt], contents.wrench.value[felt])
+        records.append(
+            PushRecord(
+                object_id=object_id,
+                shape=track.shape,
+                poses=PoseTrack(track.time[poses], track.pose[poses], track.covariance[poses]),
+                pusher=PusherPath(contents.pusher.time[pusher], contents.pusher.value[pusher], contents.pusher_radius),
+                wrench=wrench,
+                source=f"{contents.path.name} push {number}",
+            )
+        )
     contents.notes.extend(note for note in skipped if note not in contents.notes)
     if not records:
         raise BagError(f"{contents.path}: not one of {len(intervals)} pushes is usable; {skipped[0] if skipped else 'there are none'}")
@@ -53,47 +67,23 @@ def _intervals_by_gaps(time: Float64Array, gap: float) -> tuple[PushInterval, ..
     return tuple(PushInterval(number, "", float(a), float(b), 0) for number, (a, b) in enumerate(zip(starts, ends, strict=True)))
 
 
-def _record(
-    contents: BagContents,
-    object_id: str,
-    track: ObjectTrack,
-    interval: PushInterval,
-    window: tuple[float, float],
-    gap: float,
-    number: int,
-) -> PushRecord | str:
-    """The push, or why there is none."""
+def _unusable(interval: PushInterval, n_pusher: int, n_poses: int) -> str:
+    """Why an interval gives no record; empty when it does."""
     if interval.error_code:
         return f"its push record has error code {interval.error_code}"
-    start, end = interval.start, interval.end
-    pusher = _within(contents.pusher.time, start, end)
-    if np.count_nonzero(pusher) < 2:
-        return f"{np.count_nonzero(pusher)} pusher poses, expected at least 2"
-    poses = _pose_indices(track.time, start, end, window, gap)
-    if len(poses) < 2:
-        return f"{len(poses)} object poses, expected at least the two end poses"
-    assert track.shape is not None
-    wrench = None
-    if contents.wrench is not None and (felt := _within(contents.wrench.time, start, end)).any():
-        wrench = WrenchTrack(contents.wrench.time[felt], contents.wrench.value[felt])
-    return PushRecord(
-        object_id=object_id,
-        shape=track.shape,
-        poses=PoseTrack(track.time[poses], track.pose[poses], track.covariance[poses]),
-        pusher=PusherPath(contents.pusher.time[pusher], contents.pusher.value[pusher], contents.pusher_radius),
-        wrench=wrench,
-        source=f"{contents.path.name} push {number}",
-    )
+    if n_pusher < 2:
+        return f"{n_pusher} pusher poses, expected at least 2"
+    if n_poses < 2:
+        return f"{n_poses} object poses, expected at least the two end poses"
+    return ""
 
 
-def _within(time: Float64Array, start: float, end: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _within(time: Float64Array, start: float, end: float) -> BoolArray:
     # Half a microsecond: stamps and interval ends went through different roundings.
     return (time >= start - 5e-7) & (time <= end + 5e-7)
 
 
-def _pose_indices(
-    time: Float64Array, start: float, end: float, window: tuple[float, float], gap: float
-) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
+def _pose_indices(time: Float64Array, start: float, end: float, window: tuple[float, float], gap: float) -> NDArray[np.intp]:
     """Frames of a push: during it, at rest around it, and where there are none at rest the nearest one on that side."""
     mine = (time > window[0]) & (time <= window[1])
     taken = mine & (time >= start - gap) & (time <= end + gap)

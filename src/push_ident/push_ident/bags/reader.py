@@ -23,6 +23,8 @@ __all__ = ["BagContents", "ObjectTrack", "PushInterval", "Samples", "read_bag"]
 _MAX_JUMP_BACK: Final = 1_000_000_000
 """Stamps may run backwards by less than this [ns] (late delivery); more is a clock that was set back."""
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
+_LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE})
+"""Latched topics: a newer message replaces the one before."""
 _DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
 
 
@@ -107,10 +109,15 @@ class BagContents:
 
 @dataclass(slots=True)
 class _Recorded:
-    """Messages of one topic as they were read."""
+    """One topic as it was read."""
 
-    stamp: list[int] = field(default_factory=list)
-    message: list[Any] = field(default_factory=list)
+    stamps: list[int] = field(default_factory=list)
+    """[ns]"""
+    values: list[Float64Array] = field(default_factory=list)
+    """Planar values of the roles in `_STAMPED`."""
+    messages: list[Any] = field(default_factory=list)
+    """Messages of the other roles, all or the last."""
+    frames: set[str] = field(default_factory=set)
     unstamped: int = 0
 
 
@@ -128,8 +135,16 @@ def read_bag(path: Path) -> BagContents:
         wanted = {role: connections for role, connections in by_role.items() if role.role not in _DEPTH}
         n_depth = sum(c.msgcount for role, connections in by_role.items() if role.role is Role.DEPTH for c in connections)
         recorded = _read(bag, wanted)
-    if not sum(topics.values()) or (not recorded and not n_depth):
-        _fail_for_missing(path, topics, [role for role in Role if role in (Role.PUSHER, Role.POSE)])
+        return _contents(path, topics, recorded, sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES}), n_depth, notes)
+
+
+_Stamped = tuple[np.ndarray[Any, np.dtype[np.int64]], Float64Array]
+_NOTHING: Final[_Stamped] = (np.empty(0, dtype=np.int64), np.empty((0, 0)))
+
+
+def _contents(
+    path: Path, topics: dict[str, int], recorded: dict[TopicRole, _Recorded], object_ids: list[str], n_depth: int, notes: list[str]
+) -> BagContents:
     samples = {role: _clean(path, role, record, notes) for role, record in recorded.items() if role.role in _STAMPED}
     missing = [] if len(samples.get(TopicRole(Role.PUSHER), _NOTHING)[0]) else [Role.PUSHER]
     if not n_depth and not any(role.role is Role.POSE and len(stamps) for role, (stamps, _) in samples.items()):
@@ -138,24 +153,20 @@ def read_bag(path: Path) -> BagContents:
         _fail_for_missing(path, topics, missing)
     _check_frames(path, recorded)
     origin = min(int(stamps[0]) for stamps, _ in samples.values() if len(stamps))
-    object_ids = sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES})
+    wrench = samples.get(TopicRole(Role.WRENCH), _NOTHING)
     return BagContents(
         path=path,
         origin_ns=origin,
         objects={object_id: _object_track(object_id, recorded, samples, origin, notes) for object_id in object_ids},
         pusher=_samples(samples[TopicRole(Role.PUSHER)], origin),
         pusher_radius=_pusher_radius(recorded, notes),
-        wrench=_samples(samples[role], origin) if len(samples.get(role := TopicRole(Role.WRENCH), _NOTHING)[0]) else None,
+        wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
         camera_in_table=_camera_in_table(recorded, notes),
         n_depth=n_depth,
         topics=topics,
         notes=notes,
     )
-
-
-_Stamped = tuple[np.ndarray[Any, np.dtype[np.int64]], Float64Array]
-_NOTHING: Final[_Stamped] = (np.empty(0, dtype=np.int64), np.empty((0, 0)))
 
 
 def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -> None:
@@ -190,27 +201,32 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[Topic
         record = recorded[role_by_topic[connection.topic]]
         stamp = decode.stamp_ns(message.header.stamp) if hasattr(message, "header") else 0
         record.unstamped += stamp == 0
-        record.stamp.append(stamp or log_time)
-        record.message.append(message)
-    promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamp) for record in recorded.values())
+        record.stamps.append(stamp or log_time)
+        role = role_by_topic[connection.topic].role
+        if role in _STAMPED:
+            record.values.append(_planar(role, message))
+            record.frames.add(str(message.header.frame_id))
+        else:
+            record.messages = [message] if role in _LAST_COUNTS else [*record.messages, message]
+    promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamps) for record in recorded.values())
     if got < promised:
-        raise BagError(f"{bag.path}: its index promises {promised} messages of the contract, {got} could be read; the recording was cut short.")
+        raise BagError(f"{bag.path}: its index promises {promised} messages of the contract, {got} could be read; it was cut short.")
     return dict(recorded)
 
 
 def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> _Stamped:
     """Stamps and planar values of a topic in order of time, without values that are not finite and repeated stamps."""
-    stamps = np.array(record.stamp, dtype=np.int64)
+    stamps = np.array(record.stamps, dtype=np.int64)
     back = int(np.min(np.diff(stamps), initial=0))
     if back < -_MAX_JUMP_BACK:
-        raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset while recording, cut the bag there.")
-    values = np.array([_planar(role.role, message) for message in record.message])
-    finite = np.isfinite(values).all(axis=1)
+        raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
+    values = np.array(record.values)
+    finite = np.asarray(np.isfinite(values).all(axis=1))
     order = np.argsort(stamps, kind="stable")
     order = order[finite[order]]
     first = np.append(True, np.diff(stamps[order]) > 0) if len(order) else np.empty(0, dtype=np.bool_)
     for count, what in (
-        (record.unstamped if record.unstamped < len(stamps) or len(stamps) > 1 else 0, "have no stamp; their log time is used"),
+        (record.unstamped, "have no stamp; their log time is used"),
         (int(np.sum(np.diff(stamps) < 0)), "came out of order; sorted"),
         (int(np.sum(~finite)), "hold values that are not finite; dropped"),
         (int(np.sum(~first)), "repeat a stamp; dropped"),
@@ -231,14 +247,12 @@ def _planar(role: Role, message: Any) -> Float64Array:
 
 def _samples(stamped: _Stamped, origin: int) -> Samples:
     # Nanoseconds are subtracted as integers: as floating point seconds of a date they would be off by up to 0.2 us.
-    return Samples((stamped[0] - origin) * 1e-9, stamped[1])
+    return Samples((stamped[0] - origin).astype(np.float64) * 1e-9, stamped[1])
 
 
 def _check_frames(path: Path, recorded: dict[TopicRole, _Recorded]) -> None:
     """Poses, pusher and forces must be in one frame."""
-    frames = {
-        str(message.header.frame_id): str(role) for role, record in recorded.items() if role.role in _STAMPED for message in record.message
-    }
+    frames = {frame: str(role) for role, record in recorded.items() for frame in record.frames}
     frames.pop("", None)
     if len(frames) > 1:
         listed = ", ".join(f"`{topic}` in {frame!r}" for frame, topic in sorted(frames.items()))
@@ -250,17 +264,17 @@ def _object_track(
 ) -> ObjectTrack:
     track = _samples(samples.get(TopicRole(Role.POSE, object_id), (_NOTHING[0], np.empty((0, 12)))), origin)
     covariance = track.value[:, 3:].reshape(-1, 3, 3).copy()
-    unknown = ~covariance.any(axis=(1, 2))
+    unknown = np.asarray(~covariance.any(axis=(1, 2)))
     covariance[unknown] = decode.DEFAULT_COVARIANCE
     if unknown.any():
-        notes.append(f"object {object_id}: {int(unknown.sum())} of {len(track)} poses state no covariance; 1 mm and 0.5 degrees are assumed.")
+        notes.append(f"object {object_id}: {int(unknown.sum())} of {len(track)} poses lack a covariance; 1 mm, 0.5 degrees assumed.")
     return ObjectTrack(_shape(object_id, recorded, notes), track.time, track.value[:, :3], covariance)
 
 
 def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> ObjectShape | None:
     """Cells and outline by the last message of each."""
-    grids = recorded.get(TopicRole(Role.CELLS, object_id), _Recorded()).message
-    polygons = recorded.get(TopicRole(Role.OUTLINE, object_id), _Recorded()).message
+    grids = recorded.get(TopicRole(Role.CELLS, object_id), _Recorded()).messages
+    polygons = recorded.get(TopicRole(Role.OUTLINE, object_id), _Recorded()).messages
     if not grids:
         notes.append(f"object {object_id}: the bag has no cells.")
         return None
@@ -268,7 +282,8 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
         cells, yaw = decode.cells_of(grids[-1])
         outline = decode.outline_of(polygons[-1].polygon) if polygons else None
         if outline is None:
-            notes.append(f"object {object_id}: {'its outline encloses nothing' if polygons else 'no outline'}; it is traced from the cells.")
+            lacking = "its outline encloses nothing" if polygons else "no outline"
+            notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
         outside = int(np.sum(~points_in_polygon(cells.centres, outline)))
         if outside > len(cells) / 2:
@@ -280,7 +295,7 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
 
 
 def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
-    shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).message
+    shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
     if radius is None:
         notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is taken as a point.")
@@ -290,7 +305,7 @@ def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> fl
 
 def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: list[str]) -> tuple[PushInterval, ...]:
     intervals = []
-    for message in recorded.get(TopicRole(Role.PUSH_RECORD), _Recorded()).message:
+    for message in recorded.get(TopicRole(Role.PUSH_RECORD), _Recorded()).messages:
         start, end = ((decode.stamp_ns(stamp) - origin) * 1e-9 for stamp in (message.start, message.end))
         if end > start:
             intervals.append(PushInterval(int(message.push_id), str(message.object_id), start, end, int(message.error_code)))
@@ -302,7 +317,7 @@ def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: li
 def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> Float64Array | None:
     """Chain of static transforms from the camera up to the table, if there is one."""
     parents = {}
-    for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).message:
+    for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).messages:
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
     if CAMERA_FRAME not in parents:

@@ -11,6 +11,8 @@ from typing import Final
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from push_ident.bags.contract import role_of
+from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 
@@ -31,6 +33,8 @@ class SalvageReport:
     """Recovered messages by topic."""
     damaged_chunks: int
     """Chunks left out because their content was not intact."""
+    undecodable: int
+    """Messages of the contract left out because they are not what their type says."""
     end: str
     """Why reading stopped; empty when the file was whole to its end."""
 
@@ -99,6 +103,7 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     counts: Counter[str] = Counter()
+    undecodable = 0
     records = _Records(source)
     with BagWriter(out) as writer:
         for record in records:
@@ -110,6 +115,9 @@ def salvage(path: Path, out: Path) -> SalvageReport:
                 schema = schemas.get(channel.schema_id)
                 if schema is None:
                     continue
+                if not _decodes(channel.topic, schema.name, record.data):
+                    undecodable += 1
+                    continue
                 writer.write_raw(
                     channel.topic,
                     schema.name,
@@ -120,8 +128,21 @@ def salvage(path: Path, out: Path) -> SalvageReport:
                 )
                 counts[channel.topic] += 1
     if not counts:
-        raise BagError(f"{path}: messages were found, but none whose topic is still described; {out} was left empty.")
-    return SalvageReport(out, dict(sorted(counts.items())), records.damaged_chunks, records.end)
+        raise BagError(f"{path}: messages were found, but none that is still described and intact; {out} was left empty.")
+    return SalvageReport(out, dict(sorted(counts.items())), records.damaged_chunks, undecodable, records.end)
+
+
+def _decodes(topic: str, msgtype: str, data: bytes) -> bool:
+    """Whether a message of the contract can be read; one that cannot would make the whole new bag unreadable."""
+    role = role_of(topic)
+    if role is None or role.role.msgtype != msgtype or msgtype not in jazzy_typestore().fielddefs:
+        return True
+    try:
+        jazzy_typestore().deserialize_cdr(data, msgtype)
+    except Exception:
+        # Flipped bytes surface as whatever the generated decoder trips over.
+        return False
+    return True
 
 
 def _mcap_in(path: Path) -> Path:

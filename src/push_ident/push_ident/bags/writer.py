@@ -157,9 +157,8 @@ class BagWriter:
         header = self._header(stamp, object_frame(object_id))
         origin, occupied = _lattice(shape.cells)
         height, width = occupied.shape
-        info = self._new(
-            "nav_msgs/msg/MapMetaData", header.stamp, float(shape.cells.size), width, height, self._pose(float(origin[0]), float(origin[1]), 0.0, 0.0)
-        )
+        corner = self._pose(float(origin[0]), float(origin[1]), 0.0, 0.0)
+        info = self._new("nav_msgs/msg/MapMetaData", header.stamp, float(shape.cells.size), width, height, corner)
         self._write(Role.CELLS, stamp, header, info, np.where(occupied, 100, 0).astype(np.int8).ravel(), object_id=object_id)
         points = [self._new("geometry_msgs/msg/Point32", float(x), float(y), 0.0) for x, y in shape.outline]
         self._write(Role.OUTLINE, stamp, header, self._new("geometry_msgs/msg/Polygon", points), object_id=object_id)
@@ -177,8 +176,8 @@ class BagWriter:
         k = np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
         p = np.array([fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
         roi = self._new("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
-        size = (intrinsics.height, intrinsics.width)
-        self._write(Role.CAMERA_INFO, stamp, self._header(stamp, frame_id), *size, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(), p, 0, 0, roi)
+        camera = (intrinsics.height, intrinsics.width, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(), p)
+        self._write(Role.CAMERA_INFO, stamp, self._header(stamp, frame_id), *camera, 0, 0, roi)
 
     def write_extrinsics(self, stamp: float, camera_in_table: ArrayLike, *, frame_id: str = CAMERA_FRAME) -> None:
         """Pose of the optical frame in `table`, homogeneous, shape (4, 4), as a static transform."""
@@ -191,7 +190,9 @@ class BagWriter:
         stamped = self._new("geometry_msgs/msg/TransformStamped", self._header(stamp, TABLE_FRAME), frame_id, body)
         self._write(Role.TF_STATIC, stamp, [stamped])
 
-    def write_push_record(self, push_id: int, object_id: str, start: float, end: float, *, error_code: int = 0, error_text: str = "") -> None:
+    def write_push_record(
+        self, push_id: int, object_id: str, start: float, end: float, *, error_code: int = 0, error_text: str = ""
+    ) -> None:
         """Say that a push lasted from `start` to `end` [s]; what only its plan knows is left empty."""
         times = (self._time(start), self._time(0.0), self._time(end), self._time(end))
         plan = (self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
@@ -229,9 +230,13 @@ class BagWriter:
             if msgtype not in self._schemas:
                 encoding, text = definition or ("ros2msg", definition_of(msgtype).encode())
                 self._schemas[msgtype] = self._writer.register_schema(msgtype, encoding, text)
-            self._channels[key] = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], {"offered_qos_profiles": ""})
+            metadata = {"offered_qos_profiles": "", "topic_type_hash": self._type_hash(msgtype)}
+            self._channels[key] = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], metadata)
             self._counts[self._channels[key]] = 0
         return self._channels[key]
+
+    def _type_hash(self, msgtype: str) -> str:
+        return str(self._store.hash_rihs01(msgtype)) if msgtype in self._store.fielddefs else ""
 
     def _metadata(self) -> str:
         """The metadata.yaml that rosbag2 of Jazzy expects beside the storage file."""
@@ -246,7 +251,7 @@ class BagWriter:
                     "type": msgtype,
                     "serialization_format": "cdr",
                     "offered_qos_profiles": [],
-                    "type_description_hash": "",
+                    "type_description_hash": self._type_hash(msgtype),
                 },
                 "message_count": self._counts[channel],
             }
@@ -284,7 +289,7 @@ def _lattice(cells: CellGrid) -> tuple[Float64Array, BoolArray]:
     exact = (cells.centres - low) / cells.size
     indices = np.rint(exact).astype(np.int64)
     if np.abs(exact - indices).max() > _LATTICE_TOLERANCE:
-        raise BagError(f"cells do not lie on a lattice of {cells.size:g} m along the axes of the object frame; an occupancy grid cannot hold them.")
+        raise BagError(f"cells do not lie on a lattice of {cells.size:g} m along the object's axes; an occupancy grid cannot hold them.")
     width, height = (int(n) + 1 for n in indices.max(axis=0))
     occupied = np.zeros((height, width), dtype=np.bool_)
     occupied[indices[:, 1], indices[:, 0]] = True

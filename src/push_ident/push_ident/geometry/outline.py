@@ -61,7 +61,8 @@ def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     inside = points_in_polygon(centres, polygon)
     if not inside.any():
-        raise InputError(f"no cell of {size:g} m has its centre inside an outline of {abs(polygon_area(polygon)):.3g} m^2; take smaller cells.")
+        area = abs(polygon_area(polygon))
+        raise InputError(f"no cell of {size:g} m has its centre inside an outline of {area:.3g} m^2; take smaller cells.")
     return CellGrid(centres[inside], float(size))
 
 
@@ -81,7 +82,7 @@ def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Fl
     indices = np.rint(lattice).astype(np.int64)
     off = float(np.abs(lattice - indices).max())
     if off > _LATTICE_TOLERANCE:
-        raise InputError(f"cell centres lie up to {off * size:.2g} m off a lattice of {size:g} m; give the size (and yaw) they were cut with.")
+        raise InputError(f"cell centres lie up to {off * size:.2g} m off a lattice of {size:g} m; give the size and yaw of the cut.")
     loops = _boundary_loops({(int(i), int(j)) for i, j in indices})
     corners = max(loops, key=polygon_area)
     vertices = _without_collinear(np.asarray(corners, dtype=np.float64))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -95,34 +96,45 @@ class ArmPort:
             raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}.")
         return state
 
+    def wait_for_state(self, timeout: float, patience: float = 1.0) -> ArmState:
+        """As `fresh_state`, but an arm at rest may stay silent for up to `patience` [s] first."""
+        deadline = time.monotonic() + patience
+        while self.silence > timeout and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return self.fresh_state(timeout)
+
     def has_rival(self) -> bool:
         """Whether another node commands the same arm."""
         return self._node.count_publishers(self._node.resolve_topic_name("joint_trajectory")) > 1
 
-    def send(self, plan: ArmPlan) -> None:
-        """Start a planned motion now."""
-        self._publish(plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity)
+    def send(self, plan: ArmPlan) -> float:
+        """Start a planned motion now; time of the node's clock when it was sent [s]."""
+        msg = self._message(plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity)
+        # Filling the message takes tens of milliseconds, during which the arm does not move yet.
+        started = 1e-9 * float(self._node.get_clock().now().nanoseconds)
+        self._publisher.publish(msg)
+        return started
 
     def hold(self, q: Float64Array) -> None:
         """Replace whatever is being executed by standing still at `q` [rad].
 
         One point rather than an empty trajectory, which some controllers refuse and carry on.
         """
-        self._publish(np.array([_HOLD_WITHIN]), q[None, :], np.zeros((1, len(q))))
+        self._publisher.publish(self._message(np.array([_HOLD_WITHIN]), q[None, :], np.zeros((1, len(q)))))
 
-    def _publish(self, times: Float64Array, position: Float64Array, velocity: Float64Array) -> None:
+    def _message(self, times: Float64Array, position: Float64Array, velocity: Float64Array) -> JointTrajectoryMsg:
         # The stamp stays zero: start on receipt, whatever the controller's clock.
         msg = JointTrajectoryMsg(joint_names=list(self.planner.joint_names))
         for t, q, v in zip(times, position, velocity, strict=True):
             nanoseconds = round(1e9 * float(t))
             msg.points.append(
                 JointTrajectoryPoint(
-                    positions=q.tolist(),
-                    velocities=v.tolist(),
+                    positions=array("d", q),
+                    velocities=array("d", v),
                     time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
                 )
             )
-        self._publisher.publish(msg)
+        return msg
 
     def _on_description(self, msg: String) -> None:
         try:

@@ -74,9 +74,7 @@ def stamp_to_msg(seconds: float) -> Time:
     return Time(sec=int(whole + nanoseconds // 10**9), nanosec=int(nanoseconds % 10**9))
 
 
-def planar_pose_to_msg(
-    stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, frame_id: str = TABLE_FRAME
-) -> PoseWithCovarianceStamped:
+def planar_pose_to_msg(stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, frame_id: str = TABLE_FRAME) -> PoseWithCovarianceStamped:
     """Pose (x, y, yaw) [m, m, rad] with its 3 x 3 covariance; z, roll and pitch get a small variance."""
     x, y, yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
     full = np.eye(6) * _FIXED_VARIANCE
@@ -94,7 +92,7 @@ def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABL
     """Stamp [s], pose (x, y, yaw) and its covariance, shape (3, 3).
 
     Raises:
-        InputError: Another frame, values not finite, a pose that is tilted against the table, or a covariance that is not positive definite.
+        InputError: Another frame, values not finite, a pose tilted against the table, or a covariance that is not positive definite.
     """
     _check_frame(msg.header.frame_id, frame_id)
     position = msg.pose.pose.position
@@ -213,7 +211,9 @@ def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None)
     return ObjectShape(CellGrid(centres, size), np.array([(point.x, point.y) for point in outline.polygon.points]).reshape(-1, 2))
 
 
-def occupancy_to_msg(data: NDArray[np.int8], resolution: float, origin: ArrayLike, stamp: Time, *, frame_id: str = TABLE_FRAME) -> OccupancyGrid:
+def occupancy_to_msg(
+    data: NDArray[np.int8], resolution: float, origin: ArrayLike, stamp: Time, *, frame_id: str = TABLE_FRAME
+) -> OccupancyGrid:
     """Grid of -1 (unknown), 0 (free) to 100 (occupied), shape (rows along y, columns along x); `origin` is its low corner [m]."""
     msg = OccupancyGrid()
     msg.header.stamp = stamp
@@ -257,9 +257,13 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
         FrameError: Image and info do not belong together, or one is refused for itself.
     """
     if image.header.frame_id != info.header.frame_id:
-        raise FrameError(f"Depth image is in frame {image.header.frame_id!r}, its camera info in {info.header.frame_id!r}; expected the same.")
+        raise FrameError(
+            f"Depth image is in frame {image.header.frame_id!r}, its camera info in {info.header.frame_id!r}; expected the same."
+        )
     if (image.width, image.height) != (info.width, info.height):
-        raise FrameError(f"Depth image is {image.width} x {image.height}, camera info {info.width} x {info.height}; expected the same size.")
+        raise FrameError(
+            f"Depth image is {image.width} x {image.height}, camera info {info.width} x {info.height}; expected the same size."
+        )
     stamp = stamp_from_msg(image.header.stamp)
     skew = stamp - stamp_from_msg(info.header.stamp)
     if max_skew is not None and abs(skew) > max_skew:
@@ -307,5 +311,7 @@ def _yaw(orientation: Any) -> float:
         raise InputError(f"Orientation {quaternion.tolist()} has norm {norm:.3g}, expected a unit quaternion (x, y, z, w).")
     x, y = quaternion[:2] / norm
     if 2 * math.hypot(x, y) > _MAX_TILT:
-        raise InputError(f"Pose is tilted by {2 * math.asin(min(1.0, math.hypot(x, y))):.2f} rad against the table, expected a planar pose.")
+        raise InputError(
+            f"Pose is tilted by {2 * math.asin(min(1.0, math.hypot(x, y))):.2f} rad against the table, expected a planar pose."
+        )
     return float(yaw_of_quaternion(quaternion))

@@ -50,7 +50,8 @@ class Parameter:
             if isinstance(number, float) and not math.isfinite(number):
                 return "expected finite numbers"
             if isinstance(number, (int, float)) and not self._in_range(number):
-                return f"expected {self.minimum if self.minimum is not None else '-inf'} to {self.maximum if self.maximum is not None else 'inf'}"
+                low, high = ("any" if bound is None else f"{bound:g}" for bound in (self.minimum, self.maximum))
+                return f"expected {low} to {high}"
         return ""
 
     def descriptor(self) -> ParameterDescriptor:
@@ -86,14 +87,30 @@ class Parameters:
         InputError: An override has the wrong type or an impossible value; the text names it.
     """
 
-    def __init__(self, node: Node, table: Iterable[Parameter], *, on_change: Callable[[dict[str, Any]], None] | None = None) -> None:
-        """`on_change` is called with the new values of the changed parameters, after they were accepted."""
+    def __init__(
+        self,
+        node: Node,
+        table: Iterable[Parameter],
+        *,
+        check: Callable[[dict[str, Any]], object] | None = None,
+        on_change: Callable[[dict[str, Any]], None] | None = None,
+    ) -> None:
+        """Declare `table` on `node`.
+
+        Args:
+            check: Called with all values as they would be; raises InputError when they do not go together.
+            on_change: Called with the new values of the changed parameters, after they were accepted.
+        """
         self._node = node
+        self._check_together: Callable[[dict[str, Any]], object] | None = None
         self._table = {row.name: row for row in table}
         node.add_on_set_parameters_callback(self._check)
         for row in self._table.values():
             self._declare(row)
         self._warn_of_unknown_keys()
+        if check is not None:
+            check(self.as_dict())
+            self._check_together = check
         if on_change is not None:
             node.add_post_set_parameters_callback(lambda changed: on_change({p.name: p.value for p in changed if p.name in self._table}))
 
@@ -132,7 +149,14 @@ class Parameters:
             row = self._table.get(parameter.name)
             fault = row.fault(parameter.value) if row is not None and parameter.value is not None else ""
             if fault:
-                return SetParametersResult(successful=False, reason=f"{parameter.name} = {parameter.value!r} refused: {fault}; the old value stays")
+                return SetParametersResult(
+                    successful=False, reason=f"{parameter.name} = {parameter.value!r} refused: {fault}; the old value stays"
+                )
+        if self._check_together is not None:
+            try:
+                self._check_together({**self.as_dict(), **{p.name: p.value for p in parameters if p.name in self._table}})
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=f"{error} The old values stay.")
         return SetParametersResult(successful=True)
 
     def _warn_of_unknown_keys(self) -> None:

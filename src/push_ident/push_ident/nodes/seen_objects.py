@@ -50,7 +50,8 @@ class SeenObjects:
     @property
     def ids(self) -> tuple[str, ...]:
         """Objects with pose and shape, sorted."""
-        return tuple(sorted(self._poses.keys() & self._shapes.keys()))
+        # Other threads add to both: `set` copies in one step.
+        return tuple(sorted(set(self._poses) & set(self._shapes)))
 
     def get(self, object_id: str, max_age: float) -> SeenObject:
         """The object, or the only one when `object_id` is empty.

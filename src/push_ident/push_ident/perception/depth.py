@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,13 +18,18 @@ from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
 
 __all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "depth_from_buffer", "points_in_table", "rays_in_table"]
 
-ACCEPTED_ENCODINGS: Final = {"16UC1": (np.dtype(np.uint16), 1e-3), "32FC1": (np.dtype(np.float32), 1.0)}
+ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
+    "16UC1": (np.dtype(np.uint16), 1e-3),
+    "32FC1": (np.dtype(np.float32), 1.0),
+}
 """Encoding -> (type of a pixel, metres per unit), as REP 118 has them."""
 
 _MAX_SIDE: Final = 16384
 
 
-def depth_from_buffer(encoding: str, height: int, width: int, step: int, is_bigendian: bool, data: bytes | memoryview) -> NDArray[np.float32]:
+def depth_from_buffer(
+    encoding: str, height: int, width: int, step: int, is_bigendian: bool, data: bytes | memoryview
+) -> NDArray[np.float32]:
     """Decode the pixels of a depth image.
 
     Args:

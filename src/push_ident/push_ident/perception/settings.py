@@ -35,8 +35,8 @@ class PerceptionSettings:
     """Edge of a cell of the workspace occupancy [m]."""
     occupancy_period: float = 1.0
     """Between two workspace occupancies and checks of the table plane [s]."""
-    search_period: float = 0.1
-    """Between two searches for new or lost objects while another one is tracked [s]."""
+    search_period: float = 0.25
+    """Between two searches for new or lost objects once one is known [s]; until then each frame is searched."""
 
     def __post_init__(self) -> None:
         if not (self.workspace_low[0] < self.workspace_high[0] and self.workspace_low[1] < self.workspace_high[1]):

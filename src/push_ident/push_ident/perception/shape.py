@@ -36,6 +36,8 @@ _SIMPLIFY: Final = 0.0007
 """Largest distance of the simplified outline from the traced one [m]."""
 _PASSES: Final = 3
 """Of tracing the outline: the first decides for each line of sight which of its ends matters."""
+_REACH: Final = 10
+"""Pixels around the upper side whose lines of sight are used."""
 _PAD: Final = 16
 """Pixels looked at around a segment."""
 
@@ -56,13 +58,13 @@ class SeenObject:
 
 
 def mean_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
-    """Median depth of each pixel over frames at rest; NaN where fewer than half of them saw something."""
+    """Median depth of each pixel over frames at rest; NaN where fewer than a quarter of them saw something."""
     stack = np.stack([frame.depth for frame in frames])
     n_seen = np.count_nonzero(np.isfinite(stack), axis=0)
     stack.sort(axis=0)  # NaN sorts to the end, so the median of what was seen is in the middle of the first n_seen.
     last = np.maximum(n_seen - 1, 0)
     low, high = (np.take_along_axis(stack, half[None], axis=0)[0] for half in (last // 2, (last + 1) // 2))
-    return np.where(2 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+    return np.where(4 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
 
 
 def see_object(
@@ -97,8 +99,9 @@ def see_object(
     body[top : top + segment.mask.shape[0], left : left + segment.mask.shape[1]] = segment.mask
     pixel = float(np.nanmedian(depth[rows, columns])) / intrinsics.fx
     stopped, passing = _lines_of_sight(points, centre, rays, body, pixel=pixel, noise=noise, min_height=min_height)
-    outline = None
-    for _ in range(_PASSES):
+    full = stopped.places(None)
+    outline, origin = _balance(full, passing.places(None))
+    for _ in range(_PASSES - 1):
         full = stopped.places(outline)
         outline, origin = _balance(full, passing.places(outline))
     x, y = _centroid(outline)
@@ -153,16 +156,16 @@ def _lines_of_sight(
     near_highest, near_lowest = np.abs(z - highest) < step, np.abs(z - lowest) < step
     stopped = body & (flat | near_highest | near_lowest)
     # Level of the top beside the other pixels: the highest within the window, else that of the nearest flat pixel.
-    _, nearest = cv2.distanceTransformWithLabels((~flat).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    away, nearest = cv2.distanceTransformWithLabels((~flat).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     level_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     level_of[nearest[flat]] = smooth[flat]
     beside = np.where(highest > 0, highest, level_of[nearest])
-    passing = seen & ~stopped & (z < beside - step)
+    passing = seen & ~stopped & (z < beside - step) & (away < _REACH)
 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
         ray, top = rays[chosen].astype(np.float64), level[chosen].astype(np.float64)
-        ends = (centre[:2] + ray[:, :2] * ((height - centre[2]) / ray[:, 2])[:, None] for height in (top, top - step))
-        return _Lines(*ends, top)
+        upper, lower = (centre[:2] + ray[:, :2] * ((height - centre[2]) / ray[:, 2])[:, None] for height in (top, top - step))
+        return _Lines(upper, lower, top)
 
     return lines(stopped, np.where(flat, smooth, np.where(near_highest, highest, lowest))), lines(passing, beside)
 

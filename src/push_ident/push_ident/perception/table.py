@@ -82,7 +82,9 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         noise = 1.4826 * float(np.median(np.abs(distance[np.abs(distance) < 0.01]))) if np.any(np.abs(distance) < 0.01) else 0.01
         inliers = np.abs(distance) < 3.0 * max(noise, 2e-4)
         if np.count_nonzero(inliers) < needed:
-            raise PerceptionError(f"{np.count_nonzero(inliers)} of {len(near)} points agree on a plane, expected {needed}; clear the table.")
+            raise PerceptionError(
+                f"{np.count_nonzero(inliers)} of {len(near)} points agree on a plane, expected {needed}; clear the table."
+            )
         design = np.column_stack([near[inliers, :2], np.ones(np.count_nonzero(inliers))])
         plane = np.linalg.lstsq(design, near[inliers, 2], rcond=None)[0]
     if np.hypot(plane[0], plane[1]) > _MAX_TILT or abs(plane[2]) > _MAX_OFFSET:

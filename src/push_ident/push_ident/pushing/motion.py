@@ -19,6 +19,8 @@ _STEP = 0.004
 """Distance between inverse kinematics along a straight line [m]."""
 _POSTURE_RATE = 3.0
 """Share of the way to the neutral posture per metre of tool travel [1/m]: slow beside the push itself."""
+_LEAD = 0.05
+"""How far ahead of the clock the arm may seem to be [s]: the clock itself arrives late when time is simulated."""
 _LINE_TOLERANCE = 5e-4
 """How far the tool may leave its straight line between two inverse kinematics [m]."""
 
@@ -95,6 +97,20 @@ class ArmPlan:
         time = self.trajectory.time
         pushing = (time >= self.departure - 1e-9) & (time <= self.stop + 1e-9)
         return time[pushing] - self.departure, self.tip[pushing]
+
+    def deviation(self, tip: Float64Array, time: float, lag: float) -> float:
+        """Distance [m] of a measured `tip` (3,) to the part of the way from `time - lag` to just after `time` [s].
+
+        An arm that follows late is not off its way, one that is later than `lag` is.
+        """
+        first, last = np.searchsorted(self.trajectory.time, [time - lag, time + _LEAD])
+        way = self.tip[max(int(first) - 1, 0) : int(last) + 1]
+        edge = np.diff(way, axis=0)
+        if len(edge) == 0:
+            return float(np.min(np.linalg.norm(self.tip[-1:] - tip, axis=1)))
+        from_start = tip - way[:-1]
+        share = np.clip(np.sum(from_start * edge, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
+        return float(np.min(np.linalg.norm(from_start - share[:, None] * edge, axis=1)))
 
 
 def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings) -> ArmPlan:

@@ -1,0 +1,109 @@
+"""Everything a fit needs from one or more bags: pushes, whether poses were recorded or only depth images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from push_ident.bags.pushes import split_pushes
+from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
+from push_ident.errors import BagError
+from push_ident.identification.observation import observe_push
+from push_ident.perception.labels import Cylinder
+from push_ident.perception.pipeline import observe_offline
+from push_ident.types import Float64Array, PushRecord
+
+__all__ = ["LoadedPushes", "load_pushes", "track_from_depth"]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedPushes:
+    """The pushes of one object."""
+
+    object_id: str
+    records: list[PushRecord]
+    """In order of bags and time."""
+    notes: list[str]
+    """What was missing, dropped or assumed."""
+
+
+def load_pushes(
+    paths: Sequence[Path],
+    *,
+    object_id: str = "",
+    camera_in_table: Float64Array | None = None,
+    on_progress: Callable[[str], None] | None = None,
+) -> LoadedPushes:
+    """Read the pushes of one object from bags of the contract.
+
+    Args:
+        paths: bags. Where one has no object poses, they are tracked in its depth images.
+        object_id: which object; empty takes the only one, or of several the one that was pushed most.
+        camera_in_table: extrinsics for depth bags that carry none, homogeneous, shape (4, 4).
+        on_progress: told what is going on, a line each.
+
+    Raises:
+        BagError: a bag cannot be read, lacks what is needed, or shows another object than the others.
+    """
+    records: list[PushRecord] = []
+    notes: list[str] = []
+    for path in paths:
+        contents = read_bag(path)
+        if not contents.has_poses:
+            if on_progress:
+                on_progress(f"{path.name}: no object poses; tracking the object in {contents.n_depth} depth images")
+            contents = track_from_depth(contents, camera_in_table)
+        chosen = object_id or _most_pushed(contents)
+        object_id = object_id or chosen
+        records += split_pushes(contents, chosen)
+        notes += [f"{path.name}: {note}" for note in contents.notes]
+    first = records[0]
+    for record in records:
+        if not np.array_equal(record.shape.cells.centres, first.shape.cells.centres):
+            raise BagError(
+                f"{record.source} shows {len(record.shape.cells)} other cells than {first.source}; "
+                "identify bags of one object together only if they share its cells, or name the bags of one run."
+            )
+    return LoadedPushes(object_id, records, notes)
+
+
+def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
+    """The same bag with objects seen and tracked in its depth images."""
+    camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
+    if camera is None:
+        raise BagError(
+            f"{contents.path}: depth images without the pose of the camera; record /tf_static with `table` -> camera, or give it with --camera."
+        )
+    pusher, radius = contents.pusher, contents.pusher_radius
+
+    def robot_at(stamp: float) -> list[Cylinder]:
+        """The pusher, where it is known to be at that time."""
+        if not pusher.time[0] - 0.1 <= stamp <= pusher.time[-1] + 0.1 or np.min(np.abs(pusher.time - stamp)) > 0.1:
+            return []
+        x, y = (float(np.interp(stamp, pusher.time, pusher.value[:, axis])) for axis in (0, 1))
+        return [Cylinder(x=x, y=y, radius=radius)]
+
+    seen = observe_offline(contents.depth_frames(), camera, robot_at=robot_at)
+    objects = {
+        object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
+        for object_id, (shape, track) in seen.items()
+    }
+    if not objects:
+        raise BagError(f"{contents.path}: no object was found in its {contents.n_depth} depth images; check the pose of the camera.")
+    return replace(contents, objects=objects)
+
+
+def _most_pushed(contents: BagContents) -> str:
+    """The object that is touched in most pushes."""
+    if len(contents.objects) == 1:
+        return next(iter(contents.objects))
+    touched = {}
+    for object_id, track in contents.objects.items():
+        if track.shape is not None and len(track.time) >= 2:
+            touched[object_id] = sum(observe_push(record).touched for record in split_pushes(contents, object_id))
+    if not touched:
+        raise BagError(f"{contents.path}: none of the objects {', '.join(contents.objects)} has both cells and poses.")
+    return max(touched, key=lambda key: touched[key])

@@ -1,0 +1,177 @@
+"""`push-ident identify`: from bags to maps, without a node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from push_ident.bags.loading import LoadedPushes, load_pushes
+from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
+from push_ident.errors import InputError
+from push_ident.identification.identify import identify
+from push_ident.identification.model_file import save_model
+from push_ident.identification.parameters import Prior
+from push_ident.identification.picture import draw_maps
+from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.result import Identification
+from push_ident.types import Float64Array, PushRecord, SolveStatus
+
+__all__ = ["identify_command", "result_json"]
+
+_NOMINAL = Prior()
+FAILED = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
+
+ObjectOption = Annotated[str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one pushed most.", show_default=False)]
+CameraOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Pose of the depth camera in `table` (4x4 numbers, text), for depth bags without tf_static.", show_default=False),
+]
+
+
+def identify_command(
+    bags: BagsArgument,
+    method: Annotated[str, typer.Option(help="Solver.")] = "gauss_newton",
+    train: Annotated[
+        str, typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all.")
+    ] = "",
+    out: OutOption = None,
+    json: JsonOption = None,
+    object_id: ObjectOption = "",
+    camera: CameraOption = None,
+    total_mass: Annotated[float | None, typer.Option(help="Weight of the object, if it was weighed [kg].", show_default=False)] = None,
+    nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
+    friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
+    pusher_friction: Annotated[float, typer.Option(help="Nominal friction of the pusher.")] = _NOMINAL.pusher_friction,
+) -> None:
+    """Identify the mass and friction maps of one object from recorded pushes."""
+    prior = Prior(
+        total_mass=nominal_mass if total_mass is None else total_mass,
+        total_mass_std=_NOMINAL.total_mass_std if total_mass is None else 0.0,
+        friction=friction,
+        pusher_friction=pusher_friction,
+    )
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("reading")
+        loaded = load_pushes(
+            bags,
+            object_id=object_id,
+            camera_in_table=read_camera(camera),
+            on_progress=lambda text: progress.update(task, description=text),
+        )
+        chosen = _chosen(train, len(loaded.records))
+        progress.update(task, description=f"identifying from {len(chosen)} pushes")
+        result = identify(
+            [loaded.records[i] for i in chosen],
+            prior,
+            method=method,
+            on_iteration=lambda n, cost: progress.update(task, description=f"iteration {n}, cost {cost:.1f}"),
+        )
+    content = result_json(result, loaded, chosen)
+    _show(content, result, loaded)
+    if json is not None:
+        write_json(json, content)
+    if out is not None:
+        write_json(out / "result.json", content)
+        save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=[loaded.records[i].source for i in chosen])
+        draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
+        console.print(f"written: {out / 'model.json'}, {out / 'map.png'}, {out / 'result.json'}", highlight=False, soft_wrap=True)
+    if result.status in FAILED:
+        warn(f"push-ident: {result.status.value}")
+        raise typer.Exit(1)
+
+
+def read_camera(path: Path | None) -> Float64Array | None:
+    """Homogeneous matrix of 16 numbers in a text file."""
+    if path is None:
+        return None
+    try:
+        matrix = np.loadtxt(path, dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the camera pose {path}: {error}; expected 4 lines of 4 numbers.") from None
+    if matrix.shape != (4, 4) or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3):
+        raise InputError(f"{path} holds an array of shape {matrix.shape}, expected a 4 x 4 matrix with a rotation in it.")
+    return matrix
+
+
+def _chosen(train: str, n_pushes: int) -> list[int]:
+    if not train:
+        return list(range(n_pushes))
+    try:
+        chosen = [int(word) for word in train.split(",")]
+    except ValueError:
+        raise InputError(f"--train is `{train}`, expected push numbers such as 0,1,2.") from None
+    if wrong := [i for i in chosen if not 0 <= i < n_pushes]:
+        raise InputError(f"--train names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
+    if len(set(chosen)) < len(chosen):
+        raise InputError(f"--train is `{train}` and names a push twice.")
+    return chosen
+
+
+def result_json(result: Identification, loaded: LoadedPushes, train: list[int]) -> dict[str, Any]:
+    """The outcome as the command-line contract has it."""
+    posterior, model = result.posterior, result.model
+    test = [i for i in range(len(loaded.records)) if i not in train]
+    x, y = model.shape.cells.centres.T
+    return {
+        "method": result.method,
+        "object_id": loaded.object_id,
+        "n_cells": len(model.mass),
+        "n_simulations": result.n_simulations,
+        "time_s": result.time_s,
+        "train": _errors(result, loaded.records, train),
+        "test": _errors(result, loaded.records, test),
+        "map": {
+            "x": x.tolist(),
+            "y": y.tolist(),
+            "mass": model.mass.tolist(),
+            "friction": model.friction.tolist(),
+            "mass_friction": (model.mass * model.friction).tolist(),
+            "mass_friction_std": posterior.mass_friction_std.tolist(),
+        },
+        "centre_of_friction_m": model.centre_of_friction.tolist(),
+        "pusher_friction": {"value": posterior.pusher_friction.value, "std": posterior.pusher_friction.std},
+        "total_mass": {
+            "value": posterior.total_mass.value,
+            "std": posterior.total_mass.std,
+            "identifiable": posterior.total_mass_identifiable,
+        },
+        "status": result.status.name.lower(),
+        "notes": loaded.notes,
+    }
+
+
+def _errors(result: Identification, records: list[PushRecord], pushes: list[int]) -> dict[str, Any]:
+    chosen = [records[i] for i in pushes]
+    per_model = {
+        name: held_out_errors(model, chosen) for name, model in (("uniform", result.uniform), ("scalar", result.scalar), ("identified", result.model))
+    }
+    mean = {f"{name}_m": float(np.mean(errors)) if len(errors) else float("nan") for name, errors in per_model.items()}
+    return {"pushes": pushes, **mean, "per_push_m": per_model["identified"].tolist()}
+
+
+def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes) -> None:
+    for note in loaded.notes:
+        warn(f"note: {note}")
+    table = Table(title=f"object {loaded.object_id}: {content['n_cells']} cells, mean cell error at the end of a push")
+    for heading in ("pushes", "equal cells, nominal", "equal cells, fitted", "identified"):
+        table.add_column(heading, justify="right")
+    for name in ("train", "test"):
+        part = content[name]
+        if part["pushes"]:
+            row = [millimetres(part[f"{model}_m"]) for model in ("uniform", "scalar", "identified")]
+            table.add_row(f"{name} ({len(part['pushes'])})", *row)
+    console.print(table)
+    posterior = result.posterior
+    mass, pusher = posterior.total_mass, posterior.pusher_friction
+    known = "" if posterior.total_mass_identifiable else " (not identifiable from these data: the nominal value)"
+    console.print(f"pusher friction {pusher.value:.2f} ± {pusher.std:.2f}", highlight=False)
+    console.print(f"total mass {mass.value:.3f} ± {mass.std:.3f} kg{known}", highlight=False)
+    x, y = result.model.centre_of_friction
+    console.print(f"centre of friction ({1e3 * x:.1f}, {1e3 * y:.1f}) mm in the object frame", highlight=False)
+    console.print(f"{result.method}: {result.status.value}; {result.n_simulations} simulations in {result.time_s:.2f} s", highlight=False)

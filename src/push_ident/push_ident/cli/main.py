@@ -1,0 +1,44 @@
+"""`push-ident`: one command for everything that needs no code."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from push_ident.cli.identify import identify_command
+from push_ident.cli.output import console, warn
+from push_ident.cli.predict import predict_command
+from push_ident.errors import PushIdentError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(name="push-ident", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+app.command("identify")(identify_command)
+app.command("predict")(predict_command)
+
+
+@app.command("salvage")
+def salvage_command(
+    bag: Annotated[Path, typer.Argument(help="A damaged MCAP bag.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="New bag.", show_default=False)],
+) -> None:
+    """Recover what can be read of a bag that was cut off or damaged, into a new bag."""
+    from push_ident.bags.salvage import salvage
+
+    report = salvage(bag, out)
+    console.print(f"{report.total} messages recovered into {out}", highlight=False, soft_wrap=True)
+
+
+def main() -> None:
+    """Entry point: errors that are expected end in one line and exit status 1."""
+    try:
+        app(standalone_mode=True)
+    except PushIdentError as error:
+        warn(f"push-ident: {error}")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        warn("push-ident: stopped")
+        sys.exit(130)

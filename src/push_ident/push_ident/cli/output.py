@@ -1,0 +1,51 @@
+"""What all commands share: where they print, how they end, how they write JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from push_ident.errors import PushIdentError
+
+__all__ = ["BagsArgument", "JsonOption", "OutOption", "console", "millimetres", "warn", "write_json"]
+
+console = Console()
+_errors = Console(stderr=True)
+
+BagsArgument = Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags: folders, .mcap, .db3 or ROS 1 .bag files.", show_default=False)]
+JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.", show_default=False)]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write results into this folder.", show_default=False)]
+
+
+def warn(text: str) -> None:
+    """One line on standard error."""
+    _errors.print(text, style="yellow", highlight=False, soft_wrap=True)
+
+
+def millimetres(metres: float) -> str:
+    """A length for a table; a dash where there is none."""
+    return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else "-"
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON in which numbers that are not finite are null. Raises PushIdentError where the file cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(_finite(content), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

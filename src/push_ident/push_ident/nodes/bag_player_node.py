@@ -1,0 +1,149 @@
+"""Node `bag_player`: plays a bag on live topics, with `/clock`."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock as ClockMsg
+from std_msgs.msg import Bool
+
+from push_ident.bags.contract import Role, role_of, topic_of
+from push_ident.bags.raw import RawMessage, bag_topics, raw_messages
+from push_ident.errors import BagError, PushIdentError
+from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.run import run_node
+
+__all__ = ["BagPlayerNode", "main"]
+
+_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_RELIABLE: Final = QoSProfile(depth=1000)
+_LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
+_CLOCK_PERIOD_NS: Final = 10_000_000
+
+_PARAMETERS: Final = (
+    Parameter("bag", "", "Bag to play: a folder or an .mcap or .db3 file", read_only=True),
+    Parameter("rate", 1.0, "Speed of playing relative to real time; 0: as fast as it goes [-]", 0.0, 1000.0, read_only=True),
+    Parameter("loop", False, "Start again at the end", read_only=True),
+    Parameter("wait", 5.0, "Longest wait for somebody to listen to object poses or depth before playing [s]", 0.0, 600.0, read_only=True),
+)
+
+
+class BagPlayerNode(Node):
+    """Publishes the recorded messages of the contract as they are, byte for byte, under their contract names."""
+
+    def __init__(self) -> None:
+        super().__init__("bag_player_node")
+        self._parameters = Parameters(self, _PARAMETERS)
+        if not self._parameters["bag"]:
+            raise BagError("The parameter `bag` is empty; give the bag to play, as -p bag:=PATH.")
+        self._path = Path(self._parameters["bag"])
+        self._player_publishers: dict[str, Publisher] = {}
+        skipped = []
+        for topic, msgtype in bag_topics(self._path).items():
+            found = role_of(topic)
+            message = _message_class(msgtype)
+            if found is None or message is None:
+                skipped.append(f"{topic} ({msgtype})")
+                continue
+            qos = _LATCHED if found.role in _LATCHED_ROLES else qos_profile_sensor_data if found.role is Role.DEPTH else _RELIABLE
+            name = "/tf_static" if found.role is Role.TF_STATIC else topic_of(found.role, found.object_id)
+            self._player_publishers[topic] = self.create_publisher(message, name, qos)
+        if not self._player_publishers:
+            raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
+        if skipped:
+            self.get_logger().info(f"not played: {', '.join(skipped)}")
+        self._clock_publisher = self.create_publisher(ClockMsg, "/clock", 10)
+        self._done = self.create_publisher(Bool, "~/done", _LATCHED)
+        self._done.publish(Bool(data=False))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._play, name="play", daemon=True)
+        self._thread.start()
+        # Keeps the executor busy enough to see a stop; the wall clock runs whatever /clock says.
+        self.create_timer(1.0, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Stop playing."""
+        self._stop.set()
+        self._thread.join(timeout=1.0)
+
+    def _play(self) -> None:
+        try:
+            self._await_listeners()
+            while not self._stop.is_set():
+                count = self._play_once()
+                self.get_logger().info(f"played {count} messages of {self._path}")
+                if not self._parameters["loop"]:
+                    break
+        except PushIdentError as error:
+            self.get_logger().fatal(str(error))
+        self._done.publish(Bool(data=True))
+
+    def _await_listeners(self) -> None:
+        roles = (Role.POSE, Role.DEPTH)
+        wanted = [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
+        deadline = time.monotonic() + self._parameters["wait"]
+        while time.monotonic() < deadline and not self._stop.wait(0.05):
+            if any(p.get_subscription_count() for p in wanted):
+                # Whoever listens to poses has just begun to; its other subscriptions match within moments.
+                self._stop.wait(0.5)
+                return
+        self.get_logger().warning(f"nobody listens to poses or depth after {self._parameters['wait']:.0f} s; playing all the same")
+
+    def _play_once(self) -> int:
+        rate = self._parameters["rate"]
+        started, first, clocked, count = time.monotonic(), None, -(10**18), 0
+        for message in raw_messages(self._path):
+            if self._stop.is_set():
+                break
+            first = message.stamp_ns if first is None else first
+            if rate > 0:
+                ahead = (message.stamp_ns - first) * 1e-9 / rate - (time.monotonic() - started)
+                if ahead > 0 and self._stop.wait(ahead):
+                    break
+            elif count % 100 == 99:
+                # Full speed still gives the listeners a chance: their queues are long, not endless.
+                self._stop.wait(0.005)
+            if message.stamp_ns - clocked >= _CLOCK_PERIOD_NS:
+                clocked = message.stamp_ns
+                self._publish_clock(clocked)
+            count += self._publish(message)
+        return count
+
+    def _publish_clock(self, stamp_ns: int) -> None:
+        msg = ClockMsg()
+        msg.clock.sec, msg.clock.nanosec = divmod(stamp_ns, 10**9)
+        self._clock_publisher.publish(msg)
+
+    def _publish(self, message: RawMessage) -> int:
+        publisher = self._player_publishers.get(message.topic)
+        if publisher is None:
+            return 0
+        publisher.publish(message.data)
+        return 1
+
+
+def _message_class(msgtype: str) -> Any | None:
+    """Python class of `package/msg/Name`, None where the package is not installed."""
+    package, _, name = msgtype.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except ImportError:
+        return None
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run_node(BagPlayerNode))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Node `bag_recorder`: writes the topics of the bag contract to MCAP as they come, readable after a kill."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Final
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from push_ident.bags.contract import Role, role_of
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import BagError
+from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.run import run_node
+
+__all__ = ["BagRecorderNode", "main"]
+
+_MIN_FREE_BYTES: Final = 200 << 20
+
+_PARAMETERS: Final = (
+    Parameter("bag", "", "Bag to write: a new folder", read_only=True),
+    Parameter("depth", True, "Record depth images too (some 18 MB/s)", read_only=True),
+)
+
+
+class BagRecorderNode(Node):
+    """Subscribes to every topic of the contract that appears and writes its messages as they are."""
+
+    def __init__(self) -> None:
+        super().__init__("bag_recorder_node")
+        parameters = Parameters(self, _PARAMETERS)
+        if not parameters["bag"]:
+            raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
+        path = Path(parameters["bag"])
+        self._depth = parameters["depth"]
+        existing = next(p for p in [path.absolute(), *path.absolute().parents] if p.exists())
+        self._disk = existing if existing.is_dir() else existing.parent
+        self._check_disk()
+        self._writer = BagWriter(path)
+        self._writer.__enter__()
+        self._counts: Counter[str] = Counter()
+        self._failed = ""
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.5, self._discover, clock=wall)
+        self.create_timer(1.0, self._report, clock=wall)
+        self._discover()
+        self.get_logger().info(f"recording to {path}")
+
+    def close(self) -> None:
+        """Finish the bag."""
+        self._writer.__exit__(None, None, None)
+        self.get_logger().info(f"{sum(self._counts.values())} messages in {self._writer.path}")
+
+    def _check_disk(self) -> None:
+        free = shutil.disk_usage(self._disk).free
+        if free < _MIN_FREE_BYTES:
+            raise BagError(f"{self._disk} has {free >> 20} MiB free, expected at least {_MIN_FREE_BYTES >> 20}; make room first.")
+
+    def _discover(self) -> None:
+        for topic, types in self.get_topic_names_and_types():
+            found = role_of(topic)
+            if found is None or topic in self._counts or found.role.msgtype not in types or self.count_publishers(topic) == 0:
+                continue
+            if found.role is Role.DEPTH and not self._depth:
+                continue
+            package, name = found.role.msgtype.split("/msg/")
+            try:
+                message = getattr(importlib.import_module(f"{package}.msg"), name)
+            except ImportError:
+                continue
+            latched = any(
+                info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in self.get_publishers_info_by_topic(topic)
+            )
+            qos = QoSProfile(
+                depth=1000,
+                reliability=ReliabilityPolicy.BEST_AVAILABLE,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+            )
+            self._counts[topic] = 0
+            self.create_subscription(message, topic, lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data), qos, raw=True)
+
+    def _write(self, topic: str, msgtype: str, data: bytes) -> None:
+        if self._failed:
+            return
+        try:
+            if self._counts.total() % 1000 == 0:
+                self._check_disk()
+            self._writer.write_raw(topic, msgtype, self.get_clock().now().nanoseconds, data)
+            self._counts[topic] += 1
+        except BagError as error:
+            # The bag stays readable up to here.
+            self._failed = str(error)
+            self.get_logger().error(self._failed)
+
+    def _report(self) -> None:
+        level = DiagnosticStatus.ERROR if self._failed else DiagnosticStatus.OK if self._counts else DiagnosticStatus.WARN
+        text = self._failed or (f"{self._counts.total()} messages" if self._counts else "no topic of the bag contract is published")
+        status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
+        status.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(self._counts.items())]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(msg)
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run_node(BagRecorderNode))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""Between identified models and messages."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import PoseStamped, PoseWithCovariance
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2, PointField
+
+from push_ident.errors import InputError
+from push_ident.identification.prediction import Prediction
+from push_ident.identification.result import ModelPosterior
+from push_ident.nodes.convert import (
+    TABLE_FRAME,
+    object_frame,
+    planar_pose_to_msg,
+    position_from_msg,
+    position_to_msg,
+    stamp_from_msg,
+    stamp_to_msg,
+)
+from push_ident.types import PusherPath, SolveStatus
+from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+
+__all__ = ["cloud_to_msg", "map_status", "map_to_msg", "prediction_path_to_msg", "prediction_to_msg", "pusher_path_from_msg", "pusher_path_to_msg"]
+
+_STATUS = {
+    SolveStatus.CONVERGED: MassFrictionMap.STATUS_OK,
+    SolveStatus.MAX_ITERATIONS: MassFrictionMap.STATUS_NOT_CONVERGED,
+    SolveStatus.STALLED: MassFrictionMap.STATUS_NOT_CONVERGED,
+    SolveStatus.SIMULATION_FAILED: MassFrictionMap.STATUS_FAILED,
+    SolveStatus.NO_CONTACT: MassFrictionMap.STATUS_PRIOR,
+}
+_CLOUD_FIELDS = ("x", "y", "z", "mass", "friction", "mass_friction", "mass_friction_std")
+
+
+def map_status(status: SolveStatus | None) -> tuple[int, str]:
+    """Message code and text of a solve; None is an object that was never pushed."""
+    return (MassFrictionMap.STATUS_PRIOR, "not pushed yet") if status is None else (_STATUS[status], status.value)
+
+
+def map_to_msg(posterior: ModelPosterior, object_id: str, stamp: Time, status: SolveStatus | None, n_pushes: int) -> MassFrictionMap:
+    """The maps of an object with their standard deviations."""
+    model = posterior.model
+    msg = MassFrictionMap(object_id=object_id, n_pushes=int(n_pushes), cell_size=float(model.shape.cells.size))
+    msg.header.stamp = stamp
+    msg.header.frame_id = object_frame(object_id)
+    msg.status, msg.status_text = map_status(status)
+    x, y = model.shape.cells.centres.T
+    arrays = {
+        "x": x,
+        "y": y,
+        "mass": model.mass,
+        "mass_std": posterior.mass_std,
+        "friction": model.friction,
+        "friction_std": posterior.friction_std,
+        "mass_friction": model.mass * model.friction,
+        "mass_friction_std": posterior.mass_friction_std,
+    }
+    for name, values in arrays.items():
+        setattr(msg, name, array("d", values.tolist()))
+    centre = model.centre_of_friction
+    msg.centre_of_friction.x, msg.centre_of_friction.y = float(centre[0]), float(centre[1])
+    msg.pusher_friction, msg.pusher_friction_std = float(posterior.pusher_friction.value), float(posterior.pusher_friction.std)
+    msg.total_mass, msg.total_mass_std = float(posterior.total_mass.value), float(posterior.total_mass.std)
+    msg.total_mass_identifiable = bool(posterior.total_mass_identifiable)
+    return msg
+
+
+def cloud_to_msg(msg: MassFrictionMap) -> PointCloud2:
+    """The maps as a point cloud, one point a cell, for viewers."""
+    columns = [getattr(msg, name) if name != "z" else np.zeros(len(msg.x)) for name in _CLOUD_FIELDS]
+    points = np.column_stack([np.asarray(c, dtype=np.float32) for c in columns])
+    cloud = PointCloud2(header=msg.header, height=1, width=len(points), is_bigendian=False, is_dense=True)
+    cloud.fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(_CLOUD_FIELDS)
+    ]
+    cloud.point_step = 4 * len(_CLOUD_FIELDS)
+    cloud.row_step = cloud.point_step * len(points)
+    cloud.data = array("B", points.tobytes())
+    return cloud
+
+
+def prediction_to_msg(prediction: Prediction, object_id: str, status: tuple[int, str], *, push_id: int = 0) -> PushPrediction:
+    """A predicted motion; its stamp is the first time."""
+    start = float(prediction.time[0])
+    msg = PushPrediction(object_id=object_id, push_id=int(push_id), cell_error_std=float(prediction.cell_error_std))
+    msg.header.stamp = stamp_to_msg(max(start, 0.0))
+    msg.header.frame_id = TABLE_FRAME
+    msg.status, msg.status_text = status
+    msg.touched = prediction.status is not SolveStatus.NO_CONTACT
+    for time, pose, covariance in zip(prediction.time, prediction.pose, prediction.covariance, strict=True):
+        since = round(1e9 * (float(time) - start))
+        msg.time_from_start.append(Duration(sec=int(since // 10**9), nanosec=int(since % 10**9)))
+        stamped: PoseWithCovariance = planar_pose_to_msg(msg.header.stamp, pose, covariance).pose
+        msg.poses.append(stamped)
+    return msg
+
+
+def prediction_path_to_msg(msg: PushPrediction) -> Path:
+    """The predicted poses as a path, for viewers."""
+    path = Path(header=msg.header)
+    start = stamp_from_msg(msg.header.stamp)
+    for since, pose in zip(msg.time_from_start, msg.poses, strict=True):
+        stamped = PoseStamped(pose=pose.pose)
+        stamped.header.frame_id = TABLE_FRAME
+        stamped.header.stamp = stamp_to_msg(start + since.sec + 1e-9 * since.nanosec)
+        path.poses.append(stamped)
+    return path
+
+
+def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:
+    """Path of the pusher with its stamps.
+
+    Raises:
+        InputError: another frame than `table`, fewer than two poses, or stamps that do not increase.
+    """
+    if len(path.poses) < 2:
+        raise InputError(f"The pusher path has {len(path.poses)} poses, expected at least 2 with increasing stamps.")
+    samples = []
+    for pose in path.poses:
+        if not pose.header.frame_id:
+            pose.header.frame_id = path.header.frame_id
+        samples.append(position_from_msg(pose))
+    return PusherPath(np.array([time for time, _ in samples]), np.array([position[:2] for _, position in samples]), radius)
+
+
+def pusher_path_to_msg(path: PusherPath) -> Path:
+    """Path of the pusher, its stamps as they are [s]."""
+    msg = Path()
+    msg.header.frame_id = TABLE_FRAME
+    msg.poses = [
+        position_to_msg(stamp_to_msg(float(time)), [x, y, 0.0]) for time, (x, y) in zip(path.time, path.position, strict=True)
+    ]
+    return msg

@@ -1,0 +1,10 @@
+"""Settings that must stand before any ROS module is imported."""
+
+from __future__ import annotations
+
+import os
+
+# Without the check a value of a wrong type is corrupted silently.
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+# Test runs beside each other must not hear each other. 101 is the highest domain whose ports are free on every Linux.
+os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))

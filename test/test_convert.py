@@ -1,0 +1,147 @@
+"""Messages and types: what goes in comes out, and what is wrong is refused by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CameraInfo, Image
+
+from push_ident.errors import FrameError, InputError
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.nodes.convert import (
+    cylinder_radius_from_msg,
+    cylinder_to_msg,
+    depth_frame_from_msgs,
+    depth_frame_to_msgs,
+    force_from_msg,
+    force_to_msg,
+    occupancy_to_msg,
+    planar_pose_from_msg,
+    planar_pose_to_msg,
+    position_from_msg,
+    position_to_msg,
+    shape_from_msgs,
+    shape_to_msgs,
+    stamp_from_msg,
+    stamp_to_msg,
+)
+from push_ident.types import CameraIntrinsics, DepthFrame, ObjectShape
+
+STAMP = Time(sec=12, nanosec=345678901)
+COVARIANCE = np.array([[2e-6, 3e-7, -1e-7], [3e-7, 1e-6, 2e-7], [-1e-7, 2e-7, 4e-6]])
+L_SHAPE = np.array([(-0.03, -0.02), (0.05, -0.02), (0.05, 0.01), (0.0, 0.01), (0.0, 0.04), (-0.03, 0.04)])
+
+
+@pytest.mark.parametrize(("sec", "nanosec"), [(0, 0), (0, 999_999_999), (12, 345_678_901), (999_999, 1)])
+def test_stamps_are_exact_to_the_nanosecond(sec, nanosec):
+    assert stamp_to_msg(stamp_from_msg(Time(sec=sec, nanosec=nanosec))) == Time(sec=sec, nanosec=nanosec)
+
+
+def test_a_stamp_just_below_a_second_carries_over():
+    assert stamp_to_msg(1.9999999999) == Time(sec=2, nanosec=0)
+    with pytest.raises(InputError, match=r"-0.5 s, expected 0"):
+        stamp_to_msg(-0.5)
+
+
+def test_planar_poses_come_back_and_their_full_covariance_is_positive_definite():
+    msg = planar_pose_to_msg(STAMP, [0.12, -0.34, 2.5], COVARIANCE)
+    stamp, pose, covariance = planar_pose_from_msg(msg)
+    assert stamp == pytest.approx(12.345678901, abs=1e-9)
+    np.testing.assert_allclose(pose, [0.12, -0.34, 2.5], rtol=1e-12)
+    np.testing.assert_allclose(covariance, COVARIANCE)
+    assert np.linalg.eigvalsh(np.reshape(msg.pose.covariance, (6, 6)))[0] > 0
+
+
+def test_poses_that_cannot_be_are_refused():
+    good = planar_pose_to_msg(STAMP, [0.1, 0.2, 0.3], COVARIANCE)
+    with pytest.raises(InputError, match="frame 'table', expected 'map'"):
+        planar_pose_from_msg(good, frame_id="map")
+    good.pose.pose.orientation.w = 0.0
+    with pytest.raises(InputError, match="unit quaternion"):
+        planar_pose_from_msg(good)
+    good.pose.pose.orientation.x, good.pose.pose.orientation.z, good.pose.pose.orientation.w = 0.6, 0.0, 0.8
+    with pytest.raises(InputError, match="tilted by 1.29 rad"):
+        planar_pose_from_msg(good)
+    with pytest.raises(InputError, match="positive definite"):
+        planar_pose_from_msg(planar_pose_to_msg(STAMP, [0, 0, 0], np.zeros((3, 3))))
+    with pytest.raises(InputError, match="not finite"):
+        planar_pose_from_msg(planar_pose_to_msg(STAMP, [np.nan, 0, 0], COVARIANCE))
+
+
+def test_positions_forces_and_pusher_come_back():
+    assert np.array_equal(position_from_msg(position_to_msg(STAMP, [0.1, -0.2, 0.3], yaw=1.0))[1], [0.1, -0.2, 0.3])
+    assert np.array_equal(force_from_msg(force_to_msg(STAMP, [1.5, -2.5]))[1], [1.5, -2.5])
+    assert cylinder_radius_from_msg(cylinder_to_msg(0.018, 0.1)) == 0.018
+    with pytest.raises(InputError, match="expected a CYLINDER"):
+        box = cylinder_to_msg(0.018, 0.1)
+        box.type = box.BOX
+        cylinder_radius_from_msg(box)
+
+
+def test_shapes_come_back_with_their_cells_in_the_same_order():
+    shape = ObjectShape(cells_in_outline(L_SHAPE, 0.007), L_SHAPE)
+    cells, outline = shape_to_msgs(shape, "o1", STAMP)
+    assert cells.header.frame_id == outline.header.frame_id == "object_o1"
+    assert sorted(set(cells.data)) == [0, 100]
+    back = shape_from_msgs(cells, outline)
+    np.testing.assert_allclose(back.cells.centres, shape.cells.centres, atol=1e-8)
+    np.testing.assert_allclose(back.outline, shape.outline, atol=1e-8)
+    traced = shape_from_msgs(cells)
+    assert np.abs(traced.outline[:, 0].min() - L_SHAPE[:, 0].min()) < 0.007
+
+
+def test_cells_that_do_not_fit_are_refused():
+    with pytest.raises(InputError, match="no cell of value 100"):
+        shape_from_msgs(occupancy_to_msg(np.zeros((3, 4), np.int8), 0.01, (0, 0), STAMP))
+    wrong = occupancy_to_msg(np.full((3, 4), 100, np.int8), 0.01, (0, 0), STAMP)
+    wrong.info.width = 5
+    with pytest.raises(InputError, match=r"12 entries, expected 5 \* 3"):
+        shape_from_msgs(wrong)
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_depth_frames_come_back(encoding):
+    depth = np.array([[0.5, np.nan, 1.25], [0.751, 2.0, 0.004]], np.float32)
+    frame = DepthFrame(12.345678901, depth, CameraIntrinsics(3, 2, 600.5, 601.5, 1.1, 0.9))
+    image, info = depth_frame_to_msgs(frame, STAMP, encoding=encoding)
+    back = depth_frame_from_msgs(image, info)
+    np.testing.assert_allclose(back.depth, depth, atol=1e-6)
+    assert (back.stamp, back.intrinsics, back.frame_id) == (pytest.approx(frame.stamp, abs=1e-9), frame.intrinsics, frame.frame_id)
+
+
+def change(msg, **fields):
+    for name, value in fields.items():
+        owner = msg
+        *path, last = name.split("__")
+        for part in path:
+            owner = getattr(owner, part)
+        setattr(owner, last, value)
+
+
+@pytest.mark.parametrize(
+    ("which", "fields", "text"),
+    [
+        ("image", {"encoding": "mono16"}, "'mono16', expected one of 16UC1, 32FC1"),
+        ("image", {"height": 3}, "3 x 3, camera info 3 x 2"),
+        ("image", {"step": 7}, "step is 7"),
+        ("image", {"step": 8}, r"12 bytes, expected step \* height = 16"),
+        ("info", {"width": 640, "height": 480}, "camera info 640 x 480"),
+        ("info", {"p": [0.0] * 12, "k": [0.0] * 9}, "focal lengths > 0"),
+        ("info", {"header__frame_id": "elsewhere"}, "its camera info in 'elsewhere'"),
+        ("info", {"header__stamp": Time(sec=12, nanosec=200_000_000)}, "146 ms apart, expected at most 50 ms"),
+    ],
+)
+def test_images_and_infos_that_do_not_belong_together_are_refused(which, fields, text):
+    frame = DepthFrame(0.0, np.ones((2, 3), np.float32), CameraIntrinsics(3, 2, 600.0, 600.0, 1.0, 1.0))
+    image, info = depth_frame_to_msgs(frame, STAMP)
+    info.header = CameraInfo().header
+    change(info, header__frame_id=image.header.frame_id, header__stamp=STAMP)
+    change({"image": image, "info": info}[which], **fields)
+    with pytest.raises(FrameError, match=text):
+        depth_frame_from_msgs(image, info)
+
+
+def test_an_empty_image_is_refused():
+    with pytest.raises(FrameError):
+        depth_frame_from_msgs(Image(encoding="16UC1"), CameraInfo())

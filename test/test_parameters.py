@@ -1,0 +1,119 @@
+"""Parameters of nodes: declared whole, and nothing wrong gets through."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from push_ident.errors import InputError
+from push_ident.nodes.parameters import Parameter, Parameters
+
+TABLE = (
+    Parameter("speed", 0.05, "speed of the push [m/s]", 0.001, 0.5),
+    Parameter("count", 10, "frames at rest", 1, 100),
+    Parameter("corner", [0.1, 0.2], "corner [m]", -1.0, 1.0),
+    Parameter("method", "slow", "which", choices=("slow", "fast")),
+    Parameter("radius", 0.02, "radius of the tool [m]", 0.0, 0.3, read_only=True),
+)
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = Context()
+    rclpy.init(context=context, domain_id=101)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def make(context):
+    nodes = []
+
+    def build(overrides=None, **kwargs):
+        overrides = [RosParameter(name, value=value) for name, value in (overrides or {}).items()]
+        nodes.append(Node("tested", context=context, parameter_overrides=overrides, enable_rosout=False))
+        return nodes[-1], Parameters(nodes[-1], TABLE, **kwargs)
+
+    yield build
+    for node in nodes:
+        node.destroy_node()
+
+
+def test_defaults_overrides_and_descriptions_are_in_force(make):
+    node, parameters = make({"speed": 0.2, "corner": [0.5, -0.5]})
+    assert parameters.as_dict() == {"speed": 0.2, "count": 10, "corner": [0.5, -0.5], "method": "slow", "radius": 0.02}
+    descriptor = node.describe_parameter("speed")
+    assert descriptor.description == "speed of the push [m/s]"
+    assert (descriptor.floating_point_range[0].from_value, descriptor.floating_point_range[0].to_value) == (0.001, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        ({"speed": 0.9}, r"speed of tested is 0.9: expected 0.001 to 0.5 \(speed of the push \[m/s\]\)"),
+        ({"speed": math.nan}, "speed of tested is nan: expected finite numbers"),
+        ({"speed": 1}, "speed of tested is 1: expected float, write 1.0"),
+        ({"speed": "quick"}, "speed of tested is 'quick': expected float"),
+        ({"count": 0}, "count of tested is 0: expected 1 to 100"),
+        ({"corner": [0.1, 2.0]}, "expected -1 to 1"),
+        ({"corner": [0.1]}, "expected 2 values, got 1"),
+        ({"method": "best"}, "expected one of slow, fast"),
+    ],
+)
+def test_a_node_does_not_start_with_impossible_values(make, overrides, text):
+    with pytest.raises(InputError, match=text):
+        make(overrides)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("speed", 0.9),
+        ("speed", math.nan),
+        ("speed", math.inf),
+        ("corner", [0.1, math.nan]),
+        ("method", "best"),
+        ("radius", 0.1),
+        ("speed", "1"),
+    ],
+)
+def test_refused_settings_leave_the_old_value(make, name, value):
+    node, parameters = make()
+    before = parameters.as_dict()
+    result = node.set_parameters([RosParameter(name, value=value)])[0]
+    assert not result.successful and result.reason
+    assert parameters.as_dict() == before
+
+
+def test_accepted_settings_are_told_and_kept(make):
+    told = []
+    node, parameters = make(on_change=told.append)
+    assert node.set_parameters([RosParameter("speed", value=0.3)])[0].successful
+    assert told == [{"speed": 0.3}] and parameters["speed"] == 0.3
+
+
+def test_values_that_do_not_go_together_are_refused(make):
+    def check(values):
+        if values["speed"] * values["count"] > 2.0:
+            raise InputError("speed times count is above 2.")
+
+    node, parameters = make(check=check)
+    assert not node.set_parameters([RosParameter("speed", value=0.4)])[0].successful
+    assert parameters["speed"] == 0.05
+    with pytest.raises(InputError, match="above 2"):
+        make({"speed": 0.4}, check=check)
+
+
+def test_misspelt_keys_are_warned_of(make, capfd):
+    make({"sped": 0.3})
+    assert "sped is not one of tested and is ignored; did you mean speed?" in capfd.readouterr().err
+
+
+def test_asking_for_an_unknown_parameter_names_the_known_ones(make):
+    with pytest.raises(KeyError, match="speed, count"):
+        make()[1]["sped"]

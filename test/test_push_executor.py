@@ -1,0 +1,389 @@
+"""push_executor_node as a real process, with an arm and an object that the test plays on the other side of the topics."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.se2 import transform_points
+from push_ident.nodes.convert import planar_pose_to_msg, shape_to_msgs, stamp_from_msg
+from push_ident.nodes.push_executor_parameters import PARAMETERS
+from push_ident.pushing.push import PushCode
+from push_ident.types import ObjectShape
+from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import PushRecord
+from push_ident_sim.robot import HOME, robot_description
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RADIUS = 0.018
+BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
+PARKED = [0.5, *HOME[1:]]
+ARM_TIMEOUT = 0.3  # three times the default: the processes of this test may have to share one core with other tests
+QUICK = {
+    "max_joint_velocity": 2.0,
+    "max_joint_acceleration": 10.0,
+    "free_speed": 0.5,
+    "settle": 0.2,
+    "rest": 0.3,
+    "home_posture": PARKED,
+    "workspace": [-0.1, 0.2, -0.25, 0.25],
+    "arm_timeout": ARM_TIMEOUT,
+}
+
+
+class Cell(Node):
+    """An arm that follows every trajectory exactly, and a box that the tool carries along while it overlaps."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("cell", context=context)
+        self.kinematics = ArmKinematics(robot_description(), neutral=HOME)
+        self.q = np.array(PARKED)
+        self.offset = np.zeros(7)
+        self._n_ticks = 0
+        self.silent = False
+        self.box_sticks = True
+        self.box = np.array([0.0, 0.02, 0.3])
+        self.commands: list[tuple[float, JointTrajectory]] = []
+        self.tool: list[PoseStamped] = []
+        self.pusher: list[PoseStamped] = []
+        self.records: list[PushRecord] = []
+        self.shapes: list[SolidPrimitive] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        self._tip = self.kinematics.forward(self.q)[:3, 3]
+        shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
+        cells, outline = shape_to_msgs(shape, "box", self.get_clock().now().to_msg())
+        self._publish_once(String, "robot_description", String(data=robot_description()))
+        self._publish_once(OccupancyGrid, "objects/box/cells", cells)
+        self._publish_once(PolygonStamped, "objects/box/outline", outline)
+        self._states = self.create_publisher(JointState, "joint_states", 10)
+        self._poses = self.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_command, 10)
+        for kind, topic, kept, qos in (
+            (PoseStamped, "tool/pose", self.tool, 10),
+            (PoseStamped, "pusher/pose", self.pusher, 10),
+            (PushRecord, "push_record", self.records, 10),
+            (SolidPrimitive, "pusher/shape", self.shapes, LATCHED),
+            (DiagnosticArray, "/diagnostics", self.diagnostics, 10),
+        ):
+            self.create_subscription(kind, topic, kept.append, qos)
+        self.create_timer(0.01, self._tick)
+        self.client = ActionClient(self, ExecutePush, "execute_push")
+
+    def _publish_once(self, kind: type, topic: str, msg: object) -> None:
+        self.create_publisher(kind, topic, LATCHED).publish(msg)
+
+    def _on_command(self, msg: JointTrajectory) -> None:
+        received = time.monotonic()
+        self._times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+        self._positions = np.array([p.positions for p in msg.points])
+        self.commands.append((received, msg))
+
+    def _tick(self) -> None:
+        if self.commands:
+            elapsed = time.monotonic() - self.commands[-1][0]
+            self.q = np.array([np.interp(elapsed, self._times, column) for column in self._positions.T])
+        before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
+        if self.box_sticks and self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
+            self.box[:2] += self._tip[:2] - before[:2]
+        stamp = self.get_clock().now().to_msg()
+        if not self.silent:
+            state = JointState(name=list(self.kinematics.joint_names), position=(self.q + self.offset).tolist())
+            state.header.stamp = stamp
+            self._states.publish(state)
+        self._n_ticks += 1
+        if self._n_ticks % 3 == 0:
+            self._poses.publish(planar_pose_to_msg(stamp, self.box, np.eye(3) * 1e-6))
+
+
+@dataclass
+class Call:
+    """One goal that was sent."""
+
+    handle: object
+    result: object
+    feedback: list[int] = field(default_factory=list)
+
+    def end(self, timeout: float = 20.0) -> ExecutePush.Result:
+        wait_for(lambda: self.result.done(), timeout)
+        return self.result.result().result
+
+
+def wait_for(condition: Callable[[], object], timeout: float = 5.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "timed out"
+        time.sleep(0.002)
+
+
+def send(cell: Cell, **fields: object) -> Call:
+    feedback: list[int] = []
+    sent = cell.client.send_goal_async(ExecutePush.Goal(**fields), feedback_callback=lambda m: feedback.append(int(m.feedback.phase)))
+    wait_for(sent.done)
+    handle = sent.result()
+    assert handle.accepted
+    return Call(handle, handle.get_result_async(), feedback)
+
+
+def start_node(domain: int, **parameters: object) -> subprocess.Popen[str]:
+    arguments = [item for name, value in (QUICK | parameters).items() for item in ("-p", f"{name}:={value}")]
+    return subprocess.Popen(
+        [sys.executable, "-m", "push_ident.nodes.push_executor_node", "--ros-args", *arguments],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def domain() -> int:
+    return random.randint(1, 100)
+
+
+@pytest.fixture(scope="module")
+def spinning_cell(domain: int) -> Iterator[Cell]:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    cell = Cell(context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(cell)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    yield cell
+    executor.shutdown()
+    thread.join(2.0)
+    cell.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def node(domain: int, spinning_cell: Cell) -> Iterator[subprocess.Popen[str]]:
+    process = start_node(domain)
+    try:
+        wait_for(lambda: any("objects: box" in summary(m) for m in list(spinning_cell.diagnostics)), 15.0)
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            output, _ = process.communicate(timeout=3.0)
+        finally:
+            process.kill()
+    assert process.returncode == 0 and "Traceback" not in output and "exception" not in output, output
+
+
+def summary(msg: DiagnosticArray) -> str:
+    return "; ".join(f"{v.key}: {v.value}" for v in msg.status[0].values)
+
+
+@pytest.fixture
+def cell(node: subprocess.Popen[str], spinning_cell: Cell) -> Cell:
+    """At home, with nothing recorded yet."""
+    cell = spinning_cell
+    cell.silent, cell.box_sticks, cell.offset = False, True, np.zeros(7)
+    cell.box[:] = 0.0, 0.02, 0.3
+    cell.q = np.array(PARKED)
+    for kept in (cell.commands, cell.tool, cell.pusher, cell.records):
+        kept.clear()
+    cell._tip = cell.kinematics.forward(cell.q)[:3, 3]
+    time.sleep(0.1)
+    return cell
+
+
+CONTACT = {
+    "object_id": "box",
+    "contact_point": Point(x=0.05, y=0.0),
+    "frame_id": "object_box",
+    "direction": np.pi,
+    "distance": 0.06,
+    "speed": 0.2,
+}
+
+
+def test_codes_are_those_of_the_action() -> None:
+    assert {code.name: code.value for code in PushCode} == {code.name: getattr(ExecutePush.Result, code.name) for code in PushCode}
+
+
+def test_silence_of_a_tenth_of_a_second_is_the_default_limit() -> None:
+    assert next(row.default for row in PARAMETERS if row.name == "arm_timeout") == 0.1
+
+
+def test_dry_run_plans_through_the_contact_and_moves_nothing(cell: Cell) -> None:
+    result = send(cell, dry_run=True, **CONTACT).end()
+    assert result.error_code == 0 and result.error_text == ""
+    contact = transform_points(cell.box, [[0.05, 0.0]])[0]
+    assert (result.contact_point.x, result.contact_point.y) == pytest.approx(contact, abs=1e-6)
+    assert result.direction == pytest.approx(np.pi + 0.3) and result.speed == 0.2
+    path = result.tool_path
+    assert path.header.frame_id == "table" and stamp_from_msg(path.poses[0].header.stamp) == 0.0
+    ends = np.array([[p.pose.position.x, p.pose.position.y] for p in (path.poses[0], path.poses[-1])])
+    heading = np.array([np.cos(result.direction), np.sin(result.direction)])
+    assert ends == pytest.approx(contact + np.outer([-RADIUS - 0.03, 0.06 - RADIUS], heading), abs=1e-3)
+    time.sleep(0.2)
+    assert cell.commands == [] and cell.records == []
+
+
+def test_push_moves_the_object_and_is_recorded(cell: Cell) -> None:
+    before = cell.box.copy()
+    call = send(cell, **CONTACT)
+    result = call.end()
+    assert result.error_code == 0, result.error_text
+    assert np.linalg.norm(cell.box[:2] - before[:2]) == pytest.approx(0.06, abs=0.005)
+    assert sorted(set(call.feedback)) == call.feedback[:1] + sorted(set(call.feedback[1:])) == [0, 1, 2, 3, 4]
+    assert call.feedback == sorted(call.feedback)
+
+    wait_for(lambda: cell.records)
+    record = cell.records[0]
+    assert record.push_id == result.push_id and record.object_id == "box" and record.error_code == 0
+    start, contact, stop, end = (stamp_from_msg(t) for t in (record.start, record.contact, record.stop, record.end))
+    assert start < contact < stop < end
+    assert contact - start == pytest.approx(0.2 + 0.03 / 0.2 + 0.05, abs=1e-3)
+    assert stop - contact == pytest.approx(0.06 / 0.2 + 0.05, abs=1e-3)
+
+    stamps = np.array([stamp_from_msg(m.header.stamp) for m in cell.pusher])
+    assert np.all((stamps > start - 0.05) & (stamps < end + 0.05))
+    assert stamps[0] < start + 0.1 and stamps[-1] > end - 0.1
+    assert 30 <= len(stamps) / (end - start) <= 62
+    at_contact = np.array([np.interp(contact, stamps, [getattr(m.pose.position, axis) for m in cell.pusher]) for axis in "xy"])
+    touched = np.array([record.contact_point.x, record.contact_point.y])
+    assert np.linalg.norm(at_contact - touched) == pytest.approx(RADIUS, abs=0.004)
+    assert min(m.pose.position.z for m in cell.pusher) > 0.01 and max(m.pose.position.z for m in cell.pusher) < 0.02
+    assert len(cell.tool) > 2 * len(cell.pusher)
+
+
+def test_pusher_shape_is_latched(cell: Cell) -> None:
+    assert cell.shapes[0].type == SolidPrimitive.CYLINDER
+    assert list(cell.shapes[0].dimensions) == [0.08, RADIUS]
+
+
+def test_second_goal_is_refused_while_one_is_under_way_and_cancel_holds_within_100_ms(cell: Cell) -> None:
+    call = send(cell, **CONTACT)
+    wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+    assert send(cell, **CONTACT).end().error_code == PushCode.BUSY
+    assert len(cell.commands) == 1
+    asked = time.monotonic()
+    call.handle.cancel_goal_async()
+    wait_for(lambda: len(cell.commands) == 2)
+    received, hold = cell.commands[1]
+    assert received - asked < 0.1
+    assert len(hold.points) == 1 and not np.any(hold.points[0].velocities)
+    assert call.end().error_code == PushCode.CANCELED
+    wait_for(lambda: cell.records)
+    assert cell.records[0].error_code == PushCode.CANCELED
+    time.sleep(0.3)
+    assert len(cell.commands) == 2 and cell.q == pytest.approx(list(hold.points[0].positions), abs=1e-9)
+    assert np.ptp([m.pose.position.x for m in cell.tool[-5:]]) < 1e-9
+
+    # The arm stands low beside the box: the next push first goes up from there.
+    low = cell.kinematics.forward(cell.q)[:3, 3]
+    cell.tool.clear()
+    assert send(cell, **CONTACT).end().error_code == 0
+    way = np.array([[getattr(m.pose.position, axis) for axis in "xyz"] for m in cell.tool])
+    rising = way[: np.argmax(way[:, 2] > 0.1)]
+    assert len(rising) > 3 and rising[:, :2] == pytest.approx(np.tile(low[:2], (len(rising), 1)), abs=1e-3)
+
+
+def test_silent_arm_is_held_and_the_goal_aborted(cell: Cell) -> None:
+    call = send(cell, **CONTACT)
+    wait_for(lambda: cell.commands)
+    time.sleep(0.5)
+    cell.silent, silent_since = True, time.monotonic()
+    wait_for(lambda: len(cell.commands) == 2)
+    assert cell.commands[1][0] - silent_since < ARM_TIMEOUT + 0.1
+    result = call.end()
+    assert result.error_code == PushCode.ARM_SILENT and "joint_states" in result.error_text
+    refused = send(cell, **CONTACT).end()
+    assert refused.error_code == PushCode.ARM_SILENT and len(cell.commands) == 2
+
+
+def test_arm_off_its_way_is_held(cell: Cell) -> None:
+    call = send(cell, **CONTACT)
+    wait_for(lambda: cell.commands)
+    time.sleep(0.4)
+    cell.offset = np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    result = call.end()
+    assert result.error_code == PushCode.TRACKING and "mm off its way" in result.error_text
+    assert len(cell.commands) == 2 and len(cell.commands[1][1].points) == 1
+
+
+def test_object_that_stays_is_no_contact(cell: Cell) -> None:
+    cell.box_sticks = False
+    result = send(cell, **CONTACT).end()
+    assert result.error_code == PushCode.NO_CONTACT, result.error_text
+    wait_for(lambda: cell.records)
+    assert cell.records[0].error_code == PushCode.NO_CONTACT and stamp_from_msg(cell.records[0].contact) == 0.0
+
+
+def test_random_push_is_reproduced_by_its_seed(cell: Cell) -> None:
+    first, again, other = (send(cell, mode=ExecutePush.Goal.MODE_RANDOM, seed=seed, dry_run=True).end() for seed in (3, 3, 4))
+    assert first.error_code == 0, first.error_text
+    assert first.contact_point == again.contact_point and first.direction == again.direction
+    assert first.contact_point != other.contact_point
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "text"),
+    [
+        ({"object_id": "cup"}, PushCode.UNKNOWN_OBJECT, "seen: box"),
+        ({"frame_id": "camera"}, PushCode.INVALID_GOAL, "frame_id is `camera`"),
+        ({"direction": float("nan")}, PushCode.INVALID_GOAL, "direction"),
+        ({"direction": 0.0}, PushCode.INVALID_GOAL, "does not push into"),
+        ({"distance": 0.24}, PushCode.LIMIT, "leaves the workspace"),
+        ({"speed": 9.0}, PushCode.INVALID_GOAL, "speed is 9.000"),
+        ({"mode": 7}, PushCode.INVALID_GOAL, "mode is 7"),
+    ],
+)
+def test_bad_goal_is_refused_with_its_code_and_nothing_moves(cell: Cell, change: dict[str, object], code: PushCode, text: str) -> None:
+    result = send(cell, **(CONTACT | change)).end()
+    assert result.error_code == code and text in result.error_text, result.error_text
+    assert cell.commands == [] and result.push_id == 0
+
+
+def test_arm_that_somebody_else_commands_is_left_alone(cell: Cell) -> None:
+    rival = cell.create_publisher(JointTrajectory, "joint_trajectory", 10)
+    time.sleep(0.5)
+    result = send(cell, **CONTACT).end()
+    cell.destroy_publisher(rival)
+    assert result.error_code == PushCode.BUSY and "joint_trajectory" in result.error_text and cell.commands == []
+    time.sleep(0.5)
+
+
+def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: Cell, node: subprocess.Popen[str]) -> None:
+    call = send(cell, **CONTACT)
+    wait_for(lambda: ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+    node.send_signal(signal.SIGINT)
+    asked = time.monotonic()
+    wait_for(lambda: len(cell.commands) == 2)
+    assert cell.commands[1][0] - asked < 0.2 and len(cell.commands[1][1].points) == 1
+    wait_for(lambda: node.poll() is not None, 2.0)
+    assert node.returncode == 0
+
+
+def test_contradicting_parameters_end_the_process_with_one_line(domain: int) -> None:
+    process = start_node(domain, push_height=0.2)
+    output, _ = process.communicate(timeout=10.0)
+    assert process.returncode == 1 and "heights must rise" in output and "Traceback" not in output

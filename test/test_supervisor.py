@@ -1,0 +1,167 @@
+"""Processes are started, watched and stopped together."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
+from push_ident.errors import InputError
+
+SLEEP = "import time; print('ready'); time.sleep(60)"
+DIES = "import sys, time; time.sleep(0.2); print('no camera', file=sys.stderr); sys.exit(7)"
+IGNORES_CTRL_C = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('ready'); time.sleep(60)"
+HAS_CHILD = "import subprocess, sys; print('child', subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']).pid); {rest}"
+RUN = """
+import json, sys
+from pathlib import Path
+from push_ident.cli.supervisor import NodeCommand, Supervisor
+commands = [NodeCommand(name, (sys.executable, "-c", code)) for name, code in json.loads(sys.argv[1]).items()]
+sys.exit(Supervisor(commands, log_dir=Path(sys.argv[2])).run())
+"""
+
+
+def command(name: str, code: str, may_end: bool = False) -> NodeCommand:
+    return NodeCommand(name, (sys.executable, "-c", code), may_end)
+
+
+def wait_until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.02)
+
+
+def wait_for_line(path: Path, word: str) -> str:
+    wait_until(lambda: path.exists() and word in path.read_text())
+    return path.read_text()
+
+
+def is_alive(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def start_in_own_process(tmp_path: Path, **codes: str) -> subprocess.Popen[str]:
+    call = [sys.executable, "-c", RUN, json.dumps(codes), str(tmp_path)]
+    return subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_death_of_one_names_it_and_stops_the_rest(tmp_path: Path) -> None:
+    process = start_in_own_process(tmp_path, camera=DIES, listener=HAS_CHILD.format(rest=SLEEP))
+    output, error = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "camera ended with exit code 7" in error and "no camera" in error
+    assert "listener" not in error and "Traceback" not in output + error
+    assert not is_alive(int(wait_for_line(tmp_path / "listener.log", "child").split()[1]))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_request_to_stop_stops_all_within_two_seconds(tmp_path: Path, number: signal.Signals) -> None:
+    process = start_in_own_process(tmp_path, one=HAS_CHILD.format(rest=SLEEP), two=SLEEP)
+    child = int(wait_for_line(tmp_path / "one.log", "ready").split()[1])
+    wait_for_line(tmp_path / "two.log", "ready")
+    start = time.monotonic()
+    process.send_signal(number)
+    _, error = process.communicate(timeout=30)
+    assert time.monotonic() - start < 2.0
+    assert process.returncode == 0, error
+    assert not is_alive(child)
+
+
+def test_process_deaf_to_ctrl_c_is_ended_and_named(tmp_path: Path) -> None:
+    supervisor = Supervisor([command("deaf", IGNORES_CTRL_C), command("good", SLEEP)], log_dir=tmp_path)
+    supervisor.start()
+    wait_for_line(tmp_path / "deaf.log", "ready")
+    wait_for_line(tmp_path / "good.log", "ready")
+    start = time.monotonic()
+    assert supervisor.stop() == ["deaf"]
+    assert time.monotonic() - start < 4.0
+    assert supervisor.exit_code("deaf") == -signal.SIGTERM
+
+
+def test_nothing_remains_after_an_error_in_the_caller(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), Supervisor([command("one", SLEEP)], log_dir=tmp_path) as supervisor:
+        wait_for_line(tmp_path / "one.log", "ready")
+        assert supervisor.poll() is None
+        _ = 1 / 0
+    assert supervisor.exit_code("one") is not None
+
+
+def test_process_that_may_end_stops_nothing(tmp_path: Path) -> None:
+    with Supervisor([command("player", "pass", may_end=True), command("one", SLEEP)], log_dir=tmp_path) as supervisor:
+        assert supervisor.wait_for("player", timeout=20.0) == 0
+        assert supervisor.poll() is None and supervisor.exit_code("one") is None
+
+
+def test_process_that_may_end_may_not_fail(tmp_path: Path) -> None:
+    with Supervisor([command("player", DIES, may_end=True)], log_dir=tmp_path) as supervisor:
+        wait_until(lambda: supervisor.exit_code("player") is not None)
+        with pytest.raises(SupervisorError, match="player ended with exit code 7"):
+            supervisor.check()
+
+
+def test_program_that_does_not_exist_is_named_and_what_ran_is_stopped(tmp_path: Path) -> None:
+    missing = NodeCommand("ghost", (str(tmp_path / "ghost"),))
+    supervisor = Supervisor([command("one", SLEEP), missing], log_dir=tmp_path)
+    with pytest.raises(SupervisorError, match="ghost cannot be started"):
+        supervisor.start()
+    assert supervisor.exit_code("one") is not None
+
+
+def test_two_processes_of_one_name_are_refused() -> None:
+    with pytest.raises(InputError, match="all different"):
+        Supervisor([command("one", SLEEP), command("one", SLEEP)])
+
+
+def test_replay_needs_a_bag_and_others_take_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="path of a bag"):
+        node_commands("replay")
+    with pytest.raises(InputError, match="expected none"):
+        node_commands("arm", bag=tmp_path)
+
+
+def test_replay_of_poses_leaves_perception_out(tmp_path: Path) -> None:
+    names = [node.name for node in node_commands("replay", bag=tmp_path, perception=False)]
+    assert names == ["identification_node", "bag_player_node"]
+
+
+def test_parameters_of_a_node_that_is_not_started_are_refused() -> None:
+    with pytest.raises(InputError, match="sim_cell_node"):
+        node_commands("arm", parameters={"sim_cell_node": {"seed": 1}})
+
+
+def test_parameters_reach_a_ros_node_with_their_types(tmp_path: Path) -> None:
+    bag = tmp_path / "2024"
+    values = {"rate": 2.0, "loop": False, "wait": 1e-05, "names": ["a", "1"]}
+    player = node_commands("replay", bag=bag, parameters={"bag_player_node": values}, remappings={"a": "b"})[-1]
+    program = """
+import sys, json, rclpy
+rclpy.init(args=sys.argv)
+node = rclpy.create_node("bag_player_node", automatically_declare_parameters_from_overrides=True)
+print(json.dumps({name: node.get_parameter(name).value for name in ("bag", "rate", "loop", "wait", "names")}), node.resolve_topic_name("a"))
+"""
+    call = [sys.executable, "-c", program, *player.argv[3:]]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60, check=True, env={**os.environ, "HOME": str(tmp_path)})
+    got, topic = done.stdout.rsplit(" ", 1)
+    assert json.loads(got) == {"bag": str(bag), **values}
+    assert topic.strip() == "/b"
+
+
+def test_installed_parameter_files_are_those_of_the_sources() -> None:
+    for package, name in (("push_ident", "push_ident.yaml"), ("push_ident_sim", "sim.yaml")):
+        assert yaml.safe_load(config_file(package, name).read_text())
+    with pytest.raises(SupervisorError, match="is missing"):
+        config_file("push_ident", "nothing.yaml")
