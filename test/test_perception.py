@@ -368,6 +368,16 @@ def test_time_going_back_drops_what_was_known():
     assert again.restarted and list(again.new_shapes) == ["o1"]
 
 
+def test_poses_go_on_while_the_robot_covers_the_table():
+    rng = np.random.default_rng(15)
+    perception = Perception(CAMERA, PerceptionSettings(rest_frames=1, occupancy_period=0.1))
+    perception.observe(render(hammer(FIRST), rng=rng))
+    covers = [Prism(rectangle(-0.5, y, 0.3, y + 0.35), 0.2, 0.15) for y in (-0.5, 0.12)]
+    seen = perception.observe(render([*hammer(FIRST), *covers, Prism(rectangle(0.12, -0.5, 0.4, 0.5), 0.2, 0.15)], rng=rng, stamp=0.1))
+    assert seen.counts["table_hidden"] == 1
+    assert seen.objects[0].status is TrackStatus.TRACKED
+
+
 def test_reasons_are_given_when_nothing_comes_out():
     rng = np.random.default_rng(14)
     perception = Perception(CAMERA)

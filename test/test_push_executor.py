@@ -43,16 +43,17 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RADIUS = 0.018
 BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
 PARKED = [0.5, *HOME[1:]]
-ARM_TIMEOUT = 0.3  # three times the default: the processes of this test may have to share one core with other tests
+ARM_TIMEOUT = 0.5  # five times the default: the processes of this test may have to share one core with other tests
 QUICK = {
     "max_joint_velocity": 2.0,
     "max_joint_acceleration": 10.0,
     "free_speed": 0.5,
     "settle": 0.2,
-    "rest": 0.3,
+    "rest": 0.4,
     "home_posture": PARKED,
     "workspace": [-0.1, 0.2, -0.25, 0.25],
     "arm_timeout": ARM_TIMEOUT,
+    "tracking_lag": ARM_TIMEOUT,
 }
 
 
@@ -261,16 +262,16 @@ def test_push_moves_the_object_and_is_recorded(cell: Cell) -> None:
     assert record.push_id == result.push_id and record.object_id == "box" and record.error_code == 0
     start, contact, stop, end = (stamp_from_msg(t) for t in (record.start, record.contact, record.stop, record.end))
     assert start < contact < stop < end
-    assert contact - start == pytest.approx(0.2 + 0.03 / 0.2 + 0.05, abs=1e-3)
-    assert stop - contact == pytest.approx(0.06 / 0.2 + 0.05, abs=1e-3)
+    assert contact - start == pytest.approx(0.2 + 0.03 / 0.2 + 0.05, abs=0.1)
+    assert stop - contact == pytest.approx(0.06 / 0.2 + 0.05, abs=0.1)
 
     stamps = np.array([stamp_from_msg(m.header.stamp) for m in cell.pusher])
-    assert np.all((stamps > start - 0.05) & (stamps < end + 0.05))
-    assert stamps[0] < start + 0.1 and stamps[-1] > end - 0.1
-    assert 30 <= len(stamps) / (end - start) <= 62
+    assert np.all((stamps > start - 0.2) & (stamps < end + 0.2))
+    assert stamps[0] < start + 0.15 and stamps[-1] > end - 0.15
+    assert 20 <= len(stamps) / (end - start) <= 62
     at_contact = np.array([np.interp(contact, stamps, [getattr(m.pose.position, axis) for m in cell.pusher]) for axis in "xy"])
     touched = np.array([record.contact_point.x, record.contact_point.y])
-    assert np.linalg.norm(at_contact - touched) == pytest.approx(RADIUS, abs=0.004)
+    assert np.linalg.norm(at_contact - touched) == pytest.approx(RADIUS, abs=0.001)
     assert min(m.pose.position.z for m in cell.pusher) > 0.01 and max(m.pose.position.z for m in cell.pusher) < 0.02
     assert len(cell.tool) > 2 * len(cell.pusher)
 
@@ -313,7 +314,7 @@ def test_silent_arm_is_held_and_the_goal_aborted(cell: Cell) -> None:
     time.sleep(0.5)
     cell.silent, silent_since = True, time.monotonic()
     wait_for(lambda: len(cell.commands) == 2)
-    assert cell.commands[1][0] - silent_since < ARM_TIMEOUT + 0.1
+    assert cell.commands[1][0] - silent_since < ARM_TIMEOUT + 0.2
     result = call.end()
     assert result.error_code == PushCode.ARM_SILENT and "joint_states" in result.error_text
     refused = send(cell, **CONTACT).end()

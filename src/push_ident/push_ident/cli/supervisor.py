@@ -41,12 +41,17 @@ _MODULES: Final = {
     "push_executor_node": "push_ident.nodes.push_executor_node",
     "identification_node": "push_ident.nodes.identification_node",
     "bag_player_node": "push_ident.nodes.bag_player_node",
+    "bag_recorder_node": "push_ident.nodes.bag_recorder_node",
 }
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node"),
     "replay": ("perception_node", "identification_node", "bag_player_node"),
     "arm": ("perception_node", "push_executor_node", "identification_node"),
 }
+_SIM_ARM_TIMEOUT: Final = 1.0
+"""Silence of a simulated arm that is taken for a fault [s]."""
+_CLOCKS: Final = ("sim_cell_node", "bag_player_node")
+"""Nodes that publish /clock themselves."""
 
 
 class SupervisorError(PushIdentError):
@@ -320,6 +325,7 @@ def node_commands(
     kind: Kind,
     *,
     bag: Path | None = None,
+    record: Path | None = None,
     perception: bool = True,
     params_files: Mapping[str, Path] | None = None,
     parameters: Mapping[str, Mapping[str, object]] | None = None,
@@ -332,6 +338,7 @@ def node_commands(
         kind: `sim`: simulated cell and all nodes; `replay`: a bag through perception and identification; `arm`: the nodes beside a
             real arm.
         bag: What to play; for `replay` only, and needed there.
+        record: Bag to write; None records nothing.
         perception: Whether `replay` runs perception; without it the bag must hold object poses.
         params_files: Parameter file per package (`push_ident`, `push_ident_sim`), default the installed ones.
         parameters: Node name to parameters that win over the file.
@@ -349,11 +356,20 @@ def node_commands(
     files = dict(params_files or {})
     own = {name: dict(values) for name, values in (parameters or {}).items()}
     names = [name for name in _NODES[kind] if perception or kind != "replay" or name != "perception_node"]
+    if record is not None:
+        names.append("bag_recorder_node")
+        own.setdefault("bag_recorder_node", {})["bag"] = str(record.resolve())
     unknown = sorted(set(own) - set(names))
     if unknown:
         raise InputError(f"parameters are given for {', '.join(unknown)}, expected nodes of `{kind}`: {', '.join(names)}")
     if bag is not None:
         own.setdefault("bag_player_node", {})["bag"] = str(bag.resolve())
+    for name in names:
+        if kind != "arm" and name not in _CLOCKS:
+            own.setdefault(name, {}).setdefault("use_sim_time", True)
+    if kind == "sim":
+        # A simulator may pause for longer than an arm; the watchdog of the real one stays as tight as it is.
+        own.setdefault("push_executor_node", {}).setdefault("arm_timeout", _SIM_ARM_TIMEOUT)
     ros = [part for topic, to in (remappings or {}).items() for part in ("-r", f"{topic}:={to}")]
 
     commands = []

@@ -28,6 +28,10 @@ __all__ = ["ArmPort", "ArmState"]
 
 _HOLD_WITHIN = 0.1
 """Time the arm is given to come to a halt [s]."""
+_GRACE = 0.03
+"""[s] for states that have arrived but were not taken in yet."""
+_PATIENCE = 1.0
+"""How long an arm at rest may stay silent before a push is refused [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,30 +93,43 @@ class ArmPort:
         return math.inf if self.state is None else time.monotonic() - self.state.received
 
     def fresh_state(self, timeout: float) -> ArmState:
-        """Latest state; raises PlanningError ARM_SILENT when it is older than `timeout` [s] by wall time."""
+        """Latest state; raises PlanningError ARM_SILENT when it is older than `timeout` [s] by wall time.
+
+        On a busy machine it may be this process that is late: states that wait to be taken in get a moment before the arm is blamed.
+        """
+        deadline = time.monotonic() + _GRACE
+        while self.silence > timeout and time.monotonic() < deadline:
+            time.sleep(0.002)
         state, silence = self.state, self.silence
         if state is None or silence > timeout:
             since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, limit {1e3 * timeout:.0f} ms"
             raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}.")
         return state
 
-    def wait_for_state(self, timeout: float, patience: float = 1.0) -> ArmState:
-        """As `fresh_state`, but an arm at rest may stay silent for up to `patience` [s] first."""
-        deadline = time.monotonic() + patience
-        while self.silence > timeout and time.monotonic() < deadline:
-            time.sleep(0.01)
-        return self.fresh_state(timeout)
+    def next_state(self, timeout: float) -> ArmState:
+        """The first state that comes in after this call, for an arm at rest; raises PlanningError ARM_SILENT as `fresh_state`.
+
+        Planning keeps the interpreter busy, so states may be taken in late for a moment: that is waited out here.
+        """
+        asked = time.monotonic()
+        while self.state is None or self.state.received <= asked:
+            if time.monotonic() - asked > _PATIENCE:
+                return self.fresh_state(timeout)
+            time.sleep(0.002)
+        return self.state
 
     def has_rival(self) -> bool:
         """Whether another node commands the same arm."""
         return self._node.count_publishers(self._node.resolve_topic_name("joint_trajectory")) > 1
 
-    def send(self, plan: ArmPlan) -> float:
-        """Start a planned motion now; time of the node's clock when it was sent [s]."""
-        msg = self._message(plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity)
-        # Filling the message takes tens of milliseconds, during which the arm does not move yet.
+    def prepare(self, plan: ArmPlan) -> JointTrajectoryMsg:
+        """Message that starts a planned motion; filling it takes tens of milliseconds, so it is not left to the last moment."""
+        return self._message(plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity)
+
+    def send(self, command: JointTrajectoryMsg) -> float:
+        """Start a prepared motion; time of the node's clock just before [s]."""
         started = 1e-9 * float(self._node.get_clock().now().nanoseconds)
-        self._publisher.publish(msg)
+        self._publisher.publish(command)
         return started
 
     def hold(self, q: Float64Array) -> None:

@@ -1,8 +1,9 @@
-"""Node `bag_player`: plays a bag on live topics, with `/clock`."""
+"""Node `bag_player`: plays a bag on live topics, with `/clock`, and ends with it."""
 
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 import threading
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -22,7 +24,7 @@ from push_ident.errors import BagError, PushIdentError
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 
-__all__ = ["BagPlayerNode", "main"]
+__all__ = ["BagPlayerNode", "live_object_id", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _RELIABLE: Final = QoSProfile(depth=1000)
@@ -42,10 +44,10 @@ class BagPlayerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("bag_player_node")
-        self._parameters = Parameters(self, _PARAMETERS)
-        if not self._parameters["bag"]:
+        self._settings = Parameters(self, _PARAMETERS)
+        if not self._settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to play, as -p bag:=PATH.")
-        self._path = Path(self._parameters["bag"])
+        self._path = Path(self._settings["bag"])
         self._player_publishers: dict[str, Publisher] = {}
         skipped = []
         for topic, msgtype in bag_topics(self._path).items():
@@ -55,7 +57,7 @@ class BagPlayerNode(Node):
                 skipped.append(f"{topic} ({msgtype})")
                 continue
             qos = _LATCHED if found.role in _LATCHED_ROLES else qos_profile_sensor_data if found.role is Role.DEPTH else _RELIABLE
-            name = "/tf_static" if found.role is Role.TF_STATIC else topic_of(found.role, found.object_id)
+            name = "/tf_static" if found.role is Role.TF_STATIC else topic_of(found.role, live_object_id(found.object_id))
             self._player_publishers[topic] = self.create_publisher(message, name, qos)
         if not self._player_publishers:
             raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
@@ -81,25 +83,30 @@ class BagPlayerNode(Node):
             while not self._stop.is_set():
                 count = self._play_once()
                 self.get_logger().info(f"played {count} messages of {self._path}")
-                if not self._parameters["loop"]:
+                if not self._settings["loop"]:
                     break
         except PushIdentError as error:
             self.get_logger().fatal(str(error))
         self._done.publish(Bool(data=True))
+        # Late messages must reach their listeners before their publisher goes.
+        for publisher in self._player_publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=2))
+        if not self._stop.is_set():
+            signal.raise_signal(signal.SIGTERM)
 
     def _await_listeners(self) -> None:
         roles = (Role.POSE, Role.DEPTH)
         wanted = [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
-        deadline = time.monotonic() + self._parameters["wait"]
+        deadline = time.monotonic() + self._settings["wait"]
         while time.monotonic() < deadline and not self._stop.wait(0.05):
             if any(p.get_subscription_count() for p in wanted):
                 # Whoever listens to poses has just begun to; its other subscriptions match within moments.
                 self._stop.wait(0.5)
                 return
-        self.get_logger().warning(f"nobody listens to poses or depth after {self._parameters['wait']:.0f} s; playing all the same")
+        self.get_logger().warning(f"nobody listens to poses or depth after {self._settings['wait']:.0f} s; playing all the same")
 
     def _play_once(self) -> int:
-        rate = self._parameters["rate"]
+        rate = self._settings["rate"]
         started, first, clocked, count = time.monotonic(), None, -(10**18), 0
         for message in raw_messages(self._path):
             if self._stop.is_set():
@@ -129,6 +136,11 @@ class BagPlayerNode(Node):
             return 0
         publisher.publish(message.data)
         return 1
+
+
+def live_object_id(object_id: str) -> str:
+    """The id under which a recorded object can be published: ROS refuses topic names with a part that begins with a digit."""
+    return f"o{object_id}" if object_id[:1].isdigit() else object_id
 
 
 def _message_class(msgtype: str) -> Any | None:

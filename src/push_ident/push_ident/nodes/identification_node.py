@@ -75,22 +75,22 @@ class IdentificationNode(Node):
 
     def __init__(self) -> None:
         super().__init__("identification_node")
-        self._parameters = Parameters(self, _PARAMETERS)
+        self._settings = Parameters(self, _PARAMETERS)
         self._prior = Prior(
-            total_mass=self._parameters["total_mass"],
-            total_mass_std=0.0 if self._parameters["total_mass_known"] else Prior().total_mass_std,
-            friction=self._parameters["friction"],
-            pusher_friction=self._parameters["pusher_friction"],
+            total_mass=self._settings["total_mass"],
+            total_mass_std=0.0 if self._settings["total_mass_known"] else Prior().total_mass_std,
+            friction=self._settings["friction"],
+            pusher_friction=self._settings["pusher_friction"],
         )
         self._lock = threading.RLock()  # of what callbacks collect
         self._solving = threading.Lock()  # of changes of an identifier; reading its posterior needs none
-        self._assembler = PushAssembler(self._parameters["push_gap"])
+        self._assembler = PushAssembler(self._settings["push_gap"])
         self._identifiers: dict[str, OnlineIdentifier] = {}
         self._sources: dict[str, list[str]] = {}
         self._latest: dict[str, tuple[float, Any, Any]] = {}
         self._cells: dict[str, OccupancyGrid] = {}
         self._outlines: dict[str, PolygonStamped] = {}
-        self._publishers: dict[str, tuple[Publisher, ...]] = {}
+        self._outputs: dict[str, tuple[Publisher, ...]] = {}
         self._radius = 0.0
         self._counts: Counter[str] = Counter()
         self._last_error = ""
@@ -136,7 +136,7 @@ class IdentificationNode(Node):
             PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _RELIABLE
         )
         with self._lock:
-            self._publishers[object_id] = (
+            self._outputs[object_id] = (
                 self.create_publisher(MassFrictionMap, f"{prefix}/mass_friction_map", _LATCHED),
                 self.create_publisher(PointCloud2, f"{prefix}/mass_friction_cloud", _LATCHED),
                 self.create_publisher(PushPrediction, f"{prefix}/prediction", _LATCHED),
@@ -248,7 +248,7 @@ class IdentificationNode(Node):
             if push is not None:
                 for record in push:
                     self._solve(record, finished=True)
-            elif time.monotonic() - peeked > self._parameters["update_period"]:
+            elif time.monotonic() - peeked > self._settings["update_period"]:
                 peeked = time.monotonic()
                 with self._lock:
                     partial = [record for object_id in self._identifiers if (record := self._assembler.partial(object_id)) is not None]
@@ -281,7 +281,7 @@ class IdentificationNode(Node):
         identifier = self._identifiers[object_id]
         status = identifier.result.status if identifier.result else None
         msg = map_to_msg(identifier.posterior, object_id, stamp_to_msg(stamp), status, n_pushes)
-        maps, clouds, *_ = self._publishers[object_id]
+        maps, clouds, *_ = self._outputs[object_id]
         maps.publish(msg)
         clouds.publish(cloud_to_msg(msg))
 
@@ -318,7 +318,7 @@ class IdentificationNode(Node):
             return response
         response.prediction = prediction_to_msg(prediction, object_id, map_status(status))
         response.success, response.message = True, prediction.status.value
-        *_, predictions, paths = self._publishers[object_id]
+        *_, predictions, paths = self._outputs[object_id]
         predictions.publish(response.prediction)
         paths.publish(prediction_path_to_msg(response.prediction))
         return response
@@ -339,8 +339,8 @@ class IdentificationNode(Node):
             in_file, posterior = load_model(Path(request.path))
             with self._lock:
                 object_id = request.object_id or in_file
-                if object_id not in self._publishers:
-                    raise InputError(f"There is no object `{object_id}`; known: {', '.join(sorted(self._publishers)) or 'none'}.")
+                if object_id not in self._outputs:
+                    raise InputError(f"There is no object `{object_id}`; known: {', '.join(sorted(self._outputs)) or 'none'}.")
                 shape = posterior.parameters.shape
                 identifier = self._identifiers.setdefault(object_id, OnlineIdentifier(shape, self._prior))
                 self._sources[object_id] = [request.path]

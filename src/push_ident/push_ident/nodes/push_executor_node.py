@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,26 @@ _RANDOM_PLANS = 20
 """Random pushes tried before giving up on the arm's reach."""
 _ARRIVAL = 1.0
 """[s] the arm may still need after the end of the plan."""
+
+
+@dataclass(slots=True)
+class _Motion:
+    """A plan under way. Times in seconds of the node's clock."""
+
+    plan: ArmPlan
+    started: float
+    contact: float | None = None
+    """When the measured tool passed the planned place of contact."""
+    _before: tuple[float, float] | None = None
+
+    def see(self, state: ArmState) -> None:
+        """Take one state of the lowered tool."""
+        push, stamp = self.plan.push, stamp_from_msg(state.stamp)
+        travel = float((state.pose_tip_in_table[:2, 3] - push.tool_at_contact) @ push.heading)
+        if self.contact is None and self._before is not None and self._before[1] < 0.0 <= travel:
+            stamp_before, travel_before = self._before
+            self.contact = stamp_before + (stamp - stamp_before) * travel_before / (travel_before - travel)
+        self._before = (stamp, travel)
 
 
 class PushExecutorNode(Node):
@@ -138,23 +159,23 @@ class PushExecutorNode(Node):
             topic = self.resolve_topic_name("joint_trajectory")
             raise PlanningError(PushCode.BUSY, f"another node publishes {topic}; only one may command the arm.")
         seen = self._objects.get(goal.request.object_id, values["pose_timeout"])
-        plan = self._plan(goal.request, seen, values, self._arm.wait_for_state(values["arm_timeout"]).q)
+        plan = self._plan(goal.request, seen, values, self._arm.next_state(values["arm_timeout"]).q)
         _fill_result(result, plan)
         if goal.request.dry_run:
             return
-        plan, started = self._start(goal, seen, values, plan)
-        _fill_result(result, plan)
+        motion = self._start(goal, seen, values, plan)
+        _fill_result(result, motion.plan)
         self._n_pushes += 1
         result.push_id = self._n_pushes
         error: PlanningError | None = None
         try:
-            self._watch(goal, plan, values, started)
-            self._check_contact(seen, started + plan.stop, values)
+            self._watch(goal, motion, values)
+            self._check_contact(seen, motion.started + motion.plan.stop, values)
         except PlanningError as failure:
             error = failure
             raise
         finally:
-            self._record_pub.publish(_record(self._n_pushes, seen.object_id, plan, started, self._now(), error))
+            self._record_pub.publish(_record(self._n_pushes, seen.object_id, motion, self._now(), error))
 
     def _plan(self, request: ExecutePush.Goal, seen: SeenObject, values: dict[str, Any], q_now: np.ndarray) -> ArmPlan:
         settings, motion = push_settings(values), motion_settings(values)
@@ -176,14 +197,15 @@ class PushExecutorNode(Node):
                 last_refusal = error
         raise PlanningError(PushCode.UNREACHABLE, f"none of {_RANDOM_PLANS} random pushes fits the arm; the last: {last_refusal}")
 
-    def _start(self, goal: ServerGoalHandle, seen: SeenObject, values: dict[str, Any], plan: ArmPlan) -> tuple[ArmPlan, float]:
-        """Send the plan if the arm still is where it starts, planned once more if it was moved meanwhile; and the time of the start."""
+    def _start(self, goal: ServerGoalHandle, seen: SeenObject, values: dict[str, Any], plan: ArmPlan) -> _Motion:
+        """Send the plan if the arm still is where it starts, planned once more if it was moved meanwhile."""
         for attempt in range(2):
-            q = self._arm.wait_for_state(values["arm_timeout"]).q
+            command = self._arm.prepare(plan)
+            q = self._arm.next_state(values["arm_timeout"]).q
             off = float(np.max(np.abs(q - plan.trajectory.position[0])))
             self._check_wanted(goal)
             if off <= values["start_tolerance"]:
-                return plan, self._arm.send(plan)
+                return _Motion(plan, self._arm.send(command))
             if attempt == 0:
                 plan = self._plan(goal.request, seen, values, q)
         raise PlanningError(
@@ -191,27 +213,31 @@ class PushExecutorNode(Node):
             f"the arm moves by itself: {off:.3f} rad off the start of the plan, limit {values['start_tolerance']:.3f} rad.",
         )
 
-    def _watch(self, goal: ServerGoalHandle, plan: ArmPlan, values: dict[str, Any], started: float) -> None:
+    def _watch(self, goal: ServerGoalHandle, motion: _Motion, values: dict[str, Any]) -> None:
         """Until the motion has ended. On any fault the arm is held."""
         try:
-            self._follow(goal, plan, values, started)
+            self._follow(goal, motion, values)
         except BaseException as fault:
             # A silent arm is best held where it was sent; one that speaks, where it is.
             silent = isinstance(fault, PlanningError) and fault.code == PushCode.ARM_SILENT
-            self._arm.hold(plan.trajectory.at(self._now() - started) if silent or self._arm.state is None else self._arm.state.q)
+            planned = motion.plan.trajectory.at(self._now() - motion.started)
+            self._arm.hold(planned if silent or self._arm.state is None else self._arm.state.q)
             raise
         finally:
             self._pushing = False
 
-    def _follow(self, goal: ServerGoalHandle, plan: ArmPlan, values: dict[str, Any], started: float) -> None:
-        phase_before, reported = -1, -np.inf
+    def _follow(self, goal: ServerGoalHandle, motion: _Motion, values: dict[str, Any]) -> None:
+        plan, phase_before, reported = motion.plan, -1, -np.inf
         while True:
             time.sleep(_WATCH_PERIOD)
             self._check_wanted(goal)
-            elapsed = self._now() - started
+            elapsed = self._now() - motion.started
             state = self._arm.fresh_state(values["arm_timeout"])
-            self._check_tracking(plan, state, elapsed, values)
+            # The state is compared with where the tool was to be when it came in; by receipt, since the arm's clock may be another.
+            self._check_tracking(plan, state, elapsed - (time.monotonic() - state.received), values)
             self._pushing = plan.lowered <= elapsed <= plan.rested
+            if self._pushing:
+                motion.see(state)
             phase = _phase(plan, elapsed)
             if phase != phase_before or elapsed - reported > 0.1:
                 phase_before, reported = phase, elapsed
@@ -226,7 +252,7 @@ class PushExecutorNode(Node):
             raise PlanningError(PushCode.CANCELED, "canceled on request; the arm holds.")
 
     def _check_tracking(self, plan: ArmPlan, state: ArmState, elapsed: float, values: dict[str, Any]) -> None:
-        if elapsed < 0:
+        if elapsed < -values["arm_timeout"]:
             raise PlanningError(PushCode.TRACKING, f"time jumped back by {-elapsed:.2f} s during the motion.")
         off, limit = plan.deviation(state.pose_tip_in_table[:3, 3], elapsed, values["tracking_lag"]), values["tracking_tolerance"]
         if off > limit:
@@ -332,19 +358,18 @@ def _fill_result(result: ExecutePush.Result, plan: ArmPlan) -> None:
     result.tool_path.poses = [position_to_msg(stamp_to_msg(max(t, 0.0)), tip) for t, tip in zip(*plan.tool_path, strict=True)]
 
 
-def _record(push_id: int, object_id: str, plan: ArmPlan, started: float, now: float, error: PlanningError | None) -> PushRecord:
-    """Record of a motion that began at `started` and has ended by `now` [s]. A phase not reached has the time of the end."""
-    end = min(started + plan.rested, now)
-    push = plan.push
+def _record(push_id: int, object_id: str, motion: _Motion, now: float, error: PlanningError | None) -> PushRecord:
+    """Record of a motion that has ended by `now` [s]. A phase that was not reached has the time of the end."""
+    plan, push = motion.plan, motion.plan.push
+    end = min(motion.started + plan.rested, now)
     msg = PushRecord(push_id=push_id, object_id=object_id, contact_point=_point(push))
     msg.header.frame_id = TABLE_FRAME
     msg.header.stamp = msg.end = stamp_to_msg(max(end, 0.0))
-    msg.start, msg.stop = (stamp_to_msg(max(min(started + t, end), 0.0)) for t in (plan.lowered, plan.stop))
+    msg.start, msg.stop = (stamp_to_msg(max(min(motion.started + t, end), 0.0)) for t in (plan.lowered, plan.stop))
     if error is not None:
         msg.error_code, msg.error_text = int(error.code), str(error)
-    touched = started + plan.contact < end and (error is None or error.code != PushCode.NO_CONTACT)
-    if touched:
-        msg.contact = stamp_to_msg(max(started + plan.contact, 0.0))
+    if motion.contact is not None and (error is None or error.code != PushCode.NO_CONTACT):
+        msg.contact = stamp_to_msg(motion.contact)
     msg.direction, msg.distance, msg.speed = push.direction, push.distance, push.speed
     return msg
 

@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Final
 
 import rclpy
-from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -74,6 +74,8 @@ def _spin(factory: Callable[[], Node], stop: threading.Event, n_threads: int) ->
     try:
         while not stop.is_set() and rclpy.ok():
             executor.spin_once(timeout_sec=_WAIT)
+    except ExternalShutdownException:
+        pass  # The node ended the context itself.
     finally:
         close = getattr(node, "close", None)
         if close is not None:

@@ -55,7 +55,7 @@ class Observation:
     """Of the objects taken in with this frame."""
     counts: dict[str, int]
     """What each stage let through: `pixels`, `valid`, `tracked`, `lost`, and of the last search `table`, `robot`, `object_pixels`,
-    `segments`, `too_small`, `beside_robot_or_cut`, `waiting`."""
+    `segments`, `too_small`, `beside_robot_or_cut`, `waiting`; `table_hidden` counts the checks of the plane that saw too little of it."""
     occupancy: TopDownGrid | None
     """At its own, lower rate."""
     restarted: bool = False
@@ -130,6 +130,7 @@ class Perception:
         self._search_counts = dict.fromkeys(
             ("table", "robot", "object_pixels", "segments", "too_small", "beside_robot_or_cut", "waiting"), 0
         )
+        self._table_hidden = 0
         self._last_stamp = self._last_search = self._last_occupancy = -np.inf
 
     @property
@@ -184,6 +185,7 @@ class Perception:
             "tracked": n_tracked,
             "lost": len(objects) - n_tracked,
             **self._search_counts,
+            "table_hidden": self._table_hidden,
         }
         return Observation(frame.stamp, objects, new_shapes, counts, occupancy, restarted)
 
@@ -285,7 +287,12 @@ class Perception:
     def _check_plane(self, frame: DepthFrame) -> None:
         """Follow a table or camera that was moved; smaller differences are noise and would only make the poses jump."""
         assert self._plane is not None
-        plane = fit_table(points_in_table(frame, self._extrinsics), self.settings)
+        try:
+            plane = fit_table(points_in_table(frame, self._extrinsics), self.settings)
+        except PerceptionError:
+            # The robot may cover the table for a while; the plane in use still holds.
+            self._table_hidden += 1
+            return
         (x0, y0), (x1, y1) = self.settings.workspace_low, self.settings.workspace_high
         corners = [(x0, y0), (x0, y1), (x1, y0), (x1, y1)]
         if max(abs(plane.height(x, y) - self._plane.height(x, y)) for x, y in corners) > _MOVED:

@@ -58,13 +58,13 @@ class SeenObject:
 
 
 def mean_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
-    """Median depth of each pixel over frames at rest; NaN where fewer than a quarter of them saw something."""
+    """Median depth of each pixel over frames at rest; NaN where fewer than half of them saw something."""
     stack = np.stack([frame.depth for frame in frames])
     n_seen = np.count_nonzero(np.isfinite(stack), axis=0)
     stack.sort(axis=0)  # NaN sorts to the end, so the median of what was seen is in the middle of the first n_seen.
     last = np.maximum(n_seen - 1, 0)
     low, high = (np.take_along_axis(stack, half[None], axis=0)[0] for half in (last // 2, (last + 1) // 2))
-    return np.where(4 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+    return np.where(2 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
 
 
 def see_object(

@@ -1,0 +1,243 @@
+"""`push-ident demo`: the whole path, live: an unknown object is seen, pushed, identified, and unseen pushes are predicted."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import os
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from push_ident.cli.output import JsonOption, console, millimetres, write_json
+from push_ident.cli.supervisor import Supervisor, node_commands
+from push_ident.errors import PushIdentError
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
+
+if TYPE_CHECKING:
+    from push_ident.nodes.client import CellClient
+    from push_ident_msgs.action import ExecutePush
+
+__all__ = ["demo_command"]
+
+_OK = 0
+_NO_CONTACT = -5
+_MAX_REFUSALS = 10
+_STARTUP = 30.0
+_TEST_SEEDS = 100_000
+"""Seeds of unseen pushes begin here, apart from those of the training pushes."""
+
+
+@dataclass
+class _Score:
+    """One unseen push."""
+
+    predicted_m: float
+    uniform_m: float
+    moved_m: float
+    expected_m: float
+
+
+@dataclass
+class _Outcome:
+    object_id: str = ""
+    training: list[dict[str, Any]] = field(default_factory=list)
+    test: list[_Score] = field(default_factory=list)
+    truth: ObjectModel | None = None
+
+
+def demo_command(
+    object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
+    seed: Annotated[int, typer.Option(help="Of the object's masses and frictions, the pushes and the noise.")] = 0,
+    n_train: Annotated[int, typer.Option(min=1, help="Random pushes to learn from.")] = 5,
+    n_test: Annotated[int, typer.Option(min=1, help="Unseen pushes, predicted before they are made.")] = 5,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
+    json: JsonOption = None,
+) -> None:
+    """Push an unknown object in the simulated cell, identify it while pushing, predict pushes it has not seen."""
+    started = time.monotonic()
+    run = out / time.strftime("%Y%m%d-%H%M%S")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed}}
+    commands = node_commands("sim", record=run / "bag", parameters=own)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn())
+    with Supervisor(commands, log_dir=run / "log") as supervisor:
+        from push_ident.nodes.client import CellClient
+
+        with CellClient(check=supervisor.check) as client, Progress(*columns, console=console) as progress:
+            task = progress.add_task("starting the cell", total=n_train + n_test)
+            outcome = _Outcome(object_id=client.wait_for_object())
+            progress.console.print(f"object {outcome.object_id} found by perception", highlight=False)
+            _train(client, outcome, n_train, seed, lambda text, step: progress.update(task, description=text, advance=step))
+            _test(client, outcome, n_test, seed, lambda text, step: progress.update(task, description=text, advance=step))
+            client.save_model(outcome.object_id, str((run / "model.json").resolve()))
+            outcome.truth = _ground_truth(client)
+    _finish(outcome, run, time.monotonic() - started, json)
+
+
+def _train(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -> None:
+    from push_ident_msgs.action import ExecutePush
+
+    _await_executor(client, outcome.object_id)
+    done, tries = 0, 0
+    while done < n:
+        goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=outcome.object_id, seed=_push_seed(seed, tries))
+        tries += 1
+        show(f"training push {done + 1}: {_PHASES[0]}", 0)
+        result = client.execute_push(goal, on_feedback=lambda f, k=done: show(f"training push {k + 1}: {_PHASES[f.phase]}", 0))
+        if result.error_code != _OK:
+            _refused(result, tries - done)
+            continue
+        latest = client.wait_for_map(outcome.object_id, done + 1)
+        done += 1
+        outcome.training.append({"direction": result.direction, "distance": result.distance, "speed": result.speed})
+        spread = float(np.median(np.asarray(latest.mass_friction_std) / np.asarray(latest.mass_friction)))
+        show(f"training push {done}: learned, maps known to {100 * spread:.0f}%", 1)
+        console.print(
+            f"push {done}: {1e3 * result.distance:.0f} mm at {result.speed:.2f} m/s; pusher friction "
+            f"{latest.pusher_friction:.2f} ± {latest.pusher_friction_std:.2f}; cells known to {100 * spread:.0f}% (median)",
+            highlight=False,
+        )
+
+
+def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -> None:
+    """Predict an unseen push from its plan, make it, and compare with what the camera then sees."""
+    from push_ident.identification.identify import uniform_model
+    from push_ident.identification.prediction import cell_error
+    from push_ident.nodes.convert_model import pusher_path_from_msg
+    from push_ident.physics.simulation import simulate
+    from push_ident_msgs.action import ExecutePush
+
+    done, tries = 0, 0
+    while done < n:
+        object_id = outcome.object_id
+        plan = ExecutePush.Goal(
+            mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=_push_seed(seed, _TEST_SEEDS + tries), dry_run=True
+        )
+        tries += 1
+        planned = client.execute_push(plan)
+        if planned.error_code != _OK:
+            _refused(planned, tries - done)
+            continue
+        latest = client.latest_map(object_id)
+        assert latest is not None
+        shape = client.shape(object_id)
+        before = client.pose_at_rest(object_id, after=-np.inf)
+        prediction = client.predict(object_id, planned.tool_path)
+        path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
+        uniform = simulate(uniform_model(shape), path, before, path.time[-1:]).pose[-1]
+        show(f"unseen push {done + 1}: predicted, now made", 0)
+        goal = ExecutePush.Goal(
+            mode=ExecutePush.Goal.MODE_CONTACT,
+            object_id=object_id,
+            contact_point=planned.contact_point,
+            direction=planned.direction,
+            distance=planned.distance,
+            speed=planned.speed,
+        )
+        result = client.execute_push(goal)
+        if result.error_code not in (_OK, _NO_CONTACT):
+            _refused(result, tries - done)
+            continue
+        after = client.pose_at_rest(object_id, after=client.poses(object_id)[-1][0])
+        end = prediction.poses[-1].pose
+        predicted = np.array([end.position.x, end.position.y, 2 * np.arctan2(end.orientation.z, end.orientation.w)])
+        score = _Score(
+            predicted_m=cell_error(shape.cells, predicted, after),
+            uniform_m=cell_error(shape.cells, uniform, after),
+            moved_m=cell_error(shape.cells, before, after),
+            expected_m=float(prediction.cell_error_std),
+        )
+        outcome.test.append(score)
+        done += 1
+        show(f"unseen push {done}: {millimetres(score.predicted_m)} off", 1)
+        console.print(
+            f"unseen push {done}: moved {millimetres(score.moved_m)}; predicted to {millimetres(score.predicted_m)} "
+            f"(expected {millimetres(score.expected_m)}), equal cells {millimetres(score.uniform_m)}",
+            highlight=False,
+        )
+
+
+_PHASES = ("planning", "approach", "pushing, identifying", "rest", "retreat")
+
+
+def _await_executor(client: CellClient, object_id: str) -> None:
+    """Until the executor has found the object as well, and its arm answers."""
+    from push_ident_msgs.action import ExecutePush
+
+    plan = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, dry_run=True)
+    deadline = time.monotonic() + _STARTUP
+    while (result := client.execute_push(plan)).error_code != _OK:
+        if time.monotonic() > deadline:
+            raise PushIdentError(f"no push can be planned {_STARTUP:.0f} s after the start: {result.error_text}")
+        time.sleep(0.5)
+
+
+def _push_seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def _refused(result: ExecutePush.Result, refusals: int) -> None:
+    console.print(f"push not made: {result.error_text}", style="yellow", highlight=False, soft_wrap=True)
+    if refusals > _MAX_REFUSALS:
+        raise PushIdentError(f"{refusals} pushes could not be made; the last: {result.error_text}")
+
+
+def _ground_truth(client: CellClient) -> ObjectModel:
+    """What the simulator knows: read for the score alone, after everything else is done."""
+    truth = jsonlib.loads(client.latched_text("sim_cell_node/ground_truth/object"))
+    cells = CellGrid(np.array(truth["cells"]), float(truth["cell_size"]))
+    shape = ObjectShape(cells, np.array(truth["outline"]))
+    return ObjectModel(shape, np.array(truth["mass"]), np.maximum(truth["friction"], 0.0), float(truth["pusher_friction"]))
+
+
+def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> None:
+    from push_ident.identification.model_file import load_model
+    from push_ident.identification.picture import draw_panels
+
+    _, posterior = load_model(run / "model.json")
+    assert outcome.truth is not None
+    predicted, uniform = (np.array([getattr(s, name) for s in outcome.test]) for name in ("predicted_m", "uniform_m"))
+    table = Table(title=f"cell error on {len(outcome.test)} unseen pushes, poses from the camera")
+    for heading in ("model", "mean", "median", "worst"):
+        table.add_column(heading, justify="right" if heading != "model" else "left")
+    for name, errors in (("equal cells, nominal", uniform), ("identified", predicted)):
+        table.add_row(name, *(millimetres(float(f(errors))) for f in (np.mean, np.median, np.max)))
+    console.print(table)
+    model, truth = posterior.model, outcome.truth
+    name = "friction force per area [% / cm2]"
+    panels = [(name, m.shape, _share(m)) for m in (truth, model)]
+    relative = 100 * posterior.mass_friction_std / (model.mass * model.friction)
+    draw_panels(
+        run / "map.png",
+        [*panels, ("deviation [%]", model.shape, relative)],
+        title=f"true (left) and identified (middle) after {len(outcome.training)} pushes",
+    )
+    content = {
+        "object_id": outcome.object_id,
+        "n_train": len(outcome.training),
+        "identified_m": float(predicted.mean()),
+        "uniform_m": float(uniform.mean()),
+        "per_push": [vars(score) for score in outcome.test],
+        "training": outcome.training,
+        "time_s": seconds,
+    }
+    write_json(run / "result.json", content)
+    if json is not None:
+        write_json(json, content)
+    console.print(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}", highlight=False)
+    for what, file in (("maps", "map.png"), ("numbers", "result.json"), ("model", "model.json"), ("recording", "bag"), ("logs of the nodes", "log")):
+        console.print(f"{what}: {run / file}", highlight=False, soft_wrap=True)
+    console.print(f"again, offline: push-ident identify {run / 'bag'}", highlight=False, soft_wrap=True)
+
+
+def _share(model: ObjectModel) -> Float64Array:
+    """Friction force of each cell per area, as a share of the whole, comparable between grids of different cells."""
+    product = model.mass * model.friction
+    density = product / model.shape.cells.size**2
+    return np.asarray(100 * density / product.sum() * 1e-4)

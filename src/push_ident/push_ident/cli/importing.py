@@ -1,0 +1,53 @@
+"""`push-ident import`: recordings of others as bags of the contract."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from push_ident.bags.importers import import_cmu_icra16, import_cmu_mocap
+from push_ident.cli.output import JsonOption, console, write_json
+
+__all__ = ["import_command"]
+
+
+class Source(str, Enum):
+    """Formats there are importers for."""
+
+    cmu_icra16 = "cmu-icra16"
+    cmu_mocap = "cmu-mocap"
+
+
+def import_command(
+    source: Annotated[Source, typer.Argument(help="Format of the recording.", show_default=False)],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording as it was published.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="BAG", help="New bag.", show_default=False)],
+    json: JsonOption = None,
+) -> None:
+    """Convert a published recording to a bag of the contract."""
+    report = (import_cmu_icra16 if source is Source.cmu_icra16 else import_cmu_mocap)(file, out)
+    off = 1e3 * report.contact_distance
+    console.print(
+        f"{report.n_pushes} pushes written to {report.bag}; pusher to outline at first contact {np.mean(off):.1f} ± {np.std(off):.1f} mm",
+        highlight=False,
+        soft_wrap=True,
+    )
+    for note in report.notes:
+        console.print(f"note: {note}", highlight=False, soft_wrap=True)
+    if json is not None:
+        write_json(
+            json,
+            {
+                "bag": str(report.bag),
+                "n_pushes": report.n_pushes,
+                "contact_distance_m": report.contact_distance.tolist(),
+                "supports_m": report.supports.tolist(),
+                "mass": report.mass,
+                "centre_of_mass_m": report.centre_of_mass.tolist(),
+                "notes": list(report.notes),
+            },
+        )

@@ -1,0 +1,187 @@
+"""`push-ident up`, `replay` and `doctor`: commands that start or look at live nodes."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import shutil
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from push_ident.bags.reader import read_bag
+from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
+from push_ident.cli.supervisor import Supervisor, node_commands
+from push_ident.errors import PushIdentError
+
+__all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
+
+
+class CellKind(str, Enum):
+    """What `up` starts."""
+
+    sim = "sim"
+    replay = "replay"
+    arm = "arm"
+
+
+def up_command(
+    kind: Annotated[CellKind, typer.Argument(help="sim: simulated cell; replay: a bag; arm: beside a real arm.", show_default=False)],
+    bag: Annotated[Path | None, typer.Argument(help="Bag to play, for replay.", show_default=False)] = None,
+    record: Annotated[Path | None, typer.Option(metavar="BAG", help="Record the cell to this new bag.", show_default=False)] = None,
+) -> None:
+    """Start the node processes of a cell, as the launch files do; Ctrl-C stops them all."""
+    perception = True
+    if kind is CellKind.replay and bag is not None:
+        perception = not read_bag(bag).has_poses
+    commands = node_commands(kind.value, bag=bag, record=record, perception=perception)
+    raise typer.Exit(Supervisor(commands, console=console).run())
+
+
+def replay_command(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Bag to play.", show_default=False)],
+    rate: Annotated[float, typer.Option(min=0.0, help="Speed relative to real time; 0: as fast as it goes.")] = 1.0,
+    out: OutOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Play a bag through the live nodes and show the maps they find."""
+    contents = read_bag(bag)  # a bag that cannot be used is refused before any process starts
+    parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate}}
+    if not contents.has_poses and contents.camera_in_table is not None:
+        parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
+    commands = node_commands("replay", bag=bag, perception=not contents.has_poses, parameters=parameters)
+    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    seconds = float(contents.pusher.time[-1]) / max(rate, 1e-9) if rate else 60.0
+    with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:
+        from push_ident.nodes.client import CellClient
+
+        with CellClient(check=supervisor.check) as client, console.status("playing") as status:
+            object_id = client.wait_for_object(30.0)
+            supervisor.wait_for("bag_player_node", seconds + 120.0)
+            status.update("waiting for the last push to be identified")
+            latest = client.wait_until_settled(object_id, quiet=4.0, timeout=60.0)
+            if out is not None:
+                client.save_model(object_id, str((out / "model.json").resolve()))
+            counts = {v.key: v.value for s in client.diagnostics.values() if "identification" in s.name for v in s.values}
+    mass, friction = list(latest.mass), list(latest.friction)
+    console.print(
+        f"object {object_id}: {len(mass)} cells, {latest.n_pushes} pushes, {latest.status_text}; pusher friction "
+        f"{latest.pusher_friction:.2f} ± {latest.pusher_friction_std:.2f}",
+        highlight=False,
+    )
+    content = {
+        "object_id": object_id,
+        "n_pushes": int(latest.n_pushes),
+        "status": latest.status_text,
+        "map": {
+            "x": list(latest.x),
+            "y": list(latest.y),
+            "mass": mass,
+            "friction": friction,
+            "mass_friction": list(latest.mass_friction),
+            "mass_friction_std": list(latest.mass_friction_std),
+        },
+        "pusher_friction": {"value": latest.pusher_friction, "std": latest.pusher_friction_std},
+        "counts": counts,
+    }
+    if json is not None:
+        write_json(json, content)
+    if out is not None:
+        write_json(out / "result.json", content)
+        console.print(f"written: {out / 'model.json'}, {out / 'result.json'}", highlight=False, soft_wrap=True)
+
+
+def _camera_parameters(camera_in_table: Any) -> dict[str, object]:
+    from scipy.spatial.transform import Rotation
+
+    quaternion = Rotation.from_matrix(camera_in_table[:3, :3]).as_quat()
+    return {
+        "camera_position": [float(x) for x in camera_in_table[:3, 3]],
+        "camera_quaternion": [float(x) for x in quaternion],
+    }
+
+
+_PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "open3d", "pybullet", "pin", "rosbags", "mcap", "matplotlib")
+
+
+def doctor_command(
+    seconds: Annotated[float, typer.Option(min=0.5, help="How long to listen.")] = 4.0,
+    json: JsonOption = None,
+) -> None:
+    """Say what is installed, which ROS is used, which topics are alive, and what is missing."""
+    problems: list[str] = []
+    installed = {}
+    for name in _PACKAGES:
+        try:
+            installed[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            installed[name] = None
+            problems.append(f"the package {name} is not installed; run `make setup`")
+    table = Table(title="installed", show_header=False)
+    table.add_row("python", f"{sys.version.split()[0]}, {sys.executable}")
+    for name, version in installed.items():
+        table.add_row(name, version or "missing")
+    console.print(table)
+    ros = _ros(problems)
+    console.print(*(f"{key}: {value}" for key, value in ros.items()), sep="\n", highlight=False, soft_wrap=True)
+    free = shutil.disk_usage(".").free
+    if free < 1 << 30:
+        problems.append(f"only {free >> 20} MiB of disk are free here; a depth recording takes some 18 MB/s")
+    topics = _topics(seconds, problems) if ros["rclpy"] != "missing" else []
+    if topics:
+        alive = Table(title=f"topics of the bag contract, over {seconds:.0f} s")
+        for heading in ("topic", "type", "rate [Hz]", "QoS"):
+            alive.add_column(heading)
+        for row in topics:
+            alive.add_row(row["topic"], row["type"], f"{row['rate_hz']:.1f}", row["qos"])
+        console.print(alive)
+    for problem in problems:
+        warn(f"! {problem}")
+    if not problems:
+        console.print("nothing is missing")
+    if json is not None:
+        write_json(json, {"installed": installed, "ros": ros, "topics": topics, "problems": problems})
+
+
+def _ros(problems: list[str]) -> dict[str, str]:
+    found = {"ROS_DISTRO": os.environ.get("ROS_DISTRO", "not set")}
+    try:
+        import rclpy
+
+        found["rclpy"] = str(Path(rclpy.__file__).parent)
+    except ImportError as error:
+        problems.append(f"rclpy cannot be imported ({error}); run `make setup`, or source /opt/ros/jazzy/setup.bash")
+        found["rclpy"] = "missing"
+        return found
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    found["middleware"] = get_rmw_implementation_identifier()
+    found["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID", "0 (not set)")
+    found["Fast DDS profile"] = os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "none: depth images will be lost")
+    try:
+        import push_ident_msgs.msg
+
+        found["push_ident_msgs"] = str(Path(push_ident_msgs.msg.__file__).parent)
+    except ImportError as error:
+        problems.append(f"push_ident_msgs cannot be imported ({error}); run `make setup`, or `colcon build` and source install/setup.bash")
+        found["push_ident_msgs"] = "missing"
+    return found
+
+
+def _topics(seconds: float, problems: list[str]) -> list[dict[str, Any]]:
+    from push_ident.nodes.listen import listen_to_contract
+
+    rows = listen_to_contract(seconds)
+    if not rows:
+        problems.append(
+            "no topic of the bag contract is published: start a cell with `push-ident up sim`, or check ROS_DOMAIN_ID "
+            "and ROS_AUTOMATIC_DISCOVERY_RANGE if one is running"
+        )
+    for row in rows:
+        if row["silent"]:
+            problems.append(f"{row['topic']} has a publisher but nothing came within {seconds:.0f} s; see its node's log")
+    return rows

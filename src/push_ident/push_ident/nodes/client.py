@@ -1,0 +1,226 @@
+"""A blocking client of a live cell, for commands and tests: push, predict, wait for maps."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid, Path
+from rclpy.action import ActionClient
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import String
+
+from push_ident.errors import PushIdentError
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_msg, shape_from_msgs
+from push_ident.nodes.discovery import ObjectTopics
+from push_ident.types import Float64Array, ObjectShape
+from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+from push_ident_msgs.srv import PredictPush, SaveModel
+
+__all__ = ["CellClient", "CellTimeout"]
+
+_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_ANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE)
+_POLL: Final = 0.02
+T = TypeVar("T")
+
+
+class CellTimeout(PushIdentError):
+    """A node did not answer in time; the text names it and what would help."""
+
+
+class CellClient:
+    """Talks to the nodes of one cell. Use it as a context manager; its callbacks run in a thread of its own.
+
+    Args:
+        check: called while waiting; may raise to end the wait (a supervisor that sees a dead node).
+    """
+
+    def __init__(self, *, check: Callable[[], None] = lambda: None) -> None:
+        self._check = check
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node("push_ident_client")
+        self._poses: dict[str, deque[tuple[float, Float64Array]]] = {}
+        self._maps: dict[str, MassFrictionMap] = {}
+        self._map_received = time.monotonic()
+        self._cells: dict[str, OccupancyGrid] = {}
+        self._outlines: dict[str, PolygonStamped] = {}
+        self.pusher_radius = 0.0
+        self.diagnostics: dict[str, DiagnosticStatus] = {}
+        self._topics = ObjectTopics(self.node, self._on_new_object)
+        self._push = ActionClient(self.node, ExecutePush, "execute_push")
+        self._predict = self.node.create_client(PredictPush, "predict_push")
+        self._save = self.node.create_client(SaveModel, "save_model")
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name="client", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> CellClient:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._executor.shutdown(timeout_sec=0.5)
+        self._thread.join(timeout=1.0)
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+    def wait(self, what: Callable[[], T | None], timeout: float, missing: str) -> T:
+        """Wait until `what` gives something else than None or False.
+
+        Raises:
+            CellTimeout: `timeout` [s] of wall time has passed; the text is `missing`.
+        """
+        deadline = time.monotonic() + timeout
+        while (found := what()) is None or found is False:
+            self._check()
+            if time.monotonic() > deadline:
+                raise CellTimeout(missing)
+            time.sleep(_POLL)
+        return found
+
+    # ---- what is seen
+
+    def wait_for_object(self, timeout: float = 60.0) -> str:
+        """Id of the first object with poses and cells."""
+
+        def seen() -> str | None:
+            return next((i for i in sorted(self._poses) if self._poses[i] and i in self._cells and i in self._outlines), None)
+
+        reasons = "; ".join(f"{name}: {status.message}" for name, status in sorted(self.diagnostics.items()))
+        return self.wait(seen, timeout, f"no object after {timeout:.0f} s ({reasons or 'no diagnostics either, is perception running?'})")
+
+    def poses(self, object_id: str) -> list[tuple[float, Float64Array]]:
+        """The latest poses of an object with their stamps, oldest first."""
+        return list(self._poses.get(object_id, ()))
+
+    def pose_at_rest(self, object_id: str, after: float, n: int = 5, timeout: float = 20.0) -> Float64Array:
+        """Mean of `n` poses stamped later than `after` [s]; the object should be at rest."""
+
+        def later() -> list[Float64Array] | None:
+            found = [pose for stamp, pose in self.poses(object_id) if stamp > after]
+            return found if len(found) >= n else None
+
+        found = self.wait(later, timeout, f"object {object_id} was not seen {n} times within {timeout:.0f} s; is it hidden?")[-n:]
+        mean: Float64Array = np.mean(found, axis=0)
+        # Yaw may wrap between frames.
+        turn = wrap_angle(np.array([pose[2] for pose in found]) - found[0][2])
+        mean[2] = found[0][2] + float(np.mean(turn))
+        return mean
+
+    def shape(self, object_id: str) -> ObjectShape:
+        """Cells and outline of an object that `wait_for_object` has named."""
+        return shape_from_msgs(self._cells[object_id], self._outlines[object_id])
+
+    def latched_text(self, topic: str, timeout: float = 10.0) -> str:
+        """The last text published on a latched topic."""
+        texts: list[str] = []
+        subscription = self.node.create_subscription(String, topic, lambda msg: texts.append(msg.data), _LATCHED)
+        try:
+            return self.wait(lambda: texts[-1] if texts else None, timeout, f"nothing on {topic} within {timeout:.0f} s")
+        finally:
+            self.node.destroy_subscription(subscription)
+
+    def latest_map(self, object_id: str) -> MassFrictionMap | None:
+        """Latest map of an object."""
+        return self._maps.get(object_id)
+
+    def wait_for_map(self, object_id: str, n_pushes: int, timeout: float = 30.0) -> MassFrictionMap:
+        """The first map that rests on at least so many finished pushes."""
+
+        def enough() -> MassFrictionMap | None:
+            latest = self._maps.get(object_id)
+            return latest if latest is not None and latest.n_pushes >= n_pushes else None
+
+        return self.wait(enough, timeout, f"no map of object {object_id} from {n_pushes} pushes within {timeout:.0f} s; see identification's log")
+
+    def wait_until_settled(self, object_id: str, quiet: float, timeout: float) -> MassFrictionMap:
+        """The latest map once none has come for `quiet` [s] of wall time."""
+
+        def settled() -> MassFrictionMap | None:
+            return self._maps.get(object_id) if time.monotonic() - self._map_received > quiet else None
+
+        return self.wait(settled, timeout, f"no map of object {object_id} came; see identification's log")
+
+    # ---- what is asked for
+
+    def execute_push(self, goal: ExecutePush.Goal, *, timeout: float = 90.0, on_feedback: Callable[[Any], None] | None = None) -> ExecutePush.Result:
+        """Push (or plan only); returns the result whatever its error code."""
+        self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
+        sent = self._push.send_goal_async(goal, feedback_callback=(lambda msg: on_feedback(msg.feedback)) if on_feedback else None)
+        handle = self._result(sent, 20.0, "execute_push did not answer within 20 s")
+        if not handle.accepted:
+            raise CellTimeout("execute_push refused the goal")
+        answer = self._result(handle.get_result_async(), timeout, f"the push was not over after {timeout:.0f} s")
+        return answer.result
+
+    def predict(self, object_id: str, path: Path) -> PushPrediction:
+        """What the identified model says of a push along `path`, from the object's latest pose."""
+        request = PredictPush.Request(object_id=object_id, pusher_path=path)
+        answer = self._call(self._predict, request, "predict_push")
+        return answer.prediction
+
+    def save_model(self, object_id: str, path: str) -> None:
+        """Let the identification node write its model to a file."""
+        self._call(self._save, SaveModel.Request(object_id=object_id, path=path), "save_model")
+
+    def _call(self, client: Any, request: Any, name: str) -> Any:
+        self.wait(client.service_is_ready, 20.0, f"the service {name} is not served; is identification_node running?")
+        answer = self._result(client.call_async(request), 20.0, f"{name} did not answer within 20 s")
+        if not answer.success:
+            raise PushIdentError(f"{name}: {answer.message}")
+        return answer
+
+    def _result(self, future: Future, timeout: float, missing: str) -> Any:
+        self.wait(future.done, timeout, missing)
+        return future.result()
+
+    # ---- what comes in
+
+    def _on_new_object(self, object_id: str) -> None:
+        prefix = f"objects/{object_id}"
+        poses: deque[tuple[float, Float64Array]] = deque(maxlen=3000)
+        self._poses[object_id] = poses
+        self.node.create_subscription(
+            PoseWithCovarianceStamped, f"{prefix}/pose", lambda msg: poses.append(planar_pose_from_msg(msg)[:2]), _ANY
+        )
+        self.node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda msg: self._cells.__setitem__(object_id, msg), _LATCHED)
+        self.node.create_subscription(
+            PolygonStamped, f"{prefix}/outline", lambda msg: self._outlines.__setitem__(object_id, msg), _LATCHED
+        )
+        self.node.create_subscription(
+            MassFrictionMap, f"{prefix}/mass_friction_map", lambda msg: self._on_map(object_id, msg), _LATCHED
+        )
+
+    def _on_map(self, object_id: str, msg: MassFrictionMap) -> None:
+        self._maps[object_id] = msg
+        self._map_received = time.monotonic()
+
+    def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
+        self.pusher_radius = cylinder_radius_from_msg(msg)
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        self.diagnostics.update({status.name: status for status in msg.status})

@@ -1,0 +1,79 @@
+"""The rules by which a newcomer finds the way: who may import whom."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+CORE = SOURCE / "push_ident" / "push_ident"
+SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
+ORDER = ["types", "errors", "geometry", "perception", "pushing", "physics", "identification", "bags", "nodes", "cli"]
+"""A stage imports what stands before it; `types` and `errors` know each other."""
+ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "builtin_interfaces"}
+
+
+def imported(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def stage_of(path: Path) -> str:
+    return path.relative_to(CORE).parts[0].removesuffix(".py")
+
+
+CORE_FILES = sorted(p for p in CORE.rglob("*.py") if p.name != "__init__.py" or p.parent != CORE)
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=lambda p: str(p.relative_to(CORE)))
+def test_stage_imports_only_what_stands_before_it(path: Path) -> None:
+    own = ORDER.index(stage_of(path))
+    for name in imported(path):
+        parts = name.split(".")
+        if parts[0] == "push_ident" and len(parts) > 1 and parts[1] in ORDER:
+            other = ORDER.index(parts[1])
+            assert other <= max(own, 1), f"{path.name} ({ORDER[own]}) imports {name}, which stands below it"
+        assert parts[0] != "push_ident_sim", f"{path.name} imports the simulated cell"
+
+
+@pytest.mark.parametrize("path", [p for p in CORE_FILES if stage_of(p) not in ("nodes", "cli")], ids=lambda p: str(p.relative_to(CORE)))
+def test_no_ros_outside_the_nodes(path: Path) -> None:
+    assert not ROS & {name.split(".")[0] for name in imported(path)}
+
+
+@pytest.mark.parametrize("path", [p for p in CORE_FILES if stage_of(p) == "cli"], ids=lambda p: str(p.relative_to(CORE)))
+def test_command_line_reaches_ros_only_through_the_nodes(path: Path) -> None:
+    """Plain messages may be filled there; the middleware is the nodes' business. `doctor` asks whether it is there at all."""
+    if path.name != "live.py":
+        assert "rclpy" not in {name.split(".")[0] for name in imported(path)}
+
+
+def test_only_the_simulated_cell_imports_pybullet() -> None:
+    users = {p for p in SOURCE.rglob("*.py") if {"pybullet", "pybullet_data"} & {n.split(".")[0] for n in imported(p)}}
+    assert users
+    assert all(SIM in p.parents for p in users)
+
+
+def test_every_public_name_exists() -> None:
+    for path in CORE_FILES:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        exported: list[str] = []
+        defined: set[str] = set()
+        for node in tree.body:
+            if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
+                exported = [c.value for c in getattr(node.value, "elts", []) if isinstance(c, ast.Constant)]
+            for target in getattr(node, "targets", [getattr(node, "target", None)]):
+                if isinstance(target, ast.Name):
+                    defined.add(target.id)
+            if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                defined.add(node.name)
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                defined |= {alias.asname or alias.name for alias in node.names}
+        assert set(exported) <= defined, path
