@@ -244,6 +244,18 @@ def test_lowered_tool_moves_only_along_the_push_line(plan: ArmPlan, push: PushPl
     assert plan.tip[low & going_down, :2] == pytest.approx(np.tile(push.tool_start(0.03), (np.sum(low & going_down), 1)), abs=5e-4)
 
 
+def test_arm_that_has_not_yet_begun_is_on_its_way(plan: ArmPlan) -> None:
+    assert plan.deviation(plan.tip[0], -0.05, 0.02) == pytest.approx(0.0, abs=1e-9)
+    assert plan.deviation(plan.tip[0] + [0.0, 0.03, 0.0], -0.05, 0.02) == pytest.approx(0.03, abs=1e-9)
+
+
+def test_tool_does_not_spin_while_it_pushes(arm: ArmKinematics, plan: ArmPlan) -> None:
+    # A face that turns drags the object sideways, up to several millimetres over a push.
+    during = (plan.trajectory.time >= plan.departure) & (plan.trajectory.time <= plan.stop)
+    headings = np.array([np.arctan2(*arm.forward(q)[[1, 0], 0]) for q in plan.trajectory.position[during]])
+    assert np.ptp(np.unwrap(headings)) < 1e-3
+
+
 def test_tool_path_is_the_pushing_part_from_zero(plan: ArmPlan, push: PushPlan2D) -> None:
     time, tip = plan.tool_path
     assert time[0] == pytest.approx(0.0, abs=1e-9) and time[-1] == pytest.approx(plan.stop - plan.departure)

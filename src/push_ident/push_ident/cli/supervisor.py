@@ -48,8 +48,8 @@ _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "replay": ("perception_node", "identification_node", "bag_player_node"),
     "arm": ("perception_node", "push_executor_node", "identification_node"),
 }
-_SIM_ARM_TIMEOUT: Final = 1.0
-"""Silence of a simulated arm that is taken for a fault [s]."""
+_SIM_PATIENCE: Final = 1.0
+"""Silence or lag of a simulated arm that is taken for a fault [s]."""
 _CLOCKS: Final = ("sim_cell_node", "bag_player_node")
 """Nodes that publish /clock themselves."""
 
@@ -368,8 +368,9 @@ def node_commands(
         if kind != "arm" and name not in _CLOCKS:
             own.setdefault(name, {}).setdefault("use_sim_time", True)
     if kind == "sim":
-        # A simulator may pause for longer than an arm; the watchdog of the real one stays as tight as it is.
-        own.setdefault("push_executor_node", {}).setdefault("arm_timeout", _SIM_ARM_TIMEOUT)
+        # A simulator may pause for longer than an arm; the watchdogs of the real one stay as tight as they are.
+        for watchdog in ("arm_timeout", "tracking_lag"):
+            own.setdefault("push_executor_node", {}).setdefault(watchdog, _SIM_PATIENCE)
     ros = [part for topic, to in (remappings or {}).items() for part in ("-r", f"{topic}:={to}")]
 
     commands = []

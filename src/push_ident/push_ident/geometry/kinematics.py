@@ -84,14 +84,16 @@ class ArmKinematics:
         q_start: ArrayLike,
         *,
         axis: ArrayLike = TOOL_DOWN,
+        x_axis: ArrayLike | None = None,
         max_iterations: int = 100,
         tolerance: float = 1e-6,
         posture_gain: float = 0.05,
     ) -> tuple[Float64Array, bool]:
         """Configuration near `q_start` that puts the tip at `position` with its z axis along `axis`; spin about the axis is free.
 
-        `position` [m] and the unit vector `axis` have shape (3,), root frame. Returns `(q, converged)`; converged means that position
-        [m] and axis [rad] are met to `tolerance` within the joint limits. Damped least squares on the five task coordinates; the freedom
+        `position` [m] and the unit vector `axis` have shape (3,), root frame. `x_axis`, a unit vector of
+        shape (3,) across `axis`, fixes the spin as well: the tip's x axis lies along it. Returns `(q, converged)`; converged means that
+        position [m] and axes [rad] are met to `tolerance` within the joint limits. Damped least squares on the task coordinates; the freedom
         left draws each step a share `posture_gain` of the way to `neutral`, and so away from the joint limits
         (Nakamura & Hanafusa 1986; Liegeois 1977).
         """
@@ -103,12 +105,16 @@ class ArmKinematics:
             jacobian6 = self.jacobian(q)
             tip = pin.updateFramePlacement(self._model, self._data, self._tip)
             error = np.concatenate([position - tip.translation, across @ _rotation_between(tip.rotation[:, 2], axis)])
+            jacobian = np.vstack([jacobian6[:3], across @ jacobian6[3:]])
+            if x_axis is not None:
+                tip_x = tip.rotation[:, 0]
+                error = np.append(error, np.arctan2(axis @ np.cross(tip_x, x_axis), tip_x @ np.asarray(x_axis)))
+                jacobian = np.vstack([jacobian, axis @ jacobian6[3:]])
             if np.linalg.norm(error[:3]) < tolerance and np.linalg.norm(error[3:]) < tolerance:
                 return q, True
-            jacobian = np.vstack([jacobian6[:3], across @ jacobian6[3:]])
             # Damping in proportion to the error keeps far steps bounded and near ones quadratic.
             damping = 1e-10 + 1e-2 * min(1.0, float(error @ error))
-            pseudo = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + damping * np.eye(5))
+            pseudo = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + damping * np.eye(len(error)))
             posture = posture_gain * (self.neutral - q)
             step = pseudo @ (error - jacobian @ posture) + posture
             step *= min(1.0, 0.3 / max(float(np.max(np.abs(step))), 1e-12))

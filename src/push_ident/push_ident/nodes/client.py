@@ -170,11 +170,13 @@ class CellClient:
     def execute_push(self, goal: ExecutePush.Goal, *, timeout: float = 90.0, on_feedback: Callable[[Any], None] | None = None) -> ExecutePush.Result:
         """Push (or plan only); returns the result whatever its error code."""
         self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
-        sent = self._push.send_goal_async(goal, feedback_callback=(lambda msg: on_feedback(msg.feedback)) if on_feedback else None)
-        handle = self._result(sent, 20.0, "execute_push did not answer within 20 s")
+        feedback = (lambda msg: on_feedback(msg.feedback)) if on_feedback else None
+        handle = self._answer(
+            lambda: self._push.send_goal_async(goal, feedback_callback=feedback), 20.0, "execute_push did not answer within 20 s"
+        )
         if not handle.accepted:
             raise CellTimeout("execute_push refused the goal")
-        answer = self._result(handle.get_result_async(), timeout, f"the push was not over after {timeout:.0f} s")
+        answer = self._answer(handle.get_result_async, timeout, f"the push was not over after {timeout:.0f} s")
         return answer.result
 
     def predict(self, object_id: str, path: Path) -> PushPrediction:
@@ -189,12 +191,16 @@ class CellClient:
 
     def _call(self, client: Any, request: Any, name: str) -> Any:
         self.wait(client.service_is_ready, 20.0, f"the service {name} is not served; is identification_node running?")
-        answer = self._result(client.call_async(request), 20.0, f"{name} did not answer within 20 s")
+        answer = self._answer(lambda: client.call_async(request), 20.0, f"{name} did not answer within 20 s")
         if not answer.success:
             raise PushIdentError(f"{name}: {answer.message}")
         return answer
 
-    def _result(self, future: Future, timeout: float, missing: str) -> Any:
+    def _answer(self, ask: Callable[[], Future], timeout: float, missing: str) -> Any:
+        # Asked from the thread that spins: from another one, the answer may come before the question is noted, and is dropped.
+        asked: Future = self._executor.create_task(ask)
+        self.wait(asked.done, timeout, missing)
+        future: Future = asked.result()
         self.wait(future.done, timeout, missing)
         return future.result()
 

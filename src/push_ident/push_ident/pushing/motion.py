@@ -107,7 +107,7 @@ class ArmPlan:
         way = self.tip[max(int(first) - 1, 0) : int(last) + 1]
         edge = np.diff(way, axis=0)
         if len(edge) == 0:
-            return float(np.min(np.linalg.norm(self.tip[-1:] - tip, axis=1)))
+            return float(np.linalg.norm(way[0] - tip))
         from_start = tip - way[:-1]
         share = np.clip(np.sum(from_start * edge, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
         return float(np.min(np.linalg.norm(from_start - share[:, None] * edge, axis=1)))
@@ -146,7 +146,9 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     approach.append(straight(above, point(start, settings.push_height)))
     settle = stand_still(approach[-1].position[-1], settings.settle)
 
-    postures, length = _line(kinematics, settle.position[-1], point(end, settings.push_height), TOOL_DOWN)
+    # A spinning tool would drag the object along its face; a line with the spin held pushes as a sliding one does.
+    x_axis = kinematics.forward(settle.position[-1])[:3, 0]
+    postures, length = _line(kinematics, settle.position[-1], point(end, settings.push_height), TOOL_DOWN, x_axis)
     pushing = path_at_speed(postures, length, push.speed, settings.acceleration)
     ramp = push.speed / settings.acceleration
     if 0.5 * push.speed * ramp > settings.clearance:
@@ -180,7 +182,9 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     return plan
 
 
-def _line(kinematics: ArmKinematics, q: Float64Array, target: Float64Array, axis: Float64Array) -> tuple[Float64Array, float]:
+def _line(
+    kinematics: ArmKinematics, q: Float64Array, target: Float64Array, axis: Float64Array, x_axis: Float64Array | None = None
+) -> tuple[Float64Array, float]:
     """Postures at even steps along the straight line of the tip from `q` to `target`, shape (n, n_joints), and its length [m]."""
     start = kinematics.forward(q)[:3, 3]
     length = float(np.linalg.norm(target - start))
@@ -190,14 +194,19 @@ def _line(kinematics: ArmKinematics, q: Float64Array, target: Float64Array, axis
         # The drift to the neutral posture goes before the correction, which is of minimum norm: what is left of it is the part
         # that does not move the tool, in proportion to the travel and so smooth in time.
         drift = _POSTURE_RATE * length / n_steps * (kinematics.neutral - postures[-1])
-        postures.append(_reach(kinematics, start + share * (target - start), postures[-1] + drift, axis, posture_gain=0.0))
+        postures.append(_reach(kinematics, start + share * (target - start), postures[-1] + drift, axis, x_axis, posture_gain=0.0))
     return np.array(postures), length
 
 
 def _reach(
-    kinematics: ArmKinematics, position: Float64Array, q_start: Float64Array, axis: Float64Array = TOOL_DOWN, posture_gain: float = 0.05
+    kinematics: ArmKinematics,
+    position: Float64Array,
+    q_start: Float64Array,
+    axis: Float64Array = TOOL_DOWN,
+    x_axis: Float64Array | None = None,
+    posture_gain: float = 0.05,
 ) -> Float64Array:
-    q, converged = kinematics.inverse(position, q_start, axis=axis, posture_gain=posture_gain)
+    q, converged = kinematics.inverse(position, q_start, axis=axis, x_axis=x_axis, posture_gain=posture_gain)
     if not converged:
         miss = float(np.linalg.norm(kinematics.forward(q)[:3, 3] - position))
         at_limit = [
