@@ -12,7 +12,7 @@ def hammer_shape(size: float = 0.011) -> ObjectShape:
     """A handle two cells wide and a head ten cells long, 70 cells; the frame's origin lies in the handle near the head."""
     handle = [(i, j) for i in range(15) for j in range(-1, 1)]
     head = [(i, j) for i in range(15, 19) for j in range(-5, 5)]
-    centres = (np.array(handle + head) + [-12.4, 0.5]) * size
+    centres = (np.array(handle + head) + np.array([-12.4, 0.5])) * size
     return ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size))
 
 

@@ -101,7 +101,9 @@ def test_identification_during_a_push_uses_what_was_seen_so_far() -> None:
 
 def test_pushes_that_never_touch_give_a_status_and_the_prior() -> None:
     record = random_records(hammer(), 1, 0)[0]
-    away = PushRecord("1", record.shape, PoseTrack(record.poses.time, record.poses.pose * 0 + [1.0, 1.0, 0.0], record.poses.covariance), record.pusher)
+    away = PushRecord(
+        "1", record.shape, PoseTrack(record.poses.time, record.poses.pose * 0 + [1.0, 1.0, 0.0], record.poses.covariance), record.pusher
+    )
     result = identify([away])
     assert result.status is SolveStatus.NO_CONTACT
     assert result.model.mass == pytest.approx(result.uniform.mass, rel=1e-3)

@@ -45,9 +45,9 @@ def _freeze(owner: Any, name: str, shape: tuple[int | str, ...], sizes: dict[str
     except (TypeError, ValueError) as error:
         raise InputError(f"{type(owner).__name__}.{name} is not an array of numbers: {error}") from None
     expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
-    if array.ndim != len(expected) or any(isinstance(n, int) and n != got for n, got in zip(expected, array.shape)):
+    if array.ndim != len(expected) or any(isinstance(n, int) and n != got for n, got in zip(expected, array.shape, strict=True)):
         raise InputError(f"{type(owner).__name__}.{name} has shape {array.shape}, expected {expected}.")
-    for n, got in zip(shape, array.shape):
+    for n, got in zip(shape, array.shape, strict=True):
         if isinstance(n, str):
             sizes[n] = got
     if not np.all(np.isfinite(array)):

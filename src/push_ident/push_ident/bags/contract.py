@@ -43,9 +43,7 @@ class Role(Enum):
 OBJECT_ROLES: Final = frozenset({Role.POSE, Role.CELLS, Role.OUTLINE})
 """Roles that exist once per object."""
 
-_PATTERNS: Final = {
-    role: re.compile(r"(?:^|/)" + re.escape(role.value.name).replace(r"\{id\}", r"(?P<id>[^/]+)") + r"$") for role in Role
-}
+_PATTERNS: Final = {role: re.compile(r"(?:^|/)" + re.escape(role.value.name).replace(r"\{id\}", r"(?P<id>[^/]+)") + r"$") for role in Role}
 
 
 @dataclass(frozen=True, slots=True)

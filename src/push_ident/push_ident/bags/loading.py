@@ -75,7 +75,7 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
     if camera is None:
         raise BagError(
-            f"{contents.path}: depth images without the pose of the camera; record /tf_static with `table` -> camera, or give it with --camera."
+            f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give --camera FILE."
         )
     pusher, radius = contents.pusher, contents.pusher_radius
 

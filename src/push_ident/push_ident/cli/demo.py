@@ -65,7 +65,13 @@ def demo_command(
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed}}
     commands = node_commands("sim", record=run / "bag", parameters=own)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn())
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeElapsedColumn(),
+    )
     with Supervisor(commands, log_dir=run / "log") as supervisor:
         from push_ident.nodes.client import CellClient
 
@@ -73,8 +79,12 @@ def demo_command(
             task = progress.add_task("starting the cell", total=n_train + n_test)
             outcome = _Outcome(object_id=client.wait_for_object())
             progress.console.print(f"object {outcome.object_id} found by perception", highlight=False)
-            _train(client, outcome, n_train, seed, lambda text, step: progress.update(task, description=text, advance=step))
-            _test(client, outcome, n_test, seed, lambda text, step: progress.update(task, description=text, advance=step))
+
+            def show(text: str, step: int) -> None:
+                progress.update(task, description=text, advance=step)
+
+            _train(client, outcome, n_train, seed, show)
+            _test(client, outcome, n_test, seed, show)
             client.save_model(outcome.object_id, str((run / "model.json").resolve()))
             outcome.truth = _ground_truth(client)
     _finish(outcome, run, time.monotonic() - started, json)
@@ -89,7 +99,11 @@ def _train(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) 
         goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=outcome.object_id, seed=_push_seed(seed, tries))
         tries += 1
         show(f"training push {done + 1}: {_PHASES[0]}", 0)
-        result = client.execute_push(goal, on_feedback=lambda f, k=done: show(f"training push {k + 1}: {_PHASES[f.phase]}", 0))
+
+        def progress(feedback: ExecutePush.Feedback, number: int = done + 1) -> None:
+            show(f"training push {number}: {_PHASES[feedback.phase]}", 0)
+
+        result = client.execute_push(goal, on_feedback=progress)
         if result.error_code != _OK:
             _refused(result, tries - done)
             continue
@@ -231,7 +245,13 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
     if json is not None:
         write_json(json, content)
     console.print(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}", highlight=False)
-    for what, file in (("maps", "map.png"), ("numbers", "result.json"), ("model", "model.json"), ("recording", "bag"), ("logs of the nodes", "log")):
+    for what, file in (
+        ("maps", "map.png"),
+        ("numbers", "result.json"),
+        ("model", "model.json"),
+        ("recording", "bag"),
+        ("logs of the nodes", "log"),
+    ):
         console.print(f"{what}: {run / file}", highlight=False, soft_wrap=True)
     console.print(f"again, offline: push-ident identify {run / 'bag'}", highlight=False, soft_wrap=True)
 

@@ -26,10 +26,16 @@ __all__ = ["identify_command", "result_json"]
 _NOMINAL = Prior()
 FAILED = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
 
-ObjectOption = Annotated[str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one pushed most.", show_default=False)]
+ObjectOption = Annotated[
+    str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one pushed most.", show_default=False)
+]
 CameraOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Pose of the depth camera in `table` (4x4 numbers, text), for depth bags without tf_static.", show_default=False),
+    typer.Option(
+        metavar="FILE",
+        help="Pose of the depth camera in `table` (4x4 numbers, text), for depth bags without tf_static.",
+        show_default=False,
+    ),
 ]
 
 
@@ -37,7 +43,8 @@ def identify_command(
     bags: BagsArgument,
     method: Annotated[str, typer.Option(help="Solver.")] = "gauss_newton",
     train: Annotated[
-        str, typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all.")
+        str,
+        typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all."),
     ] = "",
     out: OutOption = None,
     json: JsonOption = None,
@@ -149,7 +156,8 @@ def result_json(result: Identification, loaded: LoadedPushes, train: list[int]) 
 def _errors(result: Identification, records: list[PushRecord], pushes: list[int]) -> dict[str, Any]:
     chosen = [records[i] for i in pushes]
     per_model = {
-        name: held_out_errors(model, chosen) for name, model in (("uniform", result.uniform), ("scalar", result.scalar), ("identified", result.model))
+        name: held_out_errors(model, chosen)
+        for name, model in (("uniform", result.uniform), ("scalar", result.scalar), ("identified", result.model))
     }
     mean = {f"{name}_m": float(np.mean(errors)) if len(errors) else float("nan") for name, errors in per_model.items()}
     return {"pushes": pushes, **mean, "per_push_m": per_model["identified"].tolist()}

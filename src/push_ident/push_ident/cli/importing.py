@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +15,7 @@ from push_ident.cli.output import JsonOption, console, write_json
 __all__ = ["import_command"]
 
 
-class Source(str, Enum):
+class Source(StrEnum):
     """Formats there are importers for."""
 
     cmu_icra16 = "cmu-icra16"

@@ -6,7 +6,7 @@ import importlib.metadata
 import os
 import shutil
 import sys
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,12 +16,11 @@ from rich.table import Table
 from push_ident.bags.reader import read_bag
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.supervisor import Supervisor, node_commands
-from push_ident.errors import PushIdentError
 
 __all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
 
 
-class CellKind(str, Enum):
+class CellKind(StrEnum):
     """What `up` starts."""
 
     sim = "sim"
@@ -114,7 +113,7 @@ def doctor_command(
 ) -> None:
     """Say what is installed, which ROS is used, which topics are alive, and what is missing."""
     problems: list[str] = []
-    installed = {}
+    installed: dict[str, str | None] = {}
     for name in _PACKAGES:
         try:
             installed[name] = importlib.metadata.version(name)

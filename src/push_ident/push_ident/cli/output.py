@@ -17,7 +17,9 @@ __all__ = ["BagsArgument", "JsonOption", "OutOption", "console", "millimetres", 
 console = Console()
 _errors = Console(stderr=True)
 
-BagsArgument = Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags: folders, .mcap, .db3 or ROS 1 .bag files.", show_default=False)]
+BagsArgument = Annotated[
+    list[Path], typer.Argument(metavar="BAG...", help="Bags: folders, .mcap, .db3 or ROS 1 .bag files.", show_default=False)
+]
 JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.", show_default=False)]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write results into this folder.", show_default=False)]
 

@@ -39,7 +39,7 @@ def predict_command(
     got = loaded.records[0].shape.cells
     if len(expected) != len(got) or not np.allclose(expected.centres, got.centres, atol=1e-3):
         raise InputError(
-            f"The model is of an object with {len(expected)} cells, the bag shows {len(got)} others; predict bags that share the cells of the model."
+            f"The model has {len(expected)} cells, the object in the bag {len(got)} others; predict bags that share the cells of the model."
         )
     rows = [_compare(posterior, record) for record in loaded.records]
     for note in loaded.notes:

@@ -93,22 +93,23 @@ class ArmKinematics:
 
         `position` [m] and the unit vector `axis` have shape (3,), root frame. `x_axis`, a unit vector of
         shape (3,) across `axis`, fixes the spin as well: the tip's x axis lies along it. Returns `(q, converged)`; converged means that
-        position [m] and axes [rad] are met to `tolerance` within the joint limits. Damped least squares on the task coordinates; the freedom
-        left draws each step a share `posture_gain` of the way to `neutral`, and so away from the joint limits
+        position [m] and axes [rad] are met to `tolerance` within the joint limits. Damped least squares on the task coordinates; the
+        freedom left draws each step a share `posture_gain` of the way to `neutral`, and so away from the joint limits
         (Nakamura & Hanafusa 1986; Liegeois 1977).
         """
         q = np.clip(self.check_configuration(q_start), self.position_lower, self.position_upper)
         position = np.asarray(position, dtype=np.float64)
         axis = np.asarray(axis, dtype=np.float64)
+        x_target = None if x_axis is None else np.asarray(x_axis, dtype=np.float64)
         across = np.linalg.svd(axis[None, :])[2][1:]  # two unit vectors across the axis: rotation about `axis` is no error
         for _ in range(max_iterations):
             jacobian6 = self.jacobian(q)
             tip = pin.updateFramePlacement(self._model, self._data, self._tip)
             error = np.concatenate([position - tip.translation, across @ _rotation_between(tip.rotation[:, 2], axis)])
             jacobian = np.vstack([jacobian6[:3], across @ jacobian6[3:]])
-            if x_axis is not None:
+            if x_target is not None:
                 tip_x = tip.rotation[:, 0]
-                error = np.append(error, np.arctan2(axis @ np.cross(tip_x, x_axis), tip_x @ np.asarray(x_axis)))
+                error = np.append(error, np.arctan2(axis @ np.cross(tip_x, x_target), tip_x @ x_target))
                 jacobian = np.vstack([jacobian, axis @ jacobian6[3:]])
             if np.linalg.norm(error[:3]) < tolerance and np.linalg.norm(error[3:]) < tolerance:
                 return q, True

@@ -127,13 +127,19 @@ def identify(
     )
 
 
-def _with_total_mass(posterior: ModelPosterior, problem: FitProblem, x: Float64Array, settings: SimulationSettings | None) -> ModelPosterior:
+def _with_total_mass(
+    posterior: ModelPosterior, problem: FitProblem, x: Float64Array, settings: SimulationSettings | None
+) -> ModelPosterior:
     """Use measured forces.
 
     A force tells the product of total mass M and friction scale: log(F_measured / F_simulated at M = 1) = log M + log(friction scale).
     Poses tell the friction scale a little (through inertia), the prior tells both a little: one Gaussian measurement of their sum.
     """
-    ratios = [r for push in range(len(problem.records)) if (r := _force_ratio(posterior.parameters.model(posterior.z), problem, x, push, settings))]
+    ratios = [
+        r
+        for push in range(len(problem.records))
+        if (r := _force_ratio(posterior.parameters.model(posterior.z), problem, x, push, settings))
+    ]
     if not ratios:
         return posterior
     logs = np.log(ratios)
@@ -159,9 +165,7 @@ def _with_total_mass(posterior: ModelPosterior, problem: FitProblem, x: Float64A
     )
 
 
-def _force_ratio(
-    model: ObjectModel, problem: FitProblem, x: Float64Array, push: int, settings: SimulationSettings | None
-) -> float | None:
+def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push: int, settings: SimulationSettings | None) -> float | None:
     """Measured over simulated force of one push, least squares over the time in contact; None where nothing was measured."""
     record = problem.records[push]
     if record.wrench is None:

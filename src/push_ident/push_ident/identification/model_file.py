@@ -95,11 +95,15 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
             raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not a model file.")
         content = _ModelFile.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise ModelFileError(f"Cannot read the model {path}: {error.strerror}; `push-ident identify BAG --out DIR` writes DIR/model.json.") from None
+        raise ModelFileError(
+            f"Cannot read the model {path}: {error.strerror}; `push-ident identify BAG --out DIR` writes DIR/model.json."
+        ) from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"
-        raise ModelFileError(f"{path} is not a model file: {where}: {first['msg']}; write one with `push-ident identify BAG --out DIR`.") from None
+        raise ModelFileError(
+            f"{path} is not a model file: {where}: {first['msg']}; write one with `push-ident identify BAG --out DIR`."
+        ) from None
     if content.format != _FORMAT:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:

@@ -93,4 +93,3 @@ def _gaps(record: PushRecord) -> Float64Array:
     away = pusher.position - pose[:, :2]
     seen = np.column_stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]])
     return np.asarray(signed_distance(seen, record.shape.outline), dtype=np.float64) - pusher.radius
-

@@ -72,9 +72,7 @@ class ModelPosterior:
     def friction_std(self) -> Float64Array:
         """Standard deviation of the support friction of each cell, shape (n_cells,)."""
         left_out = self.prior.friction_map_std**2
-        return np.asarray(
-            self.model.friction * self._log_std(self.parameters.modes, np.asarray(0.0), left_out, mass=False, friction=True)
-        )
+        return np.asarray(self.model.friction * self._log_std(self.parameters.modes, np.asarray(0.0), left_out, mass=False, friction=True))
 
     @property
     def mass_friction_std(self) -> Float64Array:

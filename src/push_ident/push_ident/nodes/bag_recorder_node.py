@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -18,7 +19,9 @@ from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.perception_node import camera_pose
 from push_ident.nodes.run import run_node
+from push_ident.types import Float64Array
 
 __all__ = ["BagRecorderNode", "main"]
 
@@ -26,7 +29,9 @@ _MIN_FREE_BYTES: Final = 200 << 20
 
 _PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
-    Parameter("depth", True, "Record depth images too (some 18 MB/s)", read_only=True),
+    Parameter("depth", True, "Record depth images too (some 18 MB/s before compression)", read_only=True),
+    Parameter("camera_position", [0.0] * 3, "Optical frame in the table frame, written to the bag, x y z [m]", -10.0, 10.0, read_only=True),
+    Parameter("camera_quaternion", [0.0] * 4, "Its orientation, x y z w; zeros: not known, not written", -1.0, 1.0, read_only=True),
 )
 
 
@@ -45,6 +50,11 @@ class BagRecorderNode(Node):
         self._check_disk()
         self._writer = BagWriter(path)
         self._writer.__enter__()
+        quaternion = np.array(parameters["camera_quaternion"])
+        if np.any(quaternion):
+            self._extrinsics: Float64Array | None = camera_pose(parameters["camera_position"], parameters["camera_quaternion"])
+        else:
+            self._extrinsics = None
         self._counts: Counter[str] = Counter()
         self._failed = ""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -93,7 +103,11 @@ class BagRecorderNode(Node):
         try:
             if self._counts.total() % 1000 == 0:
                 self._check_disk()
-            self._writer.write_raw(topic, msgtype, self.get_clock().now().nanoseconds, data)
+            now = self.get_clock().now().nanoseconds
+            if self._extrinsics is not None and topic.endswith(Role.DEPTH.value.name):
+                self._writer.write_extrinsics(1e-9 * now, self._extrinsics)
+                self._extrinsics = None
+            self._writer.write_raw(topic, msgtype, now, data)
             self._counts[topic] += 1
         except BagError as error:
             # The bag stays readable up to here.

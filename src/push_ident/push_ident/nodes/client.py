@@ -155,7 +155,9 @@ class CellClient:
             latest = self._maps.get(object_id)
             return latest if latest is not None and latest.n_pushes >= n_pushes else None
 
-        return self.wait(enough, timeout, f"no map of object {object_id} from {n_pushes} pushes within {timeout:.0f} s; see identification's log")
+        return self.wait(
+            enough, timeout, f"no map of object {object_id} from {n_pushes} pushes within {timeout:.0f} s; see identification's log"
+        )
 
     def wait_until_settled(self, object_id: str, quiet: float, timeout: float) -> MassFrictionMap:
         """The latest map once none has come for `quiet` [s] of wall time."""
@@ -167,7 +169,9 @@ class CellClient:
 
     # ---- what is asked for
 
-    def execute_push(self, goal: ExecutePush.Goal, *, timeout: float = 90.0, on_feedback: Callable[[Any], None] | None = None) -> ExecutePush.Result:
+    def execute_push(
+        self, goal: ExecutePush.Goal, *, timeout: float = 90.0, on_feedback: Callable[[Any], None] | None = None
+    ) -> ExecutePush.Result:
         """Push (or plan only); returns the result whatever its error code."""
         self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
         feedback = (lambda msg: on_feedback(msg.feedback)) if on_feedback else None
@@ -214,12 +218,8 @@ class CellClient:
             PoseWithCovarianceStamped, f"{prefix}/pose", lambda msg: poses.append(planar_pose_from_msg(msg)[:2]), _ANY
         )
         self.node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda msg: self._cells.__setitem__(object_id, msg), _LATCHED)
-        self.node.create_subscription(
-            PolygonStamped, f"{prefix}/outline", lambda msg: self._outlines.__setitem__(object_id, msg), _LATCHED
-        )
-        self.node.create_subscription(
-            MassFrictionMap, f"{prefix}/mass_friction_map", lambda msg: self._on_map(object_id, msg), _LATCHED
-        )
+        self.node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda msg: self._outlines.__setitem__(object_id, msg), _LATCHED)
+        self.node.create_subscription(MassFrictionMap, f"{prefix}/mass_friction_map", lambda msg: self._on_map(object_id, msg), _LATCHED)
 
     def _on_map(self, object_id: str, msg: MassFrictionMap) -> None:
         self._maps[object_id] = msg

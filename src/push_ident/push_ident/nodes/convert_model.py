@@ -25,7 +25,15 @@ from push_ident.nodes.convert import (
 from push_ident.types import PusherPath, SolveStatus
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 
-__all__ = ["cloud_to_msg", "map_status", "map_to_msg", "prediction_path_to_msg", "prediction_to_msg", "pusher_path_from_msg", "pusher_path_to_msg"]
+__all__ = [
+    "cloud_to_msg",
+    "map_status",
+    "map_to_msg",
+    "prediction_path_to_msg",
+    "prediction_to_msg",
+    "pusher_path_from_msg",
+    "pusher_path_to_msg",
+]
 
 _STATUS = {
     SolveStatus.CONVERGED: MassFrictionMap.STATUS_OK,
@@ -75,9 +83,7 @@ def cloud_to_msg(msg: MassFrictionMap) -> PointCloud2:
     columns = [getattr(msg, name) if name != "z" else np.zeros(len(msg.x)) for name in _CLOUD_FIELDS]
     points = np.column_stack([np.asarray(c, dtype=np.float32) for c in columns])
     cloud = PointCloud2(header=msg.header, height=1, width=len(points), is_bigendian=False, is_dense=True)
-    cloud.fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(_CLOUD_FIELDS)
-    ]
+    cloud.fields = [PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate(_CLOUD_FIELDS)]
     cloud.point_step = 4 * len(_CLOUD_FIELDS)
     cloud.row_step = cloud.point_step * len(points)
     cloud.data = array("B", points.tobytes())
@@ -132,7 +138,5 @@ def pusher_path_to_msg(path: PusherPath) -> Path:
     """Path of the pusher, its stamps as they are [s]."""
     msg = Path()
     msg.header.frame_id = TABLE_FRAME
-    msg.poses = [
-        position_to_msg(stamp_to_msg(float(time)), [x, y, 0.0]) for time, (x, y) in zip(path.time, path.position, strict=True)
-    ]
+    msg.poses = [position_to_msg(stamp_to_msg(float(time)), [x, y, 0.0]) for time, (x, y) in zip(path.time, path.position, strict=True)]
     return msg

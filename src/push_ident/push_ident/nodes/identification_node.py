@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMsg
+from numpy.linalg import LinAlgError
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -132,9 +133,7 @@ class IdentificationNode(Node):
         prefix = f"objects/{object_id}"
         self.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape(object_id, cells=m), _LATCHED)
         self.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape(object_id, outline=m), _LATCHED)
-        self.create_subscription(
-            PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _RELIABLE
-        )
+        self.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _RELIABLE)
         with self._lock:
             self._outputs[object_id] = (
                 self.create_publisher(MassFrictionMap, f"{prefix}/mass_friction_map", _LATCHED),
@@ -212,7 +211,9 @@ class IdentificationNode(Node):
 
     def _arrived(self, stamp: float) -> None:
         if stamp < self._assembler.now - _JUMP_BACK:
-            self.get_logger().warning(f"time went back from {self._assembler.now:.2f} s to {stamp:.2f} s; buffered data dropped, models kept")
+            self.get_logger().warning(
+                f"time went back from {self._assembler.now:.2f} s to {stamp:.2f} s; buffered data dropped, models kept"
+            )
             self._assembler.reset()
             self._counts["time jumps"] += 1
         self._received = time.monotonic()
@@ -246,8 +247,8 @@ class IdentificationNode(Node):
                 push = self._finished.popleft() if self._finished else None
                 self._peek_due = False
             if push is not None:
-                for record in push:
-                    self._solve(record, finished=True)
+                for finished in push:
+                    self._solve(finished, finished=True)
             elif time.monotonic() - peeked > self._settings["update_period"]:
                 peeked = time.monotonic()
                 with self._lock:
@@ -264,8 +265,8 @@ class IdentificationNode(Node):
         try:
             with self._solving:
                 result = identifier.add(record) if finished else identifier.peek(record)
-        except PushIdentError as error:
-            self._refuse("pushes", str(error))
+        except (PushIdentError, ArithmeticError, LinAlgError) as error:
+            self._refuse("pushes", f"{record.source}: {error}")
             return
         self._solve_time = time.perf_counter() - started
         self._counts["pushes" if finished else "updates during a push"] += 1

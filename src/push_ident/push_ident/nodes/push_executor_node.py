@@ -233,8 +233,7 @@ class PushExecutorNode(Node):
             self._check_wanted(goal)
             elapsed = self._now() - motion.started
             state = self._arm.fresh_state(values["arm_timeout"])
-            # The state is compared with where the tool was to be when it came in; by receipt, since the arm's clock may be another.
-            self._check_tracking(plan, state, elapsed - (time.monotonic() - state.received), values)
+            self._check_tracking(plan, state, self._age_of(state, values["tracking_lag"], motion.started), values)
             self._pushing = plan.lowered <= elapsed <= plan.rested
             if self._pushing:
                 motion.see(state)
@@ -244,6 +243,13 @@ class PushExecutorNode(Node):
                 self._feedback(goal, phase, elapsed / plan.duration)
             if elapsed >= plan.duration and np.max(np.abs(state.q - plan.trajectory.position[-1])) <= values["start_tolerance"]:
                 return
+
+    def _age_of(self, state: ArmState, tolerance: float, started: float) -> float:
+        """Time of a state since the start of the motion [s]: by its stamp or, where the arm keeps another clock, by its receipt."""
+        now, stamp = self._now(), stamp_from_msg(state.stamp)
+        if abs(now - stamp) <= max(tolerance, 0.1):
+            return stamp - started
+        return now - started - (time.monotonic() - state.received)
 
     def _check_wanted(self, goal: ServerGoalHandle) -> None:
         if self._closing.is_set():

@@ -33,7 +33,6 @@ PARAM_LIMIT = 8
 N_BODY_PARAMETERS = 8
 
 
-
 def _renew_cache() -> None:
     """Make this file as new as the kernels it calls: numba's cache of a caller does not notice that a callee changed."""
     here = Path(__file__)
@@ -124,7 +123,8 @@ def _step_sensitivity(
 ) -> bool:
     """d(new twist) for a unit force impulse on each velocity (columns 0-2) and for each seed (columns 3-13), object axes.
 
-    `pusher` is the pusher's centre and `velocity` its velocity, both in object axes. Fills `out`, shape (3, 14). False where the system is singular.
+    `pusher` is the pusher's centre and `velocity` its velocity, both in object axes. Fills `out`, shape (3, 14).
+    False where the system is singular.
     """
     mode, second = code % 4, code // 4
     drag = 0.0

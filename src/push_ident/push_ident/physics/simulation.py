@@ -55,8 +55,8 @@ class Motion:
     pose: Float64Array
     """Of the object frame in the table frame, shape (n_frames, 3), yaw not wrapped. NaN where the simulation failed."""
     jacobian: Float64Array
-    """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell), shape (n_frames, 3, 8 + n_cells);
-    (n_frames, 3, 0) when it was not asked for."""
+    """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell),
+    shape (n_frames, 3, 8 + n_cells); (n_frames, 3, 0) when it was not asked for."""
     force_time: Float64Array
     """Middle of each step [s], shape (n_steps,)."""
     force: Float64Array
@@ -106,9 +106,7 @@ def simulate(
         InputError: poses or times that are not finite, or times that do not ascend.
     """
     body = body_of_cells(model.shape, model.mass, model.friction)
-    return simulate_body(
-        model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, jacobian=jacobian
-    )
+    return simulate_body(model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, jacobian=jacobian)
 
 
 def simulate_body(
@@ -135,7 +133,7 @@ def simulate_body(
     start = float(pusher.time[0])
     n_steps = max(1, int(np.ceil((max(float(time[-1]), float(pusher.time[-1])) - start) / settings.step)))
     clock = start + settings.step * np.arange(n_steps + 1)
-    path = np.column_stack([np.interp(clock, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
+    path: Float64Array = np.column_stack([np.interp(clock, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
     at = np.clip((time - start) / settings.step, 0.0, n_steps)
     frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
     n_cells = len(shape.cells)
@@ -165,4 +163,5 @@ def simulate_body(
         pose[:] = np.nan
     else:
         status = SolveStatus.CONVERGED if np.any(force) else SolveStatus.NO_CONTACT
-    return Motion(time, pose, derivative, clock[:-1] + settings.step / 2, force, status)
+    middle = np.asarray(clock[:-1] + settings.step / 2, dtype=np.float64)
+    return Motion(time, pose, derivative, middle, force, status)

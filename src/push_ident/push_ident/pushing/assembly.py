@@ -1,7 +1,7 @@
 """From streams of poses and pusher samples to push records, while they come in.
 
-The rules are those by which a bag is cut: a push is a run of pusher samples without a pause over `gap`; poses up to `gap` around it belong to it,
-but none nearer to another push.
+The rules are those by which a bag is cut: a push is a run of pusher samples without a pause over `gap`; poses up to `gap` around it
+belong to it, but none nearer to another push.
 """
 
 from __future__ import annotations
