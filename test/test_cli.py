@@ -103,3 +103,13 @@ def test_bag_cut_in_half_can_be_salvaged_and_identified(bag: Path, tmp_path: Pat
     saved = run("salvage", cut, "--out", tmp_path / "saved")
     assert saved.returncode == 0, saved.stderr
     assert run("identify", tmp_path / "saved").returncode == 0
+
+
+def test_example_depth_bag_is_tracked_and_identified(tmp_path: Path) -> None:
+    example = Path(__file__).resolve().parents[1] / "bags" / "hammer_depth"
+    done = run("identify", example, "--train", "0,1,2", "--json", tmp_path / "r.json")
+    assert done.returncode == 0, done.stderr
+    content = json.loads((tmp_path / "r.json").read_text())
+    assert 50 <= content["n_cells"] <= 150
+    assert content["train"]["pushes"] == [0, 1, 2] and content["test"]["pushes"] == [3]
+    assert content["train"]["identified_m"] < 0.5 * content["train"]["uniform_m"]

@@ -33,11 +33,11 @@ from push_ident_sim.robot import robot_description
 from push_ident_sim.trajectory import JointTrajectory
 from push_ident_sim.world import CellWorld, WorldConfig
 
-__all__ = ["SimCellNode", "main"]
+__all__ = ["PARAMETERS", "SimCellNode", "main"]
 
 FloatArray = NDArray[np.float64]
 
-_PARAMETERS: Final = (
+PARAMETERS: Final = (
     Parameter("object", "hammer", "what lies on the table", choices=OBJECT_NAMES, read_only=True),
     Parameter("seed", 0, "which ground truth of the object's masses and frictions", 0, 2**31 - 1, read_only=True),
     Parameter("start_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the object frame at the start", -3.2, 3.2, read_only=True),
@@ -80,7 +80,7 @@ class SimCellNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("sim_cell_node", **kwargs)
-        self._settings = Parameters(self, _PARAMETERS)
+        self._settings = Parameters(self, PARAMETERS)
         values = self._settings.as_dict()
         thing = make_object(values["object"], values["seed"], values["pusher_friction"])
         self._world = CellWorld(thing, WorldConfig(time_step=values["time_step"]), pose=values["start_pose"])

@@ -177,7 +177,7 @@ def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes)
     console.print(table)
     posterior = result.posterior
     mass, pusher = posterior.total_mass, posterior.pusher_friction
-    known = "" if posterior.total_mass_identifiable else " (not identifiable from these data: the nominal value)"
+    known = "" if posterior.total_mass_identifiable else " (not pinned by these data)"
     console.print(f"pusher friction {pusher.value:.2f} ± {pusher.std:.2f}", highlight=False)
     console.print(f"total mass {mass.value:.3f} ± {mass.std:.3f} kg{known}", highlight=False)
     x, y = result.model.centre_of_friction

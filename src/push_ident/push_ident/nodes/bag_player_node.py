@@ -24,14 +24,14 @@ from push_ident.errors import BagError, PushIdentError
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 
-__all__ = ["BagPlayerNode", "live_object_id", "main"]
+__all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _RELIABLE: Final = QoSProfile(depth=1000)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
 _CLOCK_PERIOD_NS: Final = 10_000_000
 
-_PARAMETERS: Final = (
+PARAMETERS: Final = (
     Parameter("bag", "", "Bag to play: a folder or an .mcap or .db3 file", read_only=True),
     Parameter("rate", 1.0, "Speed of playing relative to real time; 0: as fast as it goes [-]", 0.0, 1000.0, read_only=True),
     Parameter("loop", False, "Start again at the end", read_only=True),
@@ -44,7 +44,7 @@ class BagPlayerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("bag_player_node")
-        self._settings = Parameters(self, _PARAMETERS)
+        self._settings = Parameters(self, PARAMETERS)
         if not self._settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to play, as -p bag:=PATH.")
         self._path = Path(self._settings["bag"])

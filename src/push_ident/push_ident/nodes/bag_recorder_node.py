@@ -23,11 +23,11 @@ from push_ident.nodes.perception_node import camera_pose
 from push_ident.nodes.run import run_node
 from push_ident.types import Float64Array
 
-__all__ = ["BagRecorderNode", "main"]
+__all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
 _MIN_FREE_BYTES: Final = 200 << 20
 
-_PARAMETERS: Final = (
+PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
     Parameter("depth", True, "Record depth images too (some 18 MB/s before compression)", read_only=True),
     Parameter("camera_position", [0.0] * 3, "Optical frame in the table frame, written to the bag, x y z [m]", -10.0, 10.0, read_only=True),
@@ -40,7 +40,7 @@ class BagRecorderNode(Node):
 
     def __init__(self) -> None:
         super().__init__("bag_recorder_node")
-        parameters = Parameters(self, _PARAMETERS)
+        parameters = Parameters(self, PARAMETERS)
         if not parameters["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
         path = Path(parameters["bag"])

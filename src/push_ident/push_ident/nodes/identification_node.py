@@ -52,7 +52,7 @@ from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
-__all__ = ["IdentificationNode", "main"]
+__all__ = ["PARAMETERS", "IdentificationNode", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _RELIABLE: Final = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_AVAILABLE)
@@ -61,7 +61,7 @@ _SILENCE: Final = 2.0
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
 
-_PARAMETERS: Final = (
+PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
     Parameter("total_mass_known", False, "Whether total_mass was weighed, for every object", read_only=True),
     Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),
@@ -76,7 +76,7 @@ class IdentificationNode(Node):
 
     def __init__(self) -> None:
         super().__init__("identification_node")
-        self._settings = Parameters(self, _PARAMETERS)
+        self._settings = Parameters(self, PARAMETERS)
         self._prior = Prior(
             total_mass=self._settings["total_mass"],
             total_mass_std=0.0 if self._settings["total_mass_known"] else Prior().total_mass_std,

@@ -35,7 +35,7 @@ from push_ident.perception.pipeline import Observation, Perception
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import Float64Array
 
-__all__ = ["PerceptionNode", "camera_pose", "main"]
+__all__ = ["PARAMETERS", "PerceptionNode", "camera_pose", "main"]
 
 _DEFAULTS: Final = PerceptionSettings()
 
@@ -56,7 +56,7 @@ _SETTINGS: Final = (
 
 _DEFAULT_OF: Final = {row.name: row.default for row in _SETTINGS}
 
-_PARAMETERS: Final = (
+PARAMETERS: Final = (
     *_SETTINGS,
     Parameter("extrinsics", "parameters", "where the camera pose comes from", choices=("parameters", "tf"), read_only=True),
     Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),
@@ -114,7 +114,7 @@ class PerceptionNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("perception_node", **kwargs)
-        self._configured = Parameters(self, _PARAMETERS, check=_settings, on_change=self._on_parameters)
+        self._configured = Parameters(self, PARAMETERS, check=_settings, on_change=self._on_parameters)
         self._perception: Perception | None = None
         self._tf = _TfExtrinsics(self) if self._configured["extrinsics"] == "tf" else None
         if self._tf is None:
