@@ -1,8 +1,8 @@
 """Thin a recording of a cell down to a small depth bag: `.venv/bin/python tools/make_example_bag.py RECORDING OUT [N_PUSHES]`.
 
-Kept: the first pushes that were made, with pusher, wrench, push records and extrinsics; of the depth images every third around the pushes (and
-enough before the first to see the object at rest), every second pixel of every second row. Dropped: poses, cells and outline, so that the
-bag has to be looked at.
+Kept: the first pushes that were made, with pusher, wrench, push records and extrinsics; of the depth images every third around the
+pushes (and enough before the first to see the object at rest), every second pixel of every second row. Dropped: poses, cells and
+outline, so that the bag has to be looked at.
 """
 
 from __future__ import annotations

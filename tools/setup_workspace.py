@@ -30,6 +30,8 @@ LOG = ROOT / "log" / "setup.log"
 REQUIREMENTS = ROOT / "requirements"
 ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
 PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
+PHYSICS = ROOT / "src" / "push_ident" / "push_ident" / "physics"
+KERNELS = tuple(PHYSICS / f"{name}.py" for name in ("contact", "step", "rollout"))
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}
@@ -132,6 +134,7 @@ def steps(ros: Ros) -> list[Step]:
             run=lambda: write_environment(ros),
             products=(command,),
         ),
+        Step("kernels", "physics kernels compiled", made_from=lambda: digest(*KERNELS), run=compile_kernels),
     ]
     return result
 
@@ -302,6 +305,11 @@ def build(ros: Ros) -> None:
     if unbuilt:
         # colcon takes a package with an invalid package.xml for a plain Python one and says nothing.
         raise SetupError(f"colcon did not build {', '.join(unbuilt)} as ROS packages; check their package.xml")
+
+
+def compile_kernels() -> None:
+    """Fill numba's cache, so that no node waits for the compiler at its first push."""
+    run([str(VENV_PYTHON), "-c", "from push_ident.physics.simulation import compile_kernels; compile_kernels()"])
 
 
 def package_xml(package: str) -> Path:

@@ -148,7 +148,7 @@ class CellClient:
         """Latest map of an object."""
         return self._maps.get(object_id)
 
-    def wait_for_map(self, object_id: str, n_pushes: int, timeout: float = 30.0) -> MassFrictionMap:
+    def wait_for_map(self, object_id: str, n_pushes: int, timeout: float = 120.0) -> MassFrictionMap:
         """The first map that rests on at least so many finished pushes."""
 
         def enough() -> MassFrictionMap | None:

@@ -46,6 +46,7 @@ from push_ident.nodes.convert_model import (
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
+from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.assembly import PushAssembler
 from push_ident.types import PushRecord
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
@@ -238,6 +239,7 @@ class IdentificationNode(Node):
             self._wake.notify()
 
     def _work(self) -> None:
+        compile_kernels()
         peeked = 0.0
         while True:
             with self._wake:

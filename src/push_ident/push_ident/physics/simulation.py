@@ -8,9 +8,9 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.physics.rollout import N_BODY_PARAMETERS, rollout
-from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
-__all__ = ["GRAVITY", "BodyParameters", "Motion", "SimulationSettings", "body_of_cells", "simulate", "simulate_body"]
+__all__ = ["GRAVITY", "BodyParameters", "Motion", "SimulationSettings", "body_of_cells", "compile_kernels", "simulate", "simulate_body"]
 
 GRAVITY = 9.81
 """[m/s^2]"""
@@ -78,6 +78,15 @@ def body_of_cells(shape: ObjectShape, mass: Float64Array, friction: Float64Array
     centre = mass @ centres / total
     inertia = float(np.sum(mass * (np.sum((centres - centre) ** 2, axis=1) + shape.cells.size**2 / 6)))
     return BodyParameters(mass=total, centre=centre, inertia=inertia, limit=friction * mass * GRAVITY)
+
+
+def compile_kernels() -> None:
+    """Compile (or load from the cache) all kernels, so that the first push need not wait for it: seconds once, else a moment."""
+    square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
+    shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
+    body = BodyParameters(0.1, np.zeros(2), 1e-5, np.array([0.3]))
+    pusher = PusherPath(np.array([0.0, 0.1]), np.array([[-0.02, 0.0], [0.0, 0.0]]), 0.005)
+    simulate_body(shape, body, 0.3, pusher, np.zeros(3), np.array([0.0, 0.1]), jacobian=True)
 
 
 def simulate(
