@@ -225,6 +225,36 @@ CONTACT = {
 }
 
 
+class Stalls:
+    """How long this machine let a thread wait that wanted to run: what a bound on latency must be granted on a busy one."""
+
+    def __init__(self) -> None:
+        self.worst = 0.0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def _watch(self) -> None:
+        last = time.monotonic()
+        while not self._stop.wait(0.005):
+            now = time.monotonic()
+            self.worst = max(self.worst, now - last - 0.005)
+            last = now
+
+    def __enter__(self) -> Stalls:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def stalls() -> Iterator[Stalls]:
+    with Stalls() as watch:
+        yield watch
+
+
 def test_codes_are_those_of_the_action() -> None:
     assert {code.name: code.value for code in PushCode} == {code.name: getattr(ExecutePush.Result, code.name) for code in PushCode}
 
@@ -248,7 +278,7 @@ def test_dry_run_plans_through_the_contact_and_moves_nothing(cell: Cell) -> None
     assert cell.commands == [] and cell.records == []
 
 
-def test_push_moves_the_object_and_is_recorded(cell: Cell) -> None:
+def test_push_moves_the_object_and_is_recorded(cell: Cell, stalls: Stalls) -> None:
     before = cell.box.copy()
     call = send(cell, **CONTACT)
     result = call.end()
@@ -267,7 +297,8 @@ def test_push_moves_the_object_and_is_recorded(cell: Cell) -> None:
 
     stamps = np.array([stamp_from_msg(m.header.stamp) for m in cell.pusher])
     assert np.all((stamps > start - 0.2) & (stamps < end + 0.2))
-    assert stamps[0] < start + 0.15 and stamps[-1] > end - 0.15
+    late = 0.15 + 2 * stalls.worst
+    assert stamps[0] < start + late and stamps[-1] > end - late
     assert 20 <= len(stamps) / (end - start) <= 62
     at_contact = np.array([np.interp(contact, stamps, [getattr(m.pose.position, axis) for m in cell.pusher]) for axis in "xy"])
     touched = np.array([record.contact_point.x, record.contact_point.y])
@@ -281,7 +312,7 @@ def test_pusher_shape_is_latched(cell: Cell) -> None:
     assert list(cell.shapes[0].dimensions) == [0.08, RADIUS]
 
 
-def test_second_goal_is_refused_while_one_is_under_way_and_cancel_holds_within_100_ms(cell: Cell) -> None:
+def test_second_goal_is_refused_while_one_is_under_way_and_cancel_holds_within_100_ms(cell: Cell, stalls: Stalls) -> None:
     call = send(cell, **CONTACT)
     wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
     assert send(cell, **CONTACT).end().error_code == PushCode.BUSY
@@ -290,7 +321,7 @@ def test_second_goal_is_refused_while_one_is_under_way_and_cancel_holds_within_1
     call.handle.cancel_goal_async()
     wait_for(lambda: len(cell.commands) == 2)
     received, hold = cell.commands[1]
-    assert received - asked < 0.1
+    assert received - asked < 0.1 + 2 * stalls.worst
     assert len(hold.points) == 1 and not np.any(hold.points[0].velocities)
     assert call.end().error_code == PushCode.CANCELED
     wait_for(lambda: cell.records)
@@ -308,13 +339,13 @@ def test_second_goal_is_refused_while_one_is_under_way_and_cancel_holds_within_1
     assert len(rising) > 3 and rising[:, :2] == pytest.approx(np.tile(low[:2], (len(rising), 1)), abs=1e-3)
 
 
-def test_silent_arm_is_held_and_the_goal_aborted(cell: Cell) -> None:
+def test_silent_arm_is_held_and_the_goal_aborted(cell: Cell, stalls: Stalls) -> None:
     call = send(cell, **CONTACT)
     wait_for(lambda: cell.commands)
     time.sleep(0.5)
     cell.silent, silent_since = True, time.monotonic()
     wait_for(lambda: len(cell.commands) == 2)
-    assert cell.commands[1][0] - silent_since < ARM_TIMEOUT + 0.2
+    assert cell.commands[1][0] - silent_since < ARM_TIMEOUT + 0.2 + 2 * stalls.worst
     result = call.end()
     assert result.error_code == PushCode.ARM_SILENT and "joint_states" in result.error_text
     refused = send(cell, **CONTACT).end()

@@ -23,13 +23,13 @@ _COAST = 0.15  # an object let go at 0.3 m/s on friction 0.2 rests within this [
 class NoiseModel:
     """Errors of observed poses beyond the covariance that comes with them."""
 
-    floor_position: float = 2e-4
+    floor_position: float = 5e-4
     """That averaging frames does not remove [m]."""
-    floor_yaw: float = 1e-3
+    floor_yaw: float = 3e-3
     """[rad]"""
-    growth_position: float = 0.008
+    growth_position: float = 0.016
     """Discrepancy of position per way gone."""
-    growth_yaw: float = 0.08
+    growth_yaw: float = 0.16
     """Discrepancy of yaw per way gone [rad/m]."""
     max_moving_frames: int = 10
     """Frames kept of the motion itself."""
