@@ -54,8 +54,8 @@ class _Outcome:
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
     seed: Annotated[int, typer.Option(help="Of the object's masses and frictions, the pushes and the noise.")] = 0,
-    n_train: Annotated[int, typer.Option(min=1, help="Random pushes to learn from.")] = 5,
-    n_test: Annotated[int, typer.Option(min=1, help="Unseen pushes, predicted before they are made.")] = 5,
+    n_train: Annotated[int, typer.Option(min=1, help="Random pushes to learn from.")] = 6,
+    n_test: Annotated[int, typer.Option(min=1, help="Unseen pushes, predicted before they are made.")] = 6,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:

@@ -20,6 +20,7 @@ from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import cells_in_outline, polygon_area, signed_distance
 from push_ident.perception.depth import rays_in_table
 from push_ident.perception.segments import Segment
+from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["SeenObject", "mean_depth", "see_object"]
@@ -32,8 +33,8 @@ _MARGIN: Final = 0.015
 """Of the fine grid around the object [m]."""
 _FINER: Final = 4
 """The fine grid is interpolated by this factor before it is cut at the half level."""
-_SIMPLIFY: Final = 0.0007
-"""Largest distance of the simplified outline from the traced one [m]."""
+_SMALLEST: Final = 40
+"""Points of the traced outline that an object needs at least: a square of 2.5 mm."""
 _PASSES: Final = 3
 """Of tracing the outline: the first decides for each line of sight which of its ends matters."""
 _REACH: Final = 10
@@ -189,12 +190,12 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
     if not contours:
         raise PerceptionError("The outline of the object cannot be traced: nothing of it is surely full.")
     contour = max(contours, key=cv2.contourArea)
-    traced = cv2.approxPolyDP(contour, _SIMPLIFY / _GRID * _FINER, True)[:, 0].astype(np.float64)
-    if len(traced) < 3:
-        raise PerceptionError(f"The outline of the object has {len(traced)} corners; it is too small for this camera.")
+    if len(contour) < _SMALLEST:
+        raise PerceptionError(f"The outline of the object is {len(contour)} points long; it is too small for this camera.")
+    pixel = _GRID / _FINER
     # findContours walks through the centres of the outermost pixels, half a pixel inside the edge.
-    outline = _grown(traced, 0.5)
-    return origin + (outline + 0.5) / _FINER * _GRID, origin
+    outline = _grown(straighten(contour[:, 0].astype(np.float64) * pixel), 0.5 * pixel)
+    return origin + outline + 0.5 * pixel, origin
 
 
 def _counted(samples: Float64Array, origin: Float64Array, rows: int, columns: int) -> NDArray[np.float32]:
