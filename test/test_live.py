@@ -48,3 +48,15 @@ def test_doctor_says_what_is_missing_when_nothing_runs(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "doctor.json").read_text())
     assert content["ros"]["middleware"] == "rmw_fastrtps_cpp"
     assert any("push-ident up sim" in problem for problem in content["problems"])
+
+
+def test_demo_sees_pushes_identifies_and_predicts_in_the_live_simulated_cell(tmp_path: Path) -> None:
+    done = run("demo", "--n-train", 1, "--n-test", 1, "--out", tmp_path, "--json", tmp_path / "demo.json", timeout=280.0)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    content = json.loads((tmp_path / "demo.json").read_text())
+    assert len(content["training"]) == 1 and len(content["per_push"]) == 1
+    # One push tells little; but the pose, the outline and the prediction must hang together.
+    assert content["per_push"][0]["predicted_m"] < 0.02
+    folder = next(path for path in tmp_path.iterdir() if path.is_dir())
+    assert {"bag", "model.json", "map.png", "result.json", "log"} <= {path.name for path in folder.iterdir()}
+    assert run("identify", folder / "bag").returncode == 0

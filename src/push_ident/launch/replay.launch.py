@@ -25,7 +25,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="perception_node",
                 name="perception_node",
                 output="screen",
-                parameters=[params_file],
+                parameters=[params_file, {"use_sim_time": True}],
                 arguments=arguments,
                 condition=IfCondition(LaunchConfiguration("perception")),
             ),
@@ -34,7 +34,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="identification_node",
                 name="identification_node",
                 output="screen",
-                parameters=[params_file],
+                parameters=[params_file, {"use_sim_time": True}],
                 arguments=arguments,
             ),
             Node(

@@ -12,11 +12,14 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description() -> LaunchDescription:
     config = PathJoinSubstitution([FindPackageShare("push_ident"), "config", "push_ident.yaml"])
     sim_config = PathJoinSubstitution([FindPackageShare("push_ident_sim"), "config", "sim.yaml"])
+    on_its_clock = {"use_sim_time": True}
+    # A simulator may pause for longer than an arm; the watchdogs of the real one stay as tight as they are.
+    patient = {"arm_timeout": 1.0, "tracking_lag": 1.0}
     nodes = {
-        "sim_cell_node": ("push_ident_sim", "sim_params_file"),
-        "perception_node": ("push_ident", "params_file"),
-        "push_executor_node": ("push_ident", "params_file"),
-        "identification_node": ("push_ident", "params_file"),
+        "sim_cell_node": ("push_ident_sim", "sim_params_file", {}),
+        "perception_node": ("push_ident", "params_file", on_its_clock),
+        "push_executor_node": ("push_ident", "params_file", on_its_clock | patient),
+        "identification_node": ("push_ident", "params_file", on_its_clock),
     }
     return LaunchDescription(
         [
@@ -29,10 +32,10 @@ def generate_launch_description() -> LaunchDescription:
                     executable=executable,
                     name=executable,
                     output="screen",
-                    parameters=[LaunchConfiguration(params_file)],
+                    parameters=[LaunchConfiguration(params_file), own],
                     arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
                 )
-                for executable, (package, params_file) in nodes.items()
+                for executable, (package, params_file, own) in nodes.items()
             ),
         ]
     )

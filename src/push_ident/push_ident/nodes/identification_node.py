@@ -59,6 +59,8 @@ _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCA
 _RELIABLE: Final = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _SILENCE: Final = 2.0
 """Wall time without a message after which a push counts as finished [s]: the source has gone."""
+_HIDDEN: Final = 10.0
+"""The same where no object was seen since the push [s]: the arm may still be in the way."""
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
 
@@ -230,7 +232,8 @@ class IdentificationNode(Node):
     def _collect(self) -> None:
         """Hand complete pushes, and the push under way, to the worker."""
         with self._lock:
-            silent = not self._flushed and time.monotonic() - self._received > _SILENCE
+            patience = _HIDDEN if self._assembler.is_awaiting else _SILENCE
+            silent = not self._flushed and time.monotonic() - self._received > patience
             pushes = self._assembler.finished(flush=silent)
             self._flushed = self._flushed or silent
         with self._wake:
@@ -249,6 +252,8 @@ class IdentificationNode(Node):
                 push = self._finished.popleft() if self._finished else None
                 self._peek_due = False
             if push is not None:
+                if not push:
+                    self._refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden, or perception down?")
                 for finished in push:
                     self._solve(finished, finished=True)
             elif time.monotonic() - peeked > self._settings["update_period"]:

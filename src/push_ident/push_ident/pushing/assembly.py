@@ -1,7 +1,7 @@
 """From streams of poses and pusher samples to push records, while they come in.
 
-The rules are those by which a bag is cut: a push is a run of pusher samples without a pause over `gap`; poses up to `gap` around it
-belong to it, but none nearer to another push.
+The rules are those by which a bag is cut: a push is a run of pusher samples without a pause over `gap`; it takes the poses up to `gap`
+around it or, where the object was hidden then, the nearest one on that side, but none nearer to another push.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _MAX_BUFFER = 20_000
 
 @dataclass(slots=True)
 class _Span:
-    """One push: its pusher samples and the time after which poses belong to it."""
+    """One push: its pusher samples, and the time between its neighbours [s], within which poses are nearer to it than to them."""
 
-    earliest_pose: float
+    after: float
     samples: list[tuple[float, float, float]] = field(default_factory=list)
-    latest_pose: float = np.inf
+    before: float = np.inf
 
     @property
     def start(self) -> float:
@@ -84,10 +84,10 @@ class PushAssembler:
         if self._open is not None and stamp - self._open.end > self._gap:
             self.end_push()
         if self._open is None:
-            pause = 0.5 * (stamp + self._last_end) if np.isfinite(self._last_end) else -np.inf
-            self._open = _Span(earliest_pose=max(stamp - self._gap, pause))
+            middle = 0.5 * (stamp + self._last_end) if np.isfinite(self._last_end) else -np.inf
+            self._open = _Span(after=middle)
             if self._ended:
-                self._ended[-1].latest_pose = min(self._ended[-1].latest_pose, pause)
+                self._ended[-1].before = middle
         if not self._open.samples or stamp > self._open.end:
             self._open.samples.append((stamp, float(position[0]), float(position[1])))
             self._now = max(self._now, stamp)
@@ -95,29 +95,40 @@ class PushAssembler:
     def end_push(self) -> None:
         """The push under way has ended (somebody said so, or the pusher paused)."""
         if self._open is not None:
-            span, self._open = self._open, None
-            self._last_end = span.end
-            span.latest_pose = span.end + self._gap
-            self._ended.append(span)
+            self._last_end = self._open.end
+            self._ended.append(self._open)
+            self._open = None
 
     def partial(self, object_id: str) -> PushRecord | None:
         """The push under way as far as it has come; None while there is none, or too little of it."""
         return self._record(object_id, self._open) if self._open is not None else None
 
     def finished(self, *, flush: bool = False) -> list[list[PushRecord]]:
-        """Pushes that are complete, each as one record per object, oldest first. Every push is handed out once.
+        """Pushes that are complete, each as one record per object, oldest first; empty where too little was seen. Each is handed out once.
 
-        A push is complete when stamps have passed the time in which poses belong to it. `flush` takes what there is.
+        A push is complete when an object was seen after it and stamps have passed the time in which poses belong to it, or when the
+        next one is nearer. `flush` takes what there is.
         """
         if self._open is not None and (flush or self._now - self._open.end > self._gap):
             self.end_push()
         pushes = []
-        while self._ended and (flush or self._now > self._ended[0].latest_pose):
+        while self._ended and (flush or self._complete(self._ended[0])):
             span = self._ended.popleft()
             records = [record for object_id in self._shapes if (record := self._record(object_id, span)) is not None]
             pushes.append(records)
             self._forget(span.end)
         return pushes
+
+    @property
+    def is_awaiting(self) -> bool:
+        """Whether a push has ended after which no object was seen yet."""
+        return bool(self._ended) and not self._seen_after(self._ended[0])
+
+    def _seen_after(self, span: _Span) -> bool:
+        return any(poses and poses[-1][0] >= span.end for poses in self._poses.values())
+
+    def _complete(self, span: _Span) -> bool:
+        return self._now > span.before or (self._seen_after(span) and self._now > span.end + self._gap)
 
     def reset(self) -> None:
         """Time was set back: forget everything that was buffered, keep the shapes."""
@@ -128,7 +139,12 @@ class PushAssembler:
         self._last_end = self._now = -np.inf
 
     def _record(self, object_id: str, span: _Span) -> PushRecord | None:
-        seen = [p for p in self._poses.get(object_id, ()) if span.earliest_pose <= p[0] <= span.latest_pose]
+        mine = [p for p in self._poses.get(object_id, ()) if span.after < p[0] <= span.before]
+        seen = [p for p in mine if span.start - self._gap <= p[0] <= span.end + self._gap]
+        if not any(p[0] <= span.start for p in seen):
+            seen = [p for p in mine if p[0] < span.start][-1:] + seen
+        if not any(p[0] >= span.end for p in seen):
+            seen = seen + [p for p in mine if p[0] > span.end][:1]
         if object_id not in self._shapes or len(seen) < 2 or len(span.samples) < 2:
             return None
         samples = np.array(span.samples)
