@@ -146,7 +146,7 @@ def _with_total_mass(
     measured = float(np.median(logs))
     variance = (_MIN_FORCE_STD**2 + float(np.var(logs))) / len(logs)
     prior = posterior.prior
-    row = posterior._friction_force_row()
+    row = posterior.friction_force_row
     mass_variance = prior.total_mass_std**2
     spread = posterior.covariance @ row
     total = float(row @ spread) + mass_variance + variance

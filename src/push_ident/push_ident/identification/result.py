@@ -88,15 +88,9 @@ class ModelPosterior:
         return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(self.covariance[-1, -1])))
 
     @property
-    def log_friction_force_variance(self) -> float:
-        """Variance of the logarithm of the total sliding friction at a given total mass."""
-        row = self._friction_force_row()
-        return float(row @ self.covariance @ row)
-
-    def _friction_force_row(self) -> Float64Array:
-        """d log(sum of friction limits) / dz at fixed total mass, shape (n_unknowns,)."""
-        _, _, d_body = self.parameters.body(self.z)
-        body, _, _ = self.parameters.body(self.z)
+    def friction_force_row(self) -> Float64Array:
+        """d log(sum of friction limits) / dz at a given total mass, shape (n_unknowns,)."""
+        body, _, d_body = self.parameters.body(self.z)
         return np.asarray(d_body[-len(body.limit) :].sum(axis=0) / body.limit.sum())
 
 

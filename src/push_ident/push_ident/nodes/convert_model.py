@@ -18,7 +18,6 @@ from push_ident.nodes.convert import (
     object_frame,
     planar_pose_to_msg,
     position_from_msg,
-    position_to_msg,
     stamp_from_msg,
     stamp_to_msg,
 )
@@ -32,7 +31,6 @@ __all__ = [
     "prediction_path_to_msg",
     "prediction_to_msg",
     "pusher_path_from_msg",
-    "pusher_path_to_msg",
 ]
 
 _STATUS = {
@@ -132,11 +130,3 @@ def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:
             pose.header.frame_id = path.header.frame_id
         samples.append(position_from_msg(pose))
     return PusherPath(np.array([time for time, _ in samples]), np.array([position[:2] for _, position in samples]), radius)
-
-
-def pusher_path_to_msg(path: PusherPath) -> Path:
-    """Path of the pusher, its stamps as they are [s]."""
-    msg = Path()
-    msg.header.frame_id = TABLE_FRAME
-    msg.poses = [position_to_msg(stamp_to_msg(float(time)), [x, y, 0.0]) for time, (x, y) in zip(path.time, path.position, strict=True)]
-    return msg
