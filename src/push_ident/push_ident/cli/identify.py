@@ -77,7 +77,7 @@ def identify_command(
             [loaded.records[i] for i in chosen],
             prior,
             method=method,
-            on_iteration=lambda n, cost: progress.update(task, description=f"iteration {n}, cost {cost:.1f}"),
+            on_progress=lambda best: progress.update(task, description=f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
     content = result_json(result, loaded, chosen)
     _show(content, result, loaded)
