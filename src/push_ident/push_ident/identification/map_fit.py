@@ -31,6 +31,8 @@ _AMPLITUDES = (1.0, 0.3, 0.1)
 """Of the maps, as a share of the prior's deviations."""
 _NEGLIGIBLE = 7.0
 """An amplitude whose log evidence is so far below the best is left out, and so are the smaller ones after it."""
+_MEDIAN = 2.366
+"""Of chi squared with 3 degrees of freedom."""
 _POOR_FIT = 4.0
 """Misfit per degree of freedom above which the pushes contradict each other or the model."""
 
@@ -49,12 +51,11 @@ class _Fit:
 
     @property
     def misfit(self) -> float:
-        """Robust squared residual per degree of freedom; about 1 where model and noise are right."""
-        n_z = self.problem.parameters.size
-        z = self.x[:n_z]
-        covariance = np.linalg.inv(self.end.hessian)
-        used = n_z - float(np.trace(covariance[:n_z, :n_z])) + 3 * len(self.problem.records)
-        return 2 * (self.end.cost - 0.5 * float(z @ z)) / max(self.end.residual.size - used, 1.0)
+        """Squared residual per degree of freedom, by the median frame; about 1 where model and noise are right."""
+        n_z, n_residuals = self.problem.parameters.size, self.end.residual.size
+        used = n_z - float(np.trace(np.linalg.inv(self.end.hessian)[:n_z, :n_z])) + 3 * len(self.problem.records)
+        median = float(np.median(np.sum(self.end.residual**2, axis=1)))
+        return median / _MEDIAN * n_residuals / max(n_residuals - used, 0.25 * n_residuals)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,10 @@ Unknowns x = (z, first pose of push 1, first pose of push 2, ...): the first pos
 the maps, started from the mean of the rest frames; its prior is the first frame itself. All unknowns are in units of their prior
 deviation, so that the cost is
 
-    1/2 sum_frames rho(|W (y - f(x))|^2) + 1/2 |z|^2,      rho: quadratic up to `outlier`, then linear (Huber)
+    sum_frames (n + 3)/2 log(1 + |W (y - f(x))|^2 / n) + 1/2 |z|^2,      n = `TAILS`
+
+The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
+the maps with it.
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.simulation import Motion, SimulationSettings, simulate_body
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["Evaluation", "FitProblem"]
+__all__ = ["TAILS", "Evaluation", "FitProblem"]
+
+TAILS = 4.0
+"""Degrees of freedom of the noise of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +36,7 @@ class Evaluation:
     """Cost and its first derivatives at one point."""
 
     cost: float
-    """Half the robust sum of squares plus half the squared `z`; infinite where a simulation failed."""
+    """Negative logarithm of the posterior density up to a constant; infinite where a simulation failed."""
     gradient: Float64Array
     """Shape (n_unknowns,)."""
     hessian: Float64Array
@@ -47,7 +53,6 @@ class FitProblem:
         parameters: the unknowns of the object.
         noise: of the observations.
         settings: numerics of the simulation.
-        outlier: whitened distance of a frame beyond which it counts less.
         meter: counts the simulations.
 
     Raises:
@@ -61,7 +66,6 @@ class FitProblem:
         *,
         noise: NoiseModel | None = None,
         settings: SimulationSettings | None = None,
-        outlier: float = 4.0,
         meter: Meter | None = None,
     ) -> None:
         if not records:
@@ -75,7 +79,6 @@ class FitProblem:
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         self.settings = settings or SimulationSettings()
         self.meter = meter or Meter()
-        self._outlier = outlier
         self._first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
     @property
@@ -110,11 +113,9 @@ class FitProblem:
         return np.einsum("fij,fj->fi", seen.whitening, motion.pose - seen.pose)
 
     def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
-        """Robust cost of whitened residuals, and the weight each frame keeps (1 for no outlier), shape (n_frames,)."""
+        """Robust cost of whitened residuals, and the weight of each frame's square in it, shape (n_frames,)."""
         size2 = np.sum(residual**2, axis=1)
-        weight = np.minimum(1.0, self._outlier / np.sqrt(np.maximum(size2, 1e-300)))
-        cost = 0.5 * float(np.sum(np.where(weight < 1.0, self._outlier * (2 * np.sqrt(size2) - self._outlier), size2)))
-        return cost, weight
+        return 0.5 * (TAILS + 3) * float(np.sum(np.log1p(size2 / TAILS))), (TAILS + 3) / (TAILS + size2)
 
     def cost(self, x: Float64Array) -> float:
         """Cost alone at `x`: one simulation a push, without derivative. Infinite where a simulation failed."""
