@@ -3,7 +3,7 @@
 Around a guess z of the object, the frames of a push depend linearly on the unknowns, with the noise that the fit gives them. What
 the posterior covariance S would become then does not depend on what will be seen, and is known before the push is made:
 
-    S' = (S^-1 + H(z))^-1            H: what the push would add to the Hessian of the fit, its own first pose marginalised
+    S' = (S^-1 + H(z))^-1            H: what the push is expected to add to the Hessian of the fit, its own first pose marginalised
     error(S) = mean over reference pushes of sqrt(tr(Q G S G')),   G = d(last pose) / dz,   Q: mean square over the cells
 
 The push with the least error(S') is Bayesian A-optimal, not for the maps but for what they are wanted for, predictions; the
@@ -26,9 +26,8 @@ from scipy.linalg import solve_triangular
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
-from push_ident.identification.observation import NoiseModel
+from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import MapParameters
-from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.simulation import SimulationSettings, simulate_body
@@ -39,7 +38,6 @@ from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, Pus
 __all__ = ["Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "candidate_pushes", "rank_pushes", "reference_pushes"]
 
 _SAMPLING = 100.0  # of planned pusher paths [Hz]
-_EVERY_FRAME = 1e9  # outlier distance beyond which nothing lies
 _CHATTER = 10.0
 """A first pose that is off makes the end of an ordinary push 1 to 8 times as far off. Where the factor is larger, the motion chatters
 between modes of contact, and its derivative, though exact, holds over micrometres only: it says nothing of what would be seen."""
@@ -228,8 +226,9 @@ def _value(
     roots: list[Float64Array] = [identity] * len(guesses)
     record, status = _imagined(posterior, push, sensor, settings)
     if record is not None:
-        problem = FitProblem([record], posterior.parameters, noise=noise, settings=settings, outlier=_EVERY_FRAME)
-        roots = [np.asarray(np.linalg.cholesky(identity + scale.T @ _information(problem, guess.z) @ scale)) for guess in guesses]
+        seen = observe_push(record, noise)
+        told = [_sensitivity(posterior.parameters, guess.z, push, seen, settings) @ scale for guess in guesses]
+        roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in told]
     at_mean = solve_triangular(roots[0], scale.T, lower=True)
     return PushValue(
         push=push,
@@ -254,15 +253,25 @@ def _imagined(
     return PushRecord("", parameters.shape, poses, pusher), motion.status
 
 
-def _information(problem: FitProblem, z: Float64Array) -> Float64Array:
-    """What the push of `problem` adds to the precision of z, whatever its own first pose, shape (n_unknowns, n_unknowns)."""
-    n = len(z)
-    end = problem.evaluate(np.concatenate([z, np.zeros(problem.size - n)]))
-    shared, mixed, own = end.hessian[:n, :n], end.hessian[:n, n:], end.hessian[n:, n:]
-    if not np.isfinite(end.cost) or np.trace(own) > _CHATTER**2 * len(end.residual):
-        return np.zeros((n, n))
-    information = shared - np.eye(n) - mixed @ np.linalg.solve(own, mixed.T)
-    return np.asarray(0.5 * (information + information.T))
+def _sensitivity(
+    parameters: MapParameters, z: Float64Array, push: PlannedPush, seen: Observation, settings: SimulationSettings
+) -> Float64Array:
+    """Rows G with H = G' G: how whitened frames depend on z beyond what another first pose would explain, shape (n_rows, n_unknowns)."""
+    body, pusher_friction, d_body = parameters.body(z)
+    motion = simulate_body(
+        parameters.shape, body, pusher_friction, push.pusher, push.pose_object_in_table, seen.time, settings=settings, jacobian=True
+    )
+    nothing = np.zeros((0, len(z)))
+    if motion.status is SolveStatus.SIMULATION_FAILED:
+        return nothing
+    whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian)
+    by_first = whitened[:, :, :3].reshape(-1, 3)
+    in_deviations = by_first @ np.linalg.cholesky(seen.first_covariance)
+    if np.sum(in_deviations**2) > _CHATTER**2 * len(seen.time):
+        return nothing
+    by_z = (whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]).reshape(-1, len(z))
+    explained, _ = np.linalg.qr(by_first)
+    return np.asarray(by_z - explained @ (explained.T @ by_z))
 
 
 def _reference_rows(
