@@ -79,7 +79,7 @@ class FitProblem:
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         self.settings = settings or SimulationSettings()
         self.meter = meter or Meter()
-        self._first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
+        self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
     @property
     def size(self) -> int:
@@ -89,7 +89,7 @@ class FitProblem:
     def first_pose(self, x: Float64Array, push: int) -> Float64Array:
         """First pose of a push, table frame, shape (3,)."""
         start = self.parameters.size + 3 * push
-        return self.observations[push].pose[0] + self._first_scale[push] @ x[start : start + 3]
+        return self.observations[push].pose[0] + self.first_scale[push] @ x[start : start + 3]
 
     def simulate(self, x: Float64Array, *, jacobian: bool = False) -> list[Motion]:
         """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
@@ -149,7 +149,7 @@ class FitProblem:
             cost += misfit
             whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian)
             # Columns: first pose (scaled), then the body chained to z.
-            own = whitened[:, :, :3] @ self._first_scale[push]
+            own = whitened[:, :, :3] @ self.first_scale[push]
             shared = whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]
             jacobian = np.concatenate([shared, own], axis=2)
             columns = np.r_[0:n_z, n_z + 3 * push : n_z + 3 * push + 3]

@@ -11,12 +11,16 @@ from push_ident.types import CellGrid, Float64Array, SolveStatus
 
 __all__ = ["fast_gradient"]
 
-_RATE = 0.3
-"""The paper's learning rate alpha, here per share of the way gone: a cell that is simulated 10 % too far gets 3 % more friction."""
+_RATE = 1.0
+"""The paper's learning rate alpha at the start, here per share of the way gone: a cell simulated 10 % too far gets 10 % more friction."""
+_LEAST_RATE = 1e-3
+"""At which the search ends."""
+_TARGET = 0.5
+"""The paper's loss threshold, as a share of the distance that noise alone would make."""
 _FLOOR = 1e-3
 """Smallest friction force and mass of a cell, as a share of the mean."""
-_PATIENCE = 300
-"""Passes without a better point after which the search ends."""
+_PATIENCE = 20
+"""Passes without a better point after which the rate is halved and the best point taken up again."""
 
 
 def fast_gradient(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
@@ -26,7 +30,7 @@ def fast_gradient(problem: FitProblem, x0: Float64Array, rng: np.random.Generato
     friction forces and masses is that error itself up to a constant, which the learning rate absorbs: no derivative is simulated. Rates
     are alpha for the friction forces and sqrt(alpha) for the masses. The position error is a vector and the update a number: it is
     the error along the way that the cell goes. The updates of one pass over all pushes are summed, so that the loss belongs
-    to one model; the best model of all passes is kept, since nothing makes the loss fall.
+    to one model. Nothing makes the loss fall, so the best model is kept, and the rate is halved when none better was found for long.
     """
     parameters, meter = problem.parameters, problem.meter
     start = parameters.model(x0[: parameters.size])
@@ -34,28 +38,31 @@ def fast_gradient(problem: FitProblem, x0: Float64Array, rng: np.random.Generato
     # "Initialize mu_f randomly"
     force = start.friction * start.mass * GRAVITY * rng.uniform(0.5, 1.5, len(mass))
     mean_mass, mean_force = float(mass.mean()), float(force.mean())
-    best, waited = np.array(x0), 0
+    best, best_force, best_mass, waited, rate = np.array(x0), force, mass, 0, _RATE
     while True:
         x = np.array(x0)
         x[: parameters.size] = parameters.unknowns(mass, force / (GRAVITY * mass), start.pusher_friction)
         motions = problem.simulate(x)
         if meter.offer(x, problem.cost_of(x, motions)):
-            best, waited = x, 0
+            best, best_force, best_mass, waited = x, force, mass, 0
         else:
             waited += 1
         if motions[-1].status is SolveStatus.SIMULATION_FAILED:
             return best, SolveStatus.SIMULATION_FAILED if meter.best is None else SolveStatus.STALLED
         passes = [_errors_along_way(problem, motion, push) for push, motion in enumerate(motions)]
         loss, expected = (float(np.mean([p[i] for p in passes])) for i in (1, 2))
-        if loss <= expected:
+        if loss <= _TARGET * expected:
             return best, SolveStatus.CONVERGED
         if meter.spent:
             return best, SolveStatus.BUDGET_SPENT
         if waited > _PATIENCE:
-            return best, SolveStatus.STALLED
+            force, mass, waited, rate = best_force, best_mass, 0, 0.5 * rate
+            if rate < _LEAST_RATE:
+                return best, SolveStatus.STALLED
+            continue
         error = np.mean([p[0] for p in passes], axis=0)
-        force = np.maximum(force + _RATE * mean_force * error, _FLOOR * mean_force)
-        mass = np.maximum(mass + np.sqrt(_RATE) * mean_mass * error, _FLOOR * mean_mass)
+        force = np.maximum(force + rate * mean_force * error, _FLOOR * mean_force)
+        mass = np.maximum(mass + np.sqrt(rate) * mean_mass * error, _FLOOR * mean_mass)
 
 
 def _errors_along_way(problem: FitProblem, motion: Motion, push: int) -> tuple[Float64Array, float, float]:

@@ -27,4 +27,4 @@ def finite_differences(problem: FitProblem, x0: Float64Array, rng: np.random.Gen
             slope[i] = (problem.cost(moved) - cost) / _STEP
         return slope
 
-    return descend(problem, x0, gradient)
+    return descend(problem, x0, problem.cost, gradient)
