@@ -31,8 +31,8 @@ _AMPLITUDES = (1.0, 0.3, 0.1)
 """Of the maps, as a share of the prior's deviations."""
 _NEGLIGIBLE = 7.0
 """An amplitude whose log evidence is so far below the best is left out, and so are the smaller ones after it."""
-_MEDIAN = 2.366
-"""Of chi squared with 3 degrees of freedom."""
+_EXPECTED = 4.642
+"""Four fifths of chi squared with 3 degrees of freedom lie below it."""
 _POOR_FIT = 4.0
 """Misfit per degree of freedom above which the pushes contradict each other or the model."""
 
@@ -51,11 +51,11 @@ class _Fit:
 
     @property
     def misfit(self) -> float:
-        """Squared residual per degree of freedom, by the median frame; about 1 where model and noise are right."""
+        """Squared residual per degree of freedom, by the frame that four fifths lie below; about 1 where all is right."""
         n_z, n_residuals = self.problem.parameters.size, self.end.residual.size
         used = n_z - float(np.trace(np.linalg.inv(self.end.hessian)[:n_z, :n_z])) + 3 * len(self.problem.records)
-        median = float(np.median(np.sum(self.end.residual**2, axis=1)))
-        return median / _MEDIAN * n_residuals / max(n_residuals - used, 0.25 * n_residuals)
+        size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), 0.8))
+        return size2 / _EXPECTED * n_residuals / max(n_residuals - used, 0.25 * n_residuals)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ SPAN = 2.0
 def random_search(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
     """Draw all unknowns of the object uniformly, again and again, and keep the best (Song & Boularias 2020, Baselines)."""
     best, meter, n_z = np.array(x0), problem.meter, problem.parameters.size
-    meter.offer(best, problem.cost(best))
     while not meter.spent:
         x = np.array(x0)
         x[:n_z] = rng.uniform(-SPAN, SPAN, n_z)

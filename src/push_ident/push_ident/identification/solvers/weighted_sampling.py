@@ -21,7 +21,6 @@ _LEAST = 1e-3
 def weighted_sampling(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
     """Uniform samples first, then normal ones around the best so far, with a spread that shrinks (Song & Boularias 2020, Baselines)."""
     best, meter, n_z = np.array(x0), problem.meter, problem.parameters.size
-    meter.offer(best, problem.cost(best))
     spread, first = SPAN / 2, True
     while not meter.spent and spread > _LEAST:
         centre = best
