@@ -4,8 +4,11 @@ Mass and friction of a cell are positive, so their logarithms are the unknowns; 
 Gaussian process over the object (Matern 3/2). In the coordinates `z` of its leading modes the prior is a unit normal:
 
     m_i = M w_i,   w = softmax(a),   a = A z_a          masses, M the total mass
-    mu_i = mu_0 exp(b_i + s),        b = A z_b, s       support friction, map and common scale
+    mu_i = mu_0 exp(s) e_i / (w' e),   e = exp(b),   b = A z_b     support friction, map and scale
     mu_p = mu_p0 exp(p)                                 friction of the pusher
+
+The scale s is that of the friction of the whole object, mu_0 exp(s) M g, whatever the maps: a heavy end that also rubs more must not
+look like more friction on the whole.
 
 Scaling M scales every force and leaves every motion as it is, so M is no unknown here: see `posterior`.
 """
@@ -96,13 +99,26 @@ class MapParameters:
         a = prior.mass_map_std * (self.modes @ z[:n])
         weight = np.exp(a - a.max())
         weight /= weight.sum()
-        b = prior.friction_map_std * (self.modes @ z[n : 2 * n]) + prior.friction_std * z[-2]
+        roughness = np.exp(prior.friction_map_std * (self.modes @ z[n : 2 * n]))
         return ObjectModel(
             shape=self.shape,
             mass=prior.total_mass * weight,
-            friction=prior.friction * np.exp(b),
+            friction=prior.friction * float(np.exp(prior.friction_std * z[-2])) * roughness / float(weight @ roughness),
             pusher_friction=float(prior.pusher_friction * np.exp(prior.pusher_friction_std * z[-1])),
         )
+
+    def log_derivatives(self, model: ObjectModel) -> tuple[Float64Array, Float64Array]:
+        """d log(mass of each cell) / dz and d log(friction of each cell) / dz at the unknowns of `model`, each shape (n_cells, size)."""
+        n, prior = self.n_modes, self.prior
+        d_mass = np.zeros((len(model.mass), self.size))
+        d_friction = np.zeros_like(d_mass)
+        # Of the weights w_i = softmax(a): only differences count.
+        d_mass[:, :n] = prior.mass_map_std * (self.modes - model.mass @ self.modes / model.total_mass)
+        d_friction[:, n : 2 * n] = prior.friction_map_std * self.modes
+        load = model.mass * model.friction
+        d_friction -= load @ (d_mass + d_friction) / load.sum()
+        d_friction[:, -2] += prior.friction_std
+        return d_mass, d_friction
 
     def unknowns(self, mass: Float64Array, friction: Float64Array, pusher_friction: float) -> Float64Array:
         """Unknowns of given maps, shape (size,): exact where every cell has a mode of its own, else the nearest smooth maps.
@@ -114,8 +130,10 @@ class MapParameters:
         prior, n = self.prior, self.n_modes
         z = np.zeros(self.size)
         log_mass, log_friction = np.log(mass), np.log(friction / prior.friction)
+        scale = np.log(mass @ friction / mass.sum() / prior.friction)
         z[:n] = np.linalg.lstsq(prior.mass_map_std * self.modes, log_mass - log_mass.mean())[0]
-        z[n : 2 * n] = np.linalg.lstsq(prior.friction_map_std * self.modes, log_friction)[0]
+        z[n : 2 * n] = np.linalg.lstsq(prior.friction_map_std * self.modes, log_friction - scale)[0]
+        z[-2] = scale / prior.friction_std
         z[-1] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
         return z
 
@@ -126,22 +144,17 @@ class MapParameters:
             The body, the friction of the pusher, and d(body parameters)/dz, shape (8 + n_cells, size), rows as the columns of
             `Motion.jacobian`.
         """
-        n, prior, model = self.n_modes, self.prior, self.model(z)
+        model = self.model(z)
         body = body_of_cells(self.shape, model.mass, model.friction)
         weight = model.mass / body.mass
         arms = self.shape.cells.centres - body.centre
         moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
+        d_mass, d_friction = self.log_derivatives(model)
         derivative = np.zeros((N_BODY_PARAMETERS + len(weight), self.size))
-        d_mass = prior.mass_map_std * self.modes
-        # Of the weights w_i = softmax(a): only differences count.
-        d_mass = d_mass - weight @ d_mass
-        d_friction = prior.friction_map_std * self.modes
-        derivative[PARAM_CENTRE : PARAM_CENTRE + 2, :n] = (weight[:, None] * arms).T @ d_mass
-        derivative[PARAM_INERTIA, :n] = body.mass * ((weight * moment) @ d_mass)
-        derivative[PARAM_LIMIT:, :n] = body.limit[:, None] * d_mass
-        derivative[PARAM_LIMIT:, n : 2 * n] = body.limit[:, None] * d_friction
-        derivative[PARAM_LIMIT:, -2] = body.limit * prior.friction_std
-        derivative[PARAM_MU, -1] = model.pusher_friction * prior.pusher_friction_std
+        derivative[PARAM_CENTRE : PARAM_CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
+        derivative[PARAM_INERTIA] = body.mass * ((weight * moment) @ d_mass)
+        derivative[PARAM_LIMIT:] = body.limit[:, None] * (d_mass + d_friction)
+        derivative[PARAM_MU, -1] = model.pusher_friction * self.prior.pusher_friction_std
         return body, model.pusher_friction, derivative
 
 

@@ -45,53 +45,39 @@ class ModelPosterior:
     def prior(self) -> Prior:
         return self.parameters.prior
 
-    def _log_std(self, d_modes: Float64Array, d_scale: Float64Array, left_out: float, *, mass: bool, friction: bool) -> Float64Array:
-        n = self.parameters.n_modes
-        rows = np.zeros((len(d_modes), len(self.z)))
-        prior = self.prior
-        if mass:
-            rows[:, :n] = prior.mass_map_std * d_modes
-        if friction:
-            rows[:, n : 2 * n] = prior.friction_map_std * self.parameters.modes
-            rows[:, -2] = prior.friction_std
-        variance = np.einsum("ip,pq,iq->i", rows, self.covariance, rows) + left_out * self.parameters.map_remainder
-        return np.sqrt(variance + d_scale)
-
-    def _centred_modes(self) -> Float64Array:
-        weight = self.model.mass / self.model.total_mass
-        return self.parameters.modes - weight @ self.parameters.modes
+    def _log_std(self, rows: Float64Array, left_out: float, other: float) -> Float64Array:
+        """Deviation of a logarithm with derivative `rows`; `left_out` and `other` are variances of the lost modes and of anything else."""
+        variance = np.einsum("ip,pq,iq->i", rows, self.covariance, rows)
+        return np.sqrt(variance + left_out * self.parameters.map_remainder + other)
 
     @property
     def mass_std(self) -> Float64Array:
         """Standard deviation of the mass of each cell [kg], shape (n_cells,)."""
+        model = self.model
+        d_mass, _ = self.parameters.log_derivatives(model)
         total = (self.total_mass.std / self.total_mass.value) ** 2
-        log_std = self._log_std(self._centred_modes(), np.asarray(total), self.prior.mass_map_std**2, mass=True, friction=False)
-        return np.asarray(self.model.mass * log_std)
+        return np.asarray(model.mass * self._log_std(d_mass, self.prior.mass_map_std**2, total))
 
     @property
     def friction_std(self) -> Float64Array:
         """Standard deviation of the support friction of each cell, shape (n_cells,)."""
-        left_out = self.prior.friction_map_std**2
-        return np.asarray(self.model.friction * self._log_std(self.parameters.modes, np.asarray(0.0), left_out, mass=False, friction=True))
+        model = self.model
+        _, d_friction = self.parameters.log_derivatives(model)
+        return np.asarray(model.friction * self._log_std(d_friction, self.prior.friction_map_std**2, 0.0))
 
     @property
     def mass_friction_std(self) -> Float64Array:
         """Standard deviation of mass times friction of each cell [kg], shape (n_cells,)."""
+        model = self.model
+        d_mass, d_friction = self.parameters.log_derivatives(model)
         left_out = self.prior.mass_map_std**2 + self.prior.friction_map_std**2
         total = (self.total_mass.std / self.total_mass.value) ** 2
-        log_std = self._log_std(self._centred_modes(), np.asarray(total), left_out, mass=True, friction=True)
-        return np.asarray(self.model.mass * self.model.friction * log_std)
+        return np.asarray(model.mass * model.friction * self._log_std(d_mass + d_friction, left_out, total))
 
     @property
     def pusher_friction(self) -> Estimate:
         value = self.model.pusher_friction
         return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(self.covariance[-1, -1])))
-
-    @property
-    def friction_force_row(self) -> Float64Array:
-        """d log(sum of friction limits) / dz at a given total mass, shape (n_unknowns,)."""
-        body, _, d_body = self.parameters.body(self.z)
-        return np.asarray(d_body[-len(body.limit) :].sum(axis=0) / body.limit.sum())
 
 
 @dataclass(frozen=True, slots=True)

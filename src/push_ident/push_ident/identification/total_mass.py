@@ -38,7 +38,8 @@ def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Floa
     # The sensor's scale is off by the same in every push; the rest averages out.
     variance = _MIN_FORCE_STD**2 + float(np.var(logs)) / len(logs)
     prior = posterior.prior
-    row = posterior.friction_force_row
+    row = np.zeros(len(posterior.z))
+    row[-2] = prior.friction_std
     mass_variance = prior.total_mass_std**2
     spread = posterior.covariance @ row
     total = float(row @ spread) + mass_variance + variance
@@ -58,7 +59,7 @@ def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Floa
 
 
 def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push: int) -> float | None:
-    """Measured over simulated force of one push, least squares over the time in contact; None where nothing was measured."""
+    """Measured over simulated force of one push, median over the time in contact; None where nothing was measured."""
     record = problem.records[push]
     if record.wrench is None:
         return None
@@ -67,10 +68,10 @@ def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push:
         return None
     wrench = record.wrench
     simulated = np.column_stack([np.interp(wrench.time, motion.force_time, motion.force[:, axis]) for axis in (0, 1)])
-    # Only the steady part: at the touch and at the stop a small error of time makes a large error of force.
-    size = np.linalg.norm(simulated, axis=1)
-    steady = size > 0.5 * np.quantile(size[size > 0], 0.5) if np.any(size > 0) else np.zeros(len(size), dtype=bool)
+    size2 = np.sum(simulated**2, axis=1)
+    steady = size2 > 0.25 * np.median(size2[size2 > 0]) if np.any(size2 > 0) else np.zeros(len(size2), dtype=bool)
     if not np.any(steady):
         return None
-    ratio = float(np.sum(wrench.force[steady] * simulated[steady]) / np.sum(simulated[steady] ** 2))
+    # The median: at the touch a small error of time makes a large error of force.
+    ratio = float(np.median(np.sum(wrench.force[steady] * simulated[steady], axis=1) / size2[steady]))
     return ratio if np.isfinite(ratio) and ratio > 0 else None

@@ -76,8 +76,10 @@ def _model(parameters: MapParameters, z: torch.Tensor) -> ReferenceModel:
     from push_ident.physics.reference import ReferenceModel
 
     n, prior, modes = parameters.n_modes, parameters.prior, torch.as_tensor(parameters.modes)
+    weight = torch.softmax(prior.mass_map_std * (modes @ z[:n]), dim=0)
+    roughness = torch.exp(prior.friction_map_std * (modes @ z[n : 2 * n]))
     return ReferenceModel(
-        mass=prior.total_mass * torch.softmax(prior.mass_map_std * (modes @ z[:n]), dim=0),
-        friction=prior.friction * torch.exp(prior.friction_map_std * (modes @ z[n : 2 * n]) + prior.friction_std * z[-2]),
+        mass=prior.total_mass * weight,
+        friction=prior.friction * torch.exp(prior.friction_std * z[-2]) * roughness / (weight @ roughness),
         pusher_friction=prior.pusher_friction * torch.exp(prior.pusher_friction_std * z[-1]),
     )
