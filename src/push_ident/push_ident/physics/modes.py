@@ -1,0 +1,262 @@
+"""The contact problem of one step, solved exactly by trying its modes (compiled).
+
+For a support friction that is linear about the present twist, a step is
+
+    H du = r + sum_k N_k' n_k + T' t,     0 <= n_k  perpendicular to  N_k du - miss_k >= 0,     |t| <= mu sum_k n_k against the slip
+
+with the normal impulses n_k of up to three contacts and one tangential impulse t. The sum runs over the contacts that share the
+tangent T: the first, and those on the same flat face (a line contact, whose points all slip alike). Contacts on another face are
+frictionless: three velocities cannot carry two independent stick conditions beside two normal ones.
+
+A mode says which contacts press and whether the tangent is free, sticks or slips; within a mode the problem is linear. Its matrix
+is unsymmetric where a contact slips: the impulse acts along N + drag T, the condition is on N alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from push_ident.types import Float64Array
+
+__all__ = [
+    "MAX_CONTACTS", "MODE_FREE", "MODE_SLIDE_MINUS", "MODE_SLIDE_PLUS", "MODE_STICK", "NO_MODE",
+    "ContactProblem", "ModeSystem", "drag_sign", "mode_system", "new_contact_problem", "new_mode_system", "solve_modes", "solve_small",
+    "tangent_row",
+]  # fmt: skip
+
+MAX_CONTACTS = 3
+
+MODE_FREE = 0
+MODE_STICK = 1
+MODE_SLIDE_PLUS = 2
+"""The object slides along +T on the pusher, so that t = -mu sum n_k."""
+MODE_SLIDE_MINUS = 3
+NO_MODE = -1
+"""A mode code is the mode of the tangent + 4 * (sum of 2^k over the contacts k that press); this one says that none was found."""
+
+_TANGENT = MAX_CONTACTS  # row of the tangent of contact 0
+
+
+class ContactProblem(NamedTuple):
+    """Contacts of one step, object axes."""
+
+    rows: Float64Array
+    """Normal rows N_k, then tangent rows T_k, shape (2 MAX_CONTACTS, 3): velocity of the contact point along -n and along t."""
+    bounds: Float64Array
+    """What N_k u must reach and T_k u is compared with [m/s], shape (2 MAX_CONTACTS,)."""
+    shares_tangent: NDArray[np.bool_]
+    """Contacts on the face of the first one, shape (MAX_CONTACTS,)."""
+
+
+class ModeSystem(NamedTuple):
+    """The linear system of a mode: du and the impulses x from H du - P' x = r and C du = miss."""
+
+    row: NDArray[np.int64]
+    """Rows of the contact problem that make C, shape (MAX_CONTACTS + 1,)."""
+    direction: Float64Array
+    """P: twist impulse for a unit of each unknown, shape (MAX_CONTACTS + 1, 3)."""
+    matrix: Float64Array
+    """Scratch, shape (7, 7)."""
+    right: Float64Array
+    """Scratch, shape (7, 1)."""
+
+
+def new_contact_problem() -> ContactProblem:
+    """Without contacts yet."""
+    return ContactProblem(np.zeros((2 * MAX_CONTACTS, 3)), np.zeros(2 * MAX_CONTACTS), np.zeros(MAX_CONTACTS, dtype=np.bool_))
+
+
+def new_mode_system() -> ModeSystem:
+    """Scratch space of `solve_modes`."""
+    n = MAX_CONTACTS + 1
+    return ModeSystem(np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((3 + n, 3 + n)), np.zeros((3 + n, 1)))
+
+
+@njit(cache=True)
+def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
+    """Solve a[:n, :n] x = b[:n, :m] in place by elimination with row exchange; b becomes x. False where a is singular."""
+    for k in range(n):
+        p, best = k, abs(a[k, k])
+        for i in range(k + 1, n):
+            if abs(a[i, k]) > best:
+                p, best = i, abs(a[i, k])
+        if best == 0.0 or not math.isfinite(best):
+            return False
+        if p != k:
+            for j in range(k, n):
+                a[k, j], a[p, j] = a[p, j], a[k, j]
+            for j in range(m):
+                b[k, j], b[p, j] = b[p, j], b[k, j]
+        for i in range(k + 1, n):
+            c = a[i, k] / a[k, k]
+            if c != 0.0:
+                for j in range(k + 1, n):
+                    a[i, j] -= c * a[k, j]
+                for j in range(m):
+                    b[i, j] -= c * b[k, j]
+    for k in range(n - 1, -1, -1):
+        inverse = 1.0 / a[k, k]
+        for j in range(m):
+            x = b[k, j]
+            for i in range(k + 1, n):
+                x -= a[k, i] * b[i, j]
+            b[k, j] = x * inverse
+    return True
+
+
+@njit(cache=True)
+def tangent_row(code: int, contacts: ContactProblem) -> int:
+    """Row of the tangent that the friction of a mode acts along: that of the first pressing contact of the common face."""
+    for k in range(MAX_CONTACTS):
+        if contacts.shares_tangent[k] and (code >> (2 + k)) & 1:
+            return _TANGENT + k
+    return _TANGENT
+
+
+@njit(cache=True)
+def drag_sign(code: int) -> float:
+    """Sign of t / (mu sum n_k): -1 when the object slides along +T, 0 when it does not slide."""
+    mode = code % 4
+    return -1.0 if mode == MODE_SLIDE_PLUS else (1.0 if mode == MODE_SLIDE_MINUS else 0.0)
+
+
+@njit(cache=True)
+def mode_system(code: int, contacts: ContactProblem, mu: float, system: ModeSystem) -> int:
+    """Fill `row` and `direction` of a mode; returns the number of its impulses: normal ones in order, then the tangent if it sticks."""
+    rows, tangent, drag = contacts.rows, tangent_row(code, contacts), drag_sign(code) * mu
+    n = 0
+    for k in range(MAX_CONTACTS):
+        if (code >> (2 + k)) & 1:
+            along = drag if contacts.shares_tangent[k] else 0.0
+            system.row[n] = k
+            for i in range(3):
+                system.direction[n, i] = rows[k, i] + along * rows[tangent, i]
+            n += 1
+    if code % 4 == MODE_STICK:
+        system.row[n] = tangent
+        for i in range(3):
+            system.direction[n, i] = rows[tangent, i]
+        n += 1
+    return n
+
+
+@njit(cache=True)
+def _exists(code: int, contacts: ContactProblem, n_contacts: int) -> bool:
+    """Whether a code is a mode of so many contacts: friction acts if, and only if, a contact of the common face presses."""
+    pressing = code // 4
+    if pressing >= 1 << n_contacts:
+        return False
+    touches = False
+    number = 0
+    for k in range(n_contacts):
+        if (pressing >> k) & 1:
+            number += 1
+            touches = touches or contacts.shares_tangent[k]
+    if touches == (code % 4 == MODE_FREE):
+        return False
+    # Three velocities meet three conditions at most.
+    return number + (1 if code % 4 == MODE_STICK else 0) <= 3
+
+
+@njit(cache=True)
+def _row_times(rows: Float64Array, i: int, system: ModeSystem) -> float:
+    return rows[i, 0] * system.right[0, 0] + rows[i, 1] * system.right[1, 0] + rows[i, 2] * system.right[2, 0]
+
+
+@njit(cache=True)
+def _fits(
+    code: int, contacts: ContactProblem, n_contacts: int, mu: float, n: int, miss: Float64Array, scale: float, system: ModeSystem
+) -> bool:
+    """Whether the solution of a mode's linear system keeps the inequalities that the mode assumes."""
+    rows, right = contacts.rows, system.right
+    mode = code % 4
+    n_pressing = n - 1 if mode == MODE_STICK else n
+    carried = 0.0
+    for i in range(n_pressing):
+        if right[3 + i, 0] < 0.0:
+            return False
+        if contacts.shares_tangent[system.row[i]]:
+            carried += right[3 + i, 0]
+    for k in range(n_contacts):
+        if (code >> (2 + k)) & 1 == 0 and _row_times(rows, k, system) - miss[k] < -scale:
+            return False
+    if mode == MODE_STICK:
+        return abs(right[3 + n_pressing, 0]) <= mu * carried
+    if mode == MODE_FREE:
+        return True
+    tangent = tangent_row(code, contacts)
+    return -drag_sign(code) * (_row_times(rows, tangent, system) - miss[tangent]) >= -scale
+
+
+@njit(cache=True)
+def solve_modes(
+    h: Float64Array,
+    r: Float64Array,
+    contacts: ContactProblem,
+    n_contacts: int,
+    miss: Float64Array,
+    mu: float,
+    first_guess: int,
+    du: Float64Array,
+    impulse: Float64Array,
+    system: ModeSystem,
+) -> int:
+    """Change of the twist and the impulses of a step whose support friction is linear.
+
+    Args:
+        h: H, shape (3, 3).
+        r: shape (3,).
+        contacts: the contacts.
+        n_contacts: how many of them there are.
+        miss: bounds - rows times the present twist [m/s], shape (2 MAX_CONTACTS,).
+        mu: friction coefficient of the pusher.
+        first_guess: code that is tried first, that of the step before.
+        du: filled, shape (3,).
+        impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
+        system: scratch.
+
+    Returns:
+        The code of the mode, or `NO_MODE`.
+    """
+    a, b = system.matrix, system.right
+    scale = 1e-12
+    for k in range(n_contacts):
+        scale += 1e-12 * (abs(contacts.bounds[k]) + abs(contacts.bounds[_TANGENT + k]))
+    for trial in range(-1, 4 << n_contacts):
+        code = first_guess if trial < 0 else trial
+        if not _exists(code, contacts, n_contacts):
+            continue
+        n = mode_system(code, contacts, mu, system)
+        for i in range(3):
+            for j in range(3):
+                a[i, j] = h[i, j]
+            b[i, 0] = r[i]
+            for j in range(n):
+                a[i, 3 + j] = -system.direction[j, i]
+                a[3 + j, i] = contacts.rows[system.row[j], i]
+        for i in range(n):
+            b[3 + i, 0] = miss[system.row[i]]
+            for j in range(n):
+                a[3 + i, 3 + j] = 0.0
+        if not solve_small(a, b, 3 + n, 1) or not _fits(code, contacts, n_contacts, mu, n, miss, scale, system):
+            continue
+        for i in range(3):
+            du[i] = b[i, 0]
+        impulse[:] = 0.0
+        carried = 0.0
+        for i in range(n):
+            if system.row[i] < MAX_CONTACTS:
+                impulse[system.row[i]] = b[3 + i, 0]
+                if contacts.shares_tangent[system.row[i]]:
+                    carried += b[3 + i, 0]
+            else:
+                impulse[MAX_CONTACTS] = b[3 + i, 0]
+        if code % 4 != MODE_STICK:
+            impulse[MAX_CONTACTS] = drag_sign(code) * mu * carried
+        return code
+    return NO_MODE

@@ -1,0 +1,242 @@
+"""One implicit step with the paper's friction pyramid, not smoothed, by a primal-dual interior-point method (compiled).
+
+The pyramid of a cell (rows +-x, +-y of the table frame, multipliers that sum to at most f dt) is a square, so it splits into two
+one-dimensional frictions of weight c = f dt / 2 along its diagonals d = (1, 1) and (1, -1) (`support.py`). With t = d . J u, the friction
+c q of each is
+
+    t = w1 - w2,    0 <= w1  perpendicular to  1 - q >= 0,    0 <= w2  perpendicular to  1 + q >= 0
+
+which is the complementarity problem of Song & Boularias (2020, Eq. 2), cell by cell. The interior-point method asks for products
+w z = nu instead of 0 and lowers nu. A Newton iteration eliminates every cell in closed form,
+
+    dq = (d . J u+ - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2),      z1 = 1 - q,  z2 = 1 + q
+
+so that an iteration is one sweep over the cells and one problem in the three velocities. Contact is not relaxed: its modes are
+tried exactly, as in `step.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from push_ident.physics.kernel_cache import renew_cache
+from push_ident.physics.modes import MAX_CONTACTS, NO_MODE, ContactProblem, solve_modes
+from push_ident.physics.step import StepScratch
+from push_ident.types import Float64Array
+
+__all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_friction", "pyramid_step"]
+
+renew_cache(__file__, "modes.py", "step.py")
+
+FINAL_NU = 1e-13
+"""Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
+_MAX_ITERATIONS = 100
+_TOLERANCE = 1e-11
+_TO_BOUNDARY = 0.99  # share of the way to the boundary that a step may go
+
+
+class PyramidScratch(NamedTuple):
+    """Interior-point variables of the two diagonals of each cell, shapes (2, n_cells)."""
+
+    w1: Float64Array
+    w2: Float64Array
+    z1: Float64Array
+    z2: Float64Array
+    dq: Float64Array
+
+
+def new_pyramid_scratch(n_cells: int) -> PyramidScratch:
+    """Scratch space of `pyramid_step`."""
+    return PyramidScratch(*(np.zeros((2, n_cells)) for _ in range(5)))
+
+
+@njit(cache=True)
+def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> None:
+    """Put all cells on the central path at `nu` [m/s]."""
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        for i in range(arms.shape[1]):
+            t = dx * (twist[0] - twist[2] * arms[1, i]) + dy * (twist[1] + twist[2] * arms[0, i])
+            q = t / (nu + math.sqrt(nu * nu + t * t))
+            cells.z1[e, i], cells.z2[e, i] = 1.0 - q, 1.0 + q
+            cells.w1[e, i], cells.w2[e, i] = nu / (1.0 - q), nu / (1.0 + q)
+
+
+@njit(cache=True, error_model="numpy")
+def _model(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    dt: float,
+    cos: float,
+    sin: float,
+    nu: float,
+    cells: PyramidScratch,
+    impulse: Float64Array,
+    stiffness: Float64Array,
+) -> None:
+    """Linear model of the friction impulse about `twist`, one Newton step towards `nu`: value, shape (3,), and derivative, shape (3, 3)."""
+    impulse[:] = 0.0
+    stiffness[:] = 0.0
+    x, y = arms[0], arms[1]
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
+        sum_p = torque_p = sum_k = first_k = second_k = 0.0
+        for i in range(limit.shape[0]):
+            r = x[i] * dy - y[i] * dx
+            c = 0.5 * dt * limit[i]
+            t = dx * twist[0] + dy * twist[1] + r * twist[2]
+            k = 1.0 / (w1[i] / z1[i] + w2[i] / z2[i])
+            p = c * (0.5 * (z2[i] - z1[i]) + k * (t - nu / z1[i] + nu / z2[i]))
+            ck = c * k
+            sum_p += p
+            torque_p += r * p
+            sum_k += ck
+            first_k += ck * r
+            second_k += ck * r * r
+        impulse[0] += dx * sum_p
+        impulse[1] += dy * sum_p
+        impulse[2] += torque_p
+        stiffness[0, 0] += dx * dx * sum_k
+        stiffness[0, 1] += dx * dy * sum_k
+        stiffness[1, 1] += dy * dy * sum_k
+        stiffness[0, 2] += dx * first_k
+        stiffness[1, 2] += dy * first_k
+        stiffness[2, 2] += second_k
+    stiffness[1, 0], stiffness[2, 0], stiffness[2, 1] = stiffness[0, 1], stiffness[0, 2], stiffness[1, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def _longest_step(new_twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> float:
+    """Fill `dq` for the new twist and return the share of the step that keeps all w and z positive, at most 1."""
+    longest = 1.0 / _TO_BOUNDARY
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        for i in range(arms.shape[1]):
+            t = dx * (new_twist[0] - new_twist[2] * arms[1, i]) + dy * (new_twist[1] + new_twist[2] * arms[0, i])
+            w1, w2, z1, z2 = cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i]
+            dq = (t - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2)
+            cells.dq[e, i] = dq
+            if dq > 0.0:
+                longest = min(longest, z1 / dq)
+            elif dq < 0.0:
+                longest = min(longest, -z2 / dq)
+            dw1, dw2 = (nu + w1 * dq) / z1 - w1, (nu - w2 * dq) / z2 - w2
+            if dw1 < 0.0:
+                longest = min(longest, -w1 / dw1)
+            if dw2 < 0.0:
+                longest = min(longest, -w2 / dw2)
+    return _TO_BOUNDARY * longest
+
+
+@njit(cache=True, error_model="numpy")
+def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
+    """Go `share` of the step; returns the greatest product w z."""
+    worst = 0.0
+    for e in range(2):
+        for i in range(cells.dq.shape[1]):
+            w1, w2, z1, z2, dq = cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i], cells.dq[e, i]
+            w1 += share * ((nu + w1 * dq) / z1 - w1)
+            w2 += share * ((nu - w2 * dq) / z2 - w2)
+            z1 -= share * dq
+            z2 += share * dq
+            cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i] = w1, w2, z1, z2
+            worst = max(worst, w1 * z1, w2 * z2)
+    return worst
+
+
+@njit(cache=True)
+def pyramid_step(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    inertia: Float64Array,
+    reach: float,
+    contacts: ContactProblem,
+    n_contacts: int,
+    mu: float,
+    dt: float,
+    cos: float,
+    sin: float,
+    last_code: int,
+    impulse: Float64Array,
+    scratch: StepScratch,
+    cells: PyramidScratch,
+) -> tuple[int, int]:
+    """Advance `twist` by one step, in place: as `step.step`, with `cos` and `sin` of the object's yaw and `cells` for scratch."""
+    old, du, friction, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
+    old[:] = twist
+    impulse[:] = 0.0
+    new_impulse = np.empty_like(impulse)
+    new_twist = np.empty(3)
+    size = max(abs(twist[0]), abs(twist[1]), abs(twist[2]) * reach)
+    for k in range(n_contacts):
+        size = max(size, abs(contacts.bounds[k]), abs(contacts.bounds[MAX_CONTACTS + k]))
+    nu = max(0.1 * size, 1e-3)
+    _start(twist, arms, cos, sin, nu, cells)
+    code = last_code
+    for iteration in range(_MAX_ITERATIONS):
+        _model(twist, arms, limit, dt, cos, sin, nu, cells, friction, h)
+        for i in range(3):
+            h[i, i] += inertia[i]
+            right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
+        for i in range(2 * MAX_CONTACTS):
+            row = contacts.rows[i]
+            miss[i] = contacts.bounds[i] - row[0] * twist[0] - row[1] * twist[1] - row[2] * twist[2]
+        code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, scratch.system)
+        if code == NO_MODE:
+            return NO_MODE, iteration
+        for i in range(3):
+            new_twist[i] = twist[i] + du[i]
+        share = _longest_step(new_twist, arms, cos, sin, nu, cells)
+        worst = _advance(share, nu, cells)
+        change = 0.0
+        size = 1e-3
+        for i in range(3):
+            unit = reach if i == 2 else 1.0
+            change = max(change, abs(du[i]) * unit)
+            twist[i] += share * du[i]
+            size = max(size, abs(twist[i]) * unit)
+        for i in range(impulse.shape[0]):
+            impulse[i] += share * (new_impulse[i] - impulse[i])
+        if nu == FINAL_NU and share == 1.0 and change <= _TOLERANCE * size and worst <= 2.0 * nu:
+            return code, iteration + 1
+        nu = max(FINAL_NU, nu * max(0.01, 1.0 - 0.99 * share))
+    return NO_MODE, _MAX_ITERATIONS
+
+
+@njit(cache=True)
+def pyramid_friction(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    dt: float,
+    cos: float,
+    sin: float,
+    cells: PyramidScratch,
+    impulse: Float64Array,
+    stiffness: Float64Array,
+    by_yaw: Float64Array,
+) -> None:
+    """Friction impulse at the solution of a step, its derivative by the twist, and that by the yaw at a given twist in object axes."""
+    _model(twist, arms, limit, dt, cos, sin, FINAL_NU, cells, impulse, stiffness)
+    by_yaw[:] = 0.0
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        # The diagonal turns by -dyaw as seen from the object.
+        ex, ey = dy, -dx
+        for i in range(arms.shape[1]):
+            rx, ry = arms[0, i], arms[1, i]
+            c = 0.5 * dt * limit[i]
+            w1, w2, z1, z2 = cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i]
+            p = 0.5 * c * (z2 - z1)
+            dt_dyaw = ex * (twist[0] - twist[2] * ry) + ey * (twist[1] + twist[2] * rx)
+            dp = c * dt_dyaw / (w1 / z1 + w2 / z2)
+            by_yaw[0] += p * ex + dp * dx
+            by_yaw[1] += p * ey + dp * dy
+            by_yaw[2] += p * (rx * ey - ry * ex) + dp * (rx * dy - ry * dx)
