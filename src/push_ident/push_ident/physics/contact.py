@@ -11,15 +11,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from push_ident.physics.kernel_cache import renew_cache
+from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS, ContactProblem
 from push_ident.types import Float64Array
 
 __all__ = ["CONTACT_FIELDS", "contact_rows", "contact_rows_seed", "find_contacts", "max_candidates"]
-
-renew_cache(__file__, "modes.py")
 
 GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
 CONTACT_FIELDS = 10
@@ -37,7 +34,7 @@ _APART = 1e-4  # contacts of a face nearer to each other than this repeat each o
 _TINY = 1e-12
 
 
-@njit(cache=True)
+@kernel
 def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[float, float, float, float]:
     """Distance to edge i, its nearest point, and where along the edge (0..1) that lies."""
     j = i + 1 if i + 1 < outline.shape[0] else 0
@@ -50,7 +47,7 @@ def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[
     return math.sqrt((px - qx) ** 2 + (py - qy) ** 2), qx, qy, s
 
 
-@njit(cache=True)
+@kernel
 def _crosses(px: float, py: float, outline: Float64Array, i: int) -> bool:
     """Whether a ray from the point along +x crosses edge i: an odd number of crossings means inside."""
     j = i + 1 if i + 1 < outline.shape[0] else 0
@@ -58,7 +55,7 @@ def _crosses(px: float, py: float, outline: Float64Array, i: int) -> bool:
     return (yi > py) != (yj > py) and px < (outline[j, 0] - outline[i, 0]) * (py - yi) / (yj - yi) + outline[i, 0]
 
 
-@njit(cache=True)
+@kernel
 def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: Float64Array, i: int, inside: bool, owner: int) -> None:
     """Contact of a corner of the pusher with the nearest point of edge i."""
     distance, qx, qy, s = _edge_feature(px, py, outline, i)
@@ -79,7 +76,7 @@ def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: F
     contact[OWNER] = owner
 
 
-@njit(cache=True)
+@kernel
 def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
     """Whether corner j of the pusher is about the foremost one against the normal: only that one can touch there."""
     m = tips.shape[0]
@@ -91,7 +88,7 @@ def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
     """Append the contacts of corner j of the pusher to the `n` found: the nearest feature, and every other edge that it faces."""
     px, py = tips[j, 0], tips[j, 1]
@@ -131,7 +128,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     return n
 
 
-@njit(cache=True)
+@kernel
 def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
     """Append the contacts of convex corners of the outline with straight sides of the pusher to the `n` found."""
     m = tips.shape[0]
@@ -169,7 +166,7 @@ def max_candidates(n_tips: int, n_outline: int) -> int:
     return n_tips * (n_outline + 1) + n_outline + 1
 
 
-@njit(cache=True)
+@kernel
 def find_contacts(
     tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, contacts: Float64Array
 ) -> int:
@@ -238,7 +235,7 @@ def find_contacts(
     return number
 
 
-@njit(cache=True)
+@kernel
 def contact_rows(
     contact: Float64Array,
     k: int,
@@ -268,7 +265,7 @@ def contact_rows(
     problem.shares_tangent[k] = nx * face[NORMAL] + ny * face[NORMAL + 1] >= _PARALLEL
 
 
-@njit(cache=True)
+@kernel
 def contact_rows_seed(
     contact: Float64Array,
     k: int,

@@ -18,9 +18,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
 __all__ = [
@@ -77,7 +77,7 @@ def new_mode_system() -> ModeSystem:
     return ModeSystem(np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((3 + n, 3 + n)), np.zeros((3 + n, 1)))
 
 
-@njit(cache=True)
+@kernel
 def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
     """Solve a[:n, :n] x = b[:n, :m] in place by elimination with row exchange; b becomes x. False where a is singular."""
     for k in range(n):
@@ -109,7 +109,7 @@ def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def tangent_row(code: int, contacts: ContactProblem) -> int:
     """Row of the tangent that the friction of a mode acts along: that of the first pressing contact of the common face."""
     for k in range(MAX_CONTACTS):
@@ -118,14 +118,14 @@ def tangent_row(code: int, contacts: ContactProblem) -> int:
     return _TANGENT
 
 
-@njit(cache=True)
+@kernel
 def drag_sign(code: int) -> float:
     """Sign of t / (mu sum n_k): -1 when the object slides along +T, 0 when it does not slide."""
     mode = code % 4
     return -1.0 if mode == MODE_SLIDE_PLUS else (1.0 if mode == MODE_SLIDE_MINUS else 0.0)
 
 
-@njit(cache=True)
+@kernel
 def mode_system(code: int, contacts: ContactProblem, mu: float, system: ModeSystem) -> int:
     """Fill `row` and `direction` of a mode; returns the number of its impulses: normal ones in order, then the tangent if it sticks."""
     rows, tangent, drag = contacts.rows, tangent_row(code, contacts), drag_sign(code) * mu
@@ -145,7 +145,7 @@ def mode_system(code: int, contacts: ContactProblem, mu: float, system: ModeSyst
     return n
 
 
-@njit(cache=True)
+@kernel
 def _exists(code: int, contacts: ContactProblem, n_contacts: int) -> bool:
     """Whether a code is a mode of so many contacts: friction acts if, and only if, a contact of the common face presses."""
     pressing = code // 4
@@ -163,12 +163,12 @@ def _exists(code: int, contacts: ContactProblem, n_contacts: int) -> bool:
     return number + (1 if code % 4 == MODE_STICK else 0) <= 3
 
 
-@njit(cache=True)
+@kernel
 def _row_times(rows: Float64Array, i: int, system: ModeSystem) -> float:
     return rows[i, 0] * system.right[0, 0] + rows[i, 1] * system.right[1, 0] + rows[i, 2] * system.right[2, 0]
 
 
-@njit(cache=True)
+@kernel
 def _fits(
     code: int, contacts: ContactProblem, n_contacts: int, mu: float, n: int, miss: Float64Array, scale: float, system: ModeSystem
 ) -> bool:
@@ -193,7 +193,7 @@ def _fits(
     return -drag_sign(code) * (_row_times(rows, tangent, system) - miss[tangent]) >= -scale
 
 
-@njit(cache=True)
+@kernel
 def solve_modes(
     h: Float64Array,
     r: Float64Array,

@@ -21,21 +21,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from push_ident.physics.kernel_cache import renew_cache
+from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS, NO_MODE, ContactProblem, solve_modes
 from push_ident.physics.step import StepScratch
 from push_ident.types import Float64Array
 
 __all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_friction", "pyramid_step"]
 
-renew_cache(__file__, "modes.py", "step.py")
-
 FINAL_NU = 1e-13
 """Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
-_MAX_ITERATIONS = 100
+_MAX_ITERATIONS = 200
 _TOLERANCE = 1e-11
+_PACES = (0.01, 0.3)  # factors by which nu falls after a full step; the slow one where the fast one, on a sliding contact, circles
 _TO_BOUNDARY = 0.99  # share of the way to the boundary that a step may go
 
 
@@ -54,7 +52,7 @@ def new_pyramid_scratch(n_cells: int) -> PyramidScratch:
     return PyramidScratch(*(np.zeros((2, n_cells)) for _ in range(5)))
 
 
-@njit(cache=True)
+@kernel
 def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> None:
     """Put all cells on the central path at `nu` [m/s]."""
     for e in range(2):
@@ -66,7 +64,7 @@ def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: 
             cells.w1[e, i], cells.w2[e, i] = nu / (1.0 - q), nu / (1.0 + q)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _model(
     twist: Float64Array,
     arms: Float64Array,
@@ -111,7 +109,7 @@ def _model(
     stiffness[1, 0], stiffness[2, 0], stiffness[2, 1] = stiffness[0, 1], stiffness[0, 2], stiffness[1, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _longest_step(new_twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> float:
     """Fill `dq` for the new twist and return the share of the step that keeps all w and z positive, at most 1."""
     longest = 1.0 / _TO_BOUNDARY
@@ -134,7 +132,7 @@ def _longest_step(new_twist: Float64Array, arms: Float64Array, cos: float, sin: 
     return _TO_BOUNDARY * longest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
     """Go `share` of the step; returns the greatest product w z."""
     worst = 0.0
@@ -150,7 +148,7 @@ def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
     return worst
 
 
-@njit(cache=True)
+@kernel
 def pyramid_step(
     twist: Float64Array,
     arms: Float64Array,
@@ -171,46 +169,53 @@ def pyramid_step(
     """Advance `twist` by one step, in place: as `step.step`, with `cos` and `sin` of the object's yaw and `cells` for scratch."""
     old, du, friction, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
     old[:] = twist
-    impulse[:] = 0.0
     new_impulse = np.empty_like(impulse)
     new_twist = np.empty(3)
-    size = max(abs(twist[0]), abs(twist[1]), abs(twist[2]) * reach)
+    first_nu = 1e-2
+    for i in range(3):
+        first_nu = max(first_nu, abs(twist[i]) * (reach if i == 2 else 1.0))
     for k in range(n_contacts):
-        size = max(size, abs(contacts.bounds[k]), abs(contacts.bounds[MAX_CONTACTS + k]))
-    nu = max(0.1 * size, 1e-3)
-    _start(twist, arms, cos, sin, nu, cells)
-    code = last_code
-    for iteration in range(_MAX_ITERATIONS):
-        _model(twist, arms, limit, dt, cos, sin, nu, cells, friction, h)
-        for i in range(3):
-            h[i, i] += inertia[i]
-            right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
-        for i in range(2 * MAX_CONTACTS):
-            row = contacts.rows[i]
-            miss[i] = contacts.bounds[i] - row[0] * twist[0] - row[1] * twist[1] - row[2] * twist[2]
-        code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, scratch.system)
-        if code == NO_MODE:
-            return NO_MODE, iteration
-        for i in range(3):
-            new_twist[i] = twist[i] + du[i]
-        share = _longest_step(new_twist, arms, cos, sin, nu, cells)
-        worst = _advance(share, nu, cells)
-        change = 0.0
-        size = 1e-3
-        for i in range(3):
-            unit = reach if i == 2 else 1.0
-            change = max(change, abs(du[i]) * unit)
-            twist[i] += share * du[i]
-            size = max(size, abs(twist[i]) * unit)
-        for i in range(impulse.shape[0]):
-            impulse[i] += share * (new_impulse[i] - impulse[i])
-        if nu == FINAL_NU and share == 1.0 and change <= _TOLERANCE * size and worst <= 2.0 * nu:
-            return code, iteration + 1
-        nu = max(FINAL_NU, nu * max(0.01, 1.0 - 0.99 * share))
-    return NO_MODE, _MAX_ITERATIONS
+        first_nu = max(first_nu, abs(contacts.bounds[k]), abs(contacts.bounds[MAX_CONTACTS + k]))
+    first_nu *= 0.1
+    iterations = 0
+    for pace in _PACES:
+        twist[:] = old
+        impulse[:] = 0.0
+        nu = first_nu
+        _start(twist, arms, cos, sin, nu, cells)
+        code = last_code
+        for _ in range(_MAX_ITERATIONS):
+            iterations += 1
+            _model(twist, arms, limit, dt, cos, sin, nu, cells, friction, h)
+            for i in range(3):
+                h[i, i] += inertia[i]
+                right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
+            for i in range(2 * MAX_CONTACTS):
+                row = contacts.rows[i]
+                miss[i] = contacts.bounds[i] - row[0] * twist[0] - row[1] * twist[1] - row[2] * twist[2]
+            code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, scratch.system)
+            if code == NO_MODE:
+                break
+            for i in range(3):
+                new_twist[i] = twist[i] + du[i]
+            share = _longest_step(new_twist, arms, cos, sin, nu, cells)
+            worst = _advance(share, nu, cells)
+            change = 0.0
+            size = 1e-2
+            for i in range(3):
+                unit = reach if i == 2 else 1.0
+                change = max(change, abs(du[i]) * unit)
+                twist[i] += share * du[i]
+                size = max(size, abs(twist[i]) * unit)
+            for i in range(impulse.shape[0]):
+                impulse[i] += share * (new_impulse[i] - impulse[i])
+            if nu == FINAL_NU and share == 1.0 and change <= _TOLERANCE * size and worst <= 2.0 * nu:
+                return code, iterations
+            nu = max(FINAL_NU, worst * max(pace, 1.0 - 0.99 * share))
+    return NO_MODE, iterations
 
 
-@njit(cache=True)
+@kernel
 def pyramid_friction(
     twist: Float64Array,
     arms: Float64Array,

@@ -6,11 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from push_ident.physics.contact import CONTACT_FIELDS, contact_rows, find_contacts, max_candidates
-from push_ident.physics.kernel_cache import renew_cache
+from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS, MODE_FREE, NO_MODE, ContactProblem, new_contact_problem, tangent_row
 from push_ident.physics.pyramid import PyramidScratch, new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.sensitivity import (
@@ -36,8 +35,6 @@ __all__ = [
     "N_BODY_PARAMETERS", "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS", "PARAM_MU", "PARAM_POSE",
     "Numerics", "Push", "RolloutScratch", "new_rollout_scratch", "rollout",
 ]  # fmt: skip
-
-renew_cache(__file__, "contact.py", "modes.py", "pyramid.py", "sensitivity.py", "step.py", "support.py")
 
 _REACH = 2e-3  # contacts nearer than this take part in a step [m]
 _REST = 1e-3  # an untouched object slower than this share of eps stands still
@@ -104,7 +101,7 @@ def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int) -> Rollout
     )
 
 
-@njit(cache=True)
+@kernel
 def _emit_pose(state: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, pose: Float64Array) -> None:
     """Add `weight` times the pose of the object frame to that of one frame."""
     pose[0] += weight * (state[0] - (cos * centre[0] - sin * centre[1]))
@@ -112,7 +109,7 @@ def _emit_pose(state: Float64Array, cos: float, sin: float, centre: Float64Array
     pose[2] += weight * state[2]
 
 
-@njit(cache=True)
+@kernel
 def rollout(
     push: Push,
     numerics: Numerics,

@@ -17,11 +17,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from push_ident.physics.contact import contact_rows_seed
-from push_ident.physics.kernel_cache import renew_cache
+from push_ident.physics.kernel import fast_kernel, kernel
 from push_ident.physics.modes import MAX_CONTACTS, ContactProblem, ModeSystem, drag_sign, mode_system, solve_small, tangent_row
 from push_ident.physics.support import Cone, unit_friction
 from push_ident.types import Float64Array
@@ -31,8 +30,6 @@ __all__ = [
     "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS", "PARAM_MU", "PARAM_POSE",
     "StepBalance", "Tape", "chain_backward", "chain_forward", "new_tape", "step_sensitivity",
 ]  # fmt: skip
-
-renew_cache(__file__, "contact.py", "modes.py", "support.py")
 
 PARAM_POSE = 0
 """First of the three columns of the first pose (x, y, yaw)."""
@@ -61,7 +58,6 @@ MOVED = 1
 CAME_TO_REST = 2
 """What a step did: nothing; one implicit step; one after which the velocities were set to zero."""
 
-_FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}
 _CHUNK = 256  # columns of the Jacobian carried at a time, so that they stay in the cache
 
 
@@ -102,7 +98,7 @@ def new_tape(n_steps: int) -> Tape:
     return Tape(np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, _N_COLUMNS)), np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)))
 
 
-@njit(cache=True)
+@kernel
 def step_sensitivity(
     step: StepBalance,
     problem: ContactProblem,
@@ -205,7 +201,7 @@ def step_sensitivity(
     return True
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@fast_kernel
 def _limit_columns(d: Float64Array, twist: Float64Array, arms: Float64Array, cone: Cone, dt: float, du: Float64Array) -> None:
     """Change of the twist after a step per unit of the friction limit of each cell, shape (3, n_cells)."""
     x, y = arms[0], arms[1]
@@ -219,7 +215,7 @@ def _limit_columns(d: Float64Array, twist: Float64Array, arms: Float64Array, con
         du[2, i] = d[2, 0] * fx + d[2, 1] * fy + d[2, 2] * ft
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@fast_kernel
 def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
     """Carry the derivative of the state, shape (6, n), over one step; `du` is the part of the twist that does not come from the state."""
     vx_table, vy_table = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
@@ -236,7 +232,7 @@ def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64A
         s[3, p], s[4, p], s[5, p] = vx, vy, w
 
 
-@njit(cache=True)
+@kernel
 def _emit(
     s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, first: int, last: int, jacobian: Float64Array
 ) -> None:
@@ -253,7 +249,7 @@ def _emit(
         jacobian[1, PARAM_CENTRE + 1] -= weight * cos
 
 
-@njit(cache=True)
+@kernel
 def chain_forward(
     tape: Tape,
     centre: Float64Array,
@@ -312,7 +308,7 @@ def chain_forward(
                 _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@fast_kernel
 def _add_limit_gradient(
     twist: Float64Array, arms: Float64Array, cone: Cone, dt: float, by_impulse: Float64Array, gradient: Float64Array
 ) -> None:
@@ -325,7 +321,7 @@ def _add_limit_gradient(
         gradient[i] += px * (a - c * ry) + py * (b + c * rx)
 
 
-@njit(cache=True)
+@kernel
 def _take_frame(
     by_pose: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_state: Float64Array, gradient: Float64Array
 ) -> None:
@@ -339,7 +335,7 @@ def _take_frame(
     gradient[PARAM_CENTRE + 1] += sin * gx - cos * gy
 
 
-@njit(cache=True)
+@kernel
 def chain_backward(
     tape: Tape,
     centre: Float64Array,

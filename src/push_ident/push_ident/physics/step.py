@@ -22,16 +22,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from push_ident.physics.kernel_cache import renew_cache
+from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS, NO_MODE, ContactProblem, ModeSystem, new_mode_system, solve_modes
 from push_ident.physics.support import support_friction
 from push_ident.types import Float64Array
 
 __all__ = ["StepScratch", "new_step_scratch", "step"]
-
-renew_cache(__file__, "modes.py", "support.py")
 
 _MAX_ITERATIONS = 100
 _TOLERANCE = 1e-10
@@ -56,7 +53,7 @@ def new_step_scratch() -> StepScratch:
     return StepScratch(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2 * MAX_CONTACTS), new_mode_system())
 
 
-@njit(cache=True)
+@kernel
 def step(
     twist: Float64Array,
     arms: Float64Array,

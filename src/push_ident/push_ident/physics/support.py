@@ -15,8 +15,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from push_ident.physics.kernel import fast_kernel
 from push_ident.types import Float64Array
 
 __all__ = ["Cone", "support_friction", "unit_friction"]
@@ -34,7 +33,7 @@ class Cone(NamedTuple):
     sin: float
 
 
-@njit(cache=True, fastmath={"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}, error_model="numpy")
+@fast_kernel
 def unit_friction(ux: float, uy: float, cone: Cone) -> tuple[float, float]:
     """phi of a cell's velocity, both in object axes."""
     if not cone.diamond:
@@ -48,7 +47,7 @@ def unit_friction(ux: float, uy: float, cone: Cone) -> tuple[float, float]:
     return cone.cos * x + cone.sin * y, -cone.sin * x + cone.cos * y
 
 
-@njit(cache=True, fastmath={"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}, error_model="numpy")
+@fast_kernel
 def support_friction(
     twist: Float64Array, arms: Float64Array, limit: Float64Array, eps: float, newton: bool, gradient: Float64Array, hessian: Float64Array
 ) -> None:
