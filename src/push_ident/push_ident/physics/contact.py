@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, ContactProblem
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
 from push_ident.types import Float64Array
 
 __all__ = ["CONTACT_FIELDS", "contact_rows", "contact_rows_seed", "find_contacts", "max_candidates"]
@@ -245,9 +245,9 @@ def contact_rows(
     spin: float,
     dt: float,
     face: Float64Array,
-    problem: ContactProblem,
+    rows: Float64Array,
 ) -> None:
-    """Enter contact k in the contact problem of a step of length `dt`.
+    """Enter contact k in the contacts of a step of length `dt`, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`.
 
     `centre` is the centre of mass, `pusher` the pusher's centre and `velocity` its velocity, object axes, shape (2,); `spin` is the
     pusher's rate of turn [rad/s]; `face` is the first contact.
@@ -257,12 +257,12 @@ def contact_rows(
     vx = velocity[0] - spin * (contact[POINT + 1] - pusher[1])
     vy = velocity[1] + spin * (contact[POINT] - pusher[0])
     tx, ty = -ny, nx
-    normal, tangent = problem.rows[k], problem.rows[MAX_CONTACTS + k]
-    normal[0], normal[1], normal[2] = -nx, -ny, -(ax * ny - ay * nx)
-    tangent[0], tangent[1], tangent[2] = tx, ty, ax * ty - ay * tx
-    problem.bounds[k] = -(nx * vx + ny * vy) - contact[GAP] / dt
-    problem.bounds[MAX_CONTACTS + k] = tx * vx + ty * vy
-    problem.shares_tangent[k] = nx * face[NORMAL] + ny * face[NORMAL + 1] >= _PARALLEL
+    i = MAX_CONTACTS + k
+    rows[k, 0], rows[k, 1], rows[k, 2] = -nx, -ny, -(ax * ny - ay * nx)
+    rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
+    rows[k, BOUND] = -(nx * vx + ny * vy) - contact[GAP] / dt
+    rows[i, BOUND] = tx * vx + ty * vy
+    rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= _PARALLEL else 0.0
 
 
 @kernel
@@ -279,7 +279,6 @@ def contact_rows_seed(
     d_centre: Float64Array,
     d_velocity: Float64Array,
     d_rows: Float64Array,
-    d_bounds: Float64Array,
 ) -> None:
     """Derivative of `contact_rows` for a change of the pusher's centre, angle and velocity and of the centre of mass."""
     nx, ny = contact[NORMAL], contact[NORMAL + 1]
@@ -300,8 +299,8 @@ def contact_rows_seed(
     d_gap = nx * d_tip_x + ny * d_tip_y
     d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
     d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
-    d_bounds[k] = -(dnx * vx + dny * vy + nx * dvx + ny * dvy) - d_gap / dt
+    d_rows[k, BOUND] = -(dnx * vx + dny * vy + nx * dvx + ny * dvy) - d_gap / dt
     i = MAX_CONTACTS + k
     d_rows[i, 0], d_rows[i, 1] = dtx, dty
     d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx
-    d_bounds[i] = dtx * vx + dty * vy + tx * dvx + ty * dvy
+    d_rows[i, BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy

@@ -24,9 +24,8 @@ from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
 __all__ = [
-    "MAX_CONTACTS", "MODE_FREE", "MODE_SLIDE_MINUS", "MODE_SLIDE_PLUS", "MODE_STICK", "NO_MODE",
-    "ContactProblem", "ModeSystem", "drag_sign", "mode_system", "new_contact_problem", "new_mode_system", "solve_modes", "solve_small",
-    "tangent_row",
+    "BOUND", "CONTACT_COLUMNS", "MAX_CONTACTS", "MODE_FREE", "MODE_SLIDE_MINUS", "MODE_SLIDE_PLUS", "MODE_STICK", "NO_MODE",
+    "SHARES_TANGENT", "ModeScratch", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small", "tangent_row",
 ]  # fmt: skip
 
 MAX_CONTACTS = 3
@@ -42,39 +41,32 @@ NO_MODE = -1
 _TANGENT = MAX_CONTACTS  # row of the tangent of contact 0
 
 
-class ContactProblem(NamedTuple):
-    """Contacts of one step, object axes."""
+BOUND = 3
+SHARES_TANGENT = 4
+CONTACT_COLUMNS = 5
+"""Contacts of one step are one array, object axes, shape (2 MAX_CONTACTS, CONTACT_COLUMNS): the rows N_k, then the rows T_k, with
 
-    rows: Float64Array
-    """Normal rows N_k, then tangent rows T_k, shape (2 MAX_CONTACTS, 3): velocity of the contact point along -n and along t."""
-    bounds: Float64Array
-    """What N_k u must reach and T_k u is compared with [m/s], shape (2 MAX_CONTACTS,)."""
-    shares_tangent: NDArray[np.bool_]
-    """Contacts on the face of the first one, shape (MAX_CONTACTS,)."""
+    0-2   the row: velocity of the contact point along -n, or along t, for a unit of each velocity
+    3     bound [m/s]: what N_k u must reach, and what T_k u is compared with
+    4     of N_k: 1 for a contact on the face of the first one, else 0
+"""
 
 
-class ModeSystem(NamedTuple):
-    """The linear system of a mode: du and the impulses x from H du - P' x = r and C du = miss."""
+class ModeScratch(NamedTuple):
+    """Space for the linear system of a mode: du and the impulses x from H du - P' x = r and C du = miss."""
 
     row: NDArray[np.int64]
-    """Rows of the contact problem that make C, shape (MAX_CONTACTS + 1,)."""
-    direction: Float64Array
-    """P: twist impulse for a unit of each unknown, shape (MAX_CONTACTS + 1, 3)."""
+    """Rows of the contacts that make C, shape (MAX_CONTACTS + 1,)."""
     matrix: Float64Array
-    """Scratch, shape (7, 7)."""
+    """[H -P'; C 0], shape (7, 7)."""
     right: Float64Array
-    """Scratch, shape (7, 1)."""
+    """Shape (7, 1)."""
 
 
-def new_contact_problem() -> ContactProblem:
-    """Without contacts yet."""
-    return ContactProblem(np.zeros((2 * MAX_CONTACTS, 3)), np.zeros(2 * MAX_CONTACTS), np.zeros(MAX_CONTACTS, dtype=np.bool_))
-
-
-def new_mode_system() -> ModeSystem:
+def new_mode_scratch() -> ModeScratch:
     """Scratch space of `solve_modes`."""
     n = MAX_CONTACTS + 1
-    return ModeSystem(np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((3 + n, 3 + n)), np.zeros((3 + n, 1)))
+    return ModeScratch(np.zeros(n, dtype=np.int64), np.zeros((3 + n, 3 + n)), np.zeros((3 + n, 1)))
 
 
 @kernel
@@ -110,10 +102,10 @@ def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
 
 
 @kernel
-def tangent_row(code: int, contacts: ContactProblem) -> int:
+def tangent_row(code: int, contacts: Float64Array) -> int:
     """Row of the tangent that the friction of a mode acts along: that of the first pressing contact of the common face."""
     for k in range(MAX_CONTACTS):
-        if contacts.shares_tangent[k] and (code >> (2 + k)) & 1:
+        if (code >> (2 + k)) & 1 and contacts[k, SHARES_TANGENT] != 0.0:
             return _TANGENT + k
     return _TANGENT
 
@@ -126,27 +118,35 @@ def drag_sign(code: int) -> float:
 
 
 @kernel
-def mode_system(code: int, contacts: ContactProblem, mu: float, system: ModeSystem) -> int:
-    """Fill `row` and `direction` of a mode; returns the number of its impulses: normal ones in order, then the tangent if it sticks."""
-    rows, tangent, drag = contacts.rows, tangent_row(code, contacts), drag_sign(code) * mu
+def mode_system(code: int, h: Float64Array, contacts: Float64Array, mu: float, row: NDArray[np.int64], a: Float64Array) -> int:
+    """Fill `row` and the matrix `a` of a mode; returns the number of its impulses: normal ones in order, then the tangent if it sticks."""
+    tangent, drag = tangent_row(code, contacts), drag_sign(code) * mu
     n = 0
     for k in range(MAX_CONTACTS):
         if (code >> (2 + k)) & 1:
-            along = drag if contacts.shares_tangent[k] else 0.0
-            system.row[n] = k
+            along = drag * contacts[k, SHARES_TANGENT]
+            row[n] = k
             for i in range(3):
-                system.direction[n, i] = rows[k, i] + along * rows[tangent, i]
+                a[i, 3 + n] = -(contacts[k, i] + along * contacts[tangent, i])
+                a[3 + n, i] = contacts[k, i]
             n += 1
     if code % 4 == MODE_STICK:
-        system.row[n] = tangent
+        row[n] = tangent
         for i in range(3):
-            system.direction[n, i] = rows[tangent, i]
+            a[i, 3 + n] = -contacts[tangent, i]
+            a[3 + n, i] = contacts[tangent, i]
         n += 1
+    for i in range(3):
+        for j in range(3):
+            a[i, j] = h[i, j]
+    for i in range(n):
+        for j in range(n):
+            a[3 + i, 3 + j] = 0.0
     return n
 
 
 @kernel
-def _exists(code: int, contacts: ContactProblem, n_contacts: int) -> bool:
+def _exists(code: int, contacts: Float64Array, n_contacts: int) -> bool:
     """Whether a code is a mode of so many contacts: friction acts if, and only if, a contact of the common face presses."""
     pressing = code // 4
     if pressing >= 1 << n_contacts:
@@ -156,7 +156,7 @@ def _exists(code: int, contacts: ContactProblem, n_contacts: int) -> bool:
     for k in range(n_contacts):
         if (pressing >> k) & 1:
             number += 1
-            touches = touches or contacts.shares_tangent[k]
+            touches = touches or contacts[k, SHARES_TANGENT] != 0.0
     if touches == (code % 4 == MODE_FREE):
         return False
     # Three velocities meet three conditions at most.
@@ -164,99 +164,83 @@ def _exists(code: int, contacts: ContactProblem, n_contacts: int) -> bool:
 
 
 @kernel
-def _row_times(rows: Float64Array, i: int, system: ModeSystem) -> float:
-    return rows[i, 0] * system.right[0, 0] + rows[i, 1] * system.right[1, 0] + rows[i, 2] * system.right[2, 0]
-
-
-@kernel
-def _fits(
-    code: int, contacts: ContactProblem, n_contacts: int, mu: float, n: int, miss: Float64Array, scale: float, system: ModeSystem
-) -> bool:
-    """Whether the solution of a mode's linear system keeps the inequalities that the mode assumes."""
-    rows, right = contacts.rows, system.right
-    mode = code % 4
-    n_pressing = n - 1 if mode == MODE_STICK else n
-    carried = 0.0
-    for i in range(n_pressing):
-        if right[3 + i, 0] < 0.0:
-            return False
-        if contacts.shares_tangent[system.row[i]]:
-            carried += right[3 + i, 0]
-    for k in range(n_contacts):
-        if (code >> (2 + k)) & 1 == 0 and _row_times(rows, k, system) - miss[k] < -scale:
-            return False
-    if mode == MODE_STICK:
-        return abs(right[3 + n_pressing, 0]) <= mu * carried
-    if mode == MODE_FREE:
-        return True
-    tangent = tangent_row(code, contacts)
-    return -drag_sign(code) * (_row_times(rows, tangent, system) - miss[tangent]) >= -scale
+def _reaches(contacts: Float64Array, k: int, b: Float64Array, miss: Float64Array) -> float:
+    """How far row k exceeds its bound after the change of the twist in `b` [m/s]."""
+    return contacts[k, 0] * b[0, 0] + contacts[k, 1] * b[1, 0] + contacts[k, 2] * b[2, 0] - miss[k]
 
 
 @kernel
 def solve_modes(
     h: Float64Array,
     r: Float64Array,
-    contacts: ContactProblem,
+    contacts: Float64Array,
     n_contacts: int,
     miss: Float64Array,
     mu: float,
     first_guess: int,
     du: Float64Array,
     impulse: Float64Array,
-    system: ModeSystem,
+    row: NDArray[np.int64],
+    a: Float64Array,
+    b: Float64Array,
 ) -> int:
     """Change of the twist and the impulses of a step whose support friction is linear.
 
     Args:
         h: H, shape (3, 3).
         r: shape (3,).
-        contacts: the contacts.
+        contacts: the contacts (`CONTACT_COLUMNS`).
         n_contacts: how many of them there are.
         miss: bounds - rows times the present twist [m/s], shape (2 MAX_CONTACTS,).
         mu: friction coefficient of the pusher.
         first_guess: code that is tried first, that of the step before.
         du: filled, shape (3,).
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
-        system: scratch.
+        row, a, b: scratch, the fields of `ModeScratch`.
 
     Returns:
         The code of the mode, or `NO_MODE`.
     """
-    a, b = system.matrix, system.right
     scale = 1e-12
     for k in range(n_contacts):
-        scale += 1e-12 * (abs(contacts.bounds[k]) + abs(contacts.bounds[_TANGENT + k]))
+        scale += 1e-12 * (abs(contacts[k, BOUND]) + abs(contacts[_TANGENT + k, BOUND]))
     for trial in range(-1, 4 << n_contacts):
         code = first_guess if trial < 0 else trial
         if not _exists(code, contacts, n_contacts):
             continue
-        n = mode_system(code, contacts, mu, system)
+        n = mode_system(code, h, contacts, mu, row, a)
         for i in range(3):
-            for j in range(3):
-                a[i, j] = h[i, j]
             b[i, 0] = r[i]
-            for j in range(n):
-                a[i, 3 + j] = -system.direction[j, i]
-                a[3 + j, i] = contacts.rows[system.row[j], i]
         for i in range(n):
-            b[3 + i, 0] = miss[system.row[i]]
-            for j in range(n):
-                a[3 + i, 3 + j] = 0.0
-        if not solve_small(a, b, 3 + n, 1) or not _fits(code, contacts, n_contacts, mu, n, miss, scale, system):
+            b[3 + i, 0] = miss[row[i]]
+        if not solve_small(a, b, 3 + n, 1):
             continue
+
+        # The inequalities that the mode assumes.
+        mode = code % 4
+        n_pressing = n - 1 if mode == MODE_STICK else n
+        carried = 0.0
+        fits = True
+        for i in range(n_pressing):
+            carried += b[3 + i, 0] * contacts[row[i], SHARES_TANGENT]
+            fits = fits and b[3 + i, 0] >= 0.0
+        for k in range(n_contacts):
+            fits = fits and ((code >> (2 + k)) & 1 == 1 or _reaches(contacts, k, b, miss) >= -scale)
+        tangential = drag_sign(code) * mu * carried
+        if mode == MODE_STICK:
+            tangential = b[3 + n_pressing, 0]
+            fits = fits and abs(tangential) <= mu * carried
+        elif mode != MODE_FREE:
+            fits = fits and -drag_sign(code) * _reaches(contacts, tangent_row(code, contacts), b, miss) >= -scale
+        if not fits:
+            continue
+
         for i in range(3):
             du[i] = b[i, 0]
-        impulse[:] = 0.0
-        carried = 0.0
-        for i in range(n):
-            if system.row[i] < MAX_CONTACTS:
-                impulse[system.row[i]] = b[3 + i, 0]
-                if contacts.shares_tangent[system.row[i]]:
-                    carried += b[3 + i, 0]
-            else:
-                impulse[MAX_CONTACTS] = b[3 + i, 0]
-        if code % 4 != MODE_STICK:
-            impulse[MAX_CONTACTS] = drag_sign(code) * mu * carried
+        for k in range(MAX_CONTACTS):
+            impulse[k] = 0.0
+        for i in range(n_pressing):
+            impulse[row[i]] = b[3 + i, 0]
+        impulse[MAX_CONTACTS] = tangential
         return code
     return NO_MODE

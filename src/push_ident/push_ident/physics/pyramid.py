@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, NO_MODE, ContactProblem, solve_modes
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, solve_modes
 from push_ident.physics.step import StepScratch
 from push_ident.types import Float64Array
 
@@ -57,11 +57,12 @@ def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: 
     """Put all cells on the central path at `nu` [m/s]."""
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
         for i in range(arms.shape[1]):
             t = dx * (twist[0] - twist[2] * arms[1, i]) + dy * (twist[1] + twist[2] * arms[0, i])
             q = t / (nu + math.sqrt(nu * nu + t * t))
-            cells.z1[e, i], cells.z2[e, i] = 1.0 - q, 1.0 + q
-            cells.w1[e, i], cells.w2[e, i] = nu / (1.0 - q), nu / (1.0 + q)
+            z1[i], z2[i] = 1.0 - q, 1.0 + q
+            w1[i], w2[i] = nu / (1.0 - q), nu / (1.0 + q)
 
 
 @kernel
@@ -115,11 +116,12 @@ def _longest_step(new_twist: Float64Array, arms: Float64Array, cos: float, sin: 
     longest = 1.0 / _TO_BOUNDARY
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
         for i in range(arms.shape[1]):
             t = dx * (new_twist[0] - new_twist[2] * arms[1, i]) + dy * (new_twist[1] + new_twist[2] * arms[0, i])
-            w1, w2, z1, z2 = cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i]
+            w1, w2, z1, z2 = all_w1[i], all_w2[i], all_z1[i], all_z2[i]
             dq = (t - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2)
-            cells.dq[e, i] = dq
+            all_dq[i] = dq
             if dq > 0.0:
                 longest = min(longest, z1 / dq)
             elif dq < 0.0:
@@ -137,13 +139,14 @@ def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
     """Go `share` of the step; returns the greatest product w z."""
     worst = 0.0
     for e in range(2):
-        for i in range(cells.dq.shape[1]):
-            w1, w2, z1, z2, dq = cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i], cells.dq[e, i]
+        all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
+        for i in range(all_dq.shape[0]):
+            w1, w2, z1, z2, dq = all_w1[i], all_w2[i], all_z1[i], all_z2[i], all_dq[i]
             w1 += share * ((nu + w1 * dq) / z1 - w1)
             w2 += share * ((nu - w2 * dq) / z2 - w2)
             z1 -= share * dq
             z2 += share * dq
-            cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i] = w1, w2, z1, z2
+            all_w1[i], all_w2[i], all_z1[i], all_z2[i] = w1, w2, z1, z2
             worst = max(worst, w1 * z1, w2 * z2)
     return worst
 
@@ -155,7 +158,7 @@ def pyramid_step(
     limit: Float64Array,
     inertia: Float64Array,
     reach: float,
-    contacts: ContactProblem,
+    contacts: Float64Array,
     n_contacts: int,
     mu: float,
     dt: float,
@@ -168,6 +171,7 @@ def pyramid_step(
 ) -> tuple[int, int]:
     """Advance `twist` by one step, in place: as `step.step`, with `cos` and `sin` of the object's yaw and `cells` for scratch."""
     old, du, friction, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
+    row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
     old[:] = twist
     new_impulse = np.empty_like(impulse)
     new_twist = np.empty(3)
@@ -175,7 +179,7 @@ def pyramid_step(
     for i in range(3):
         first_nu = max(first_nu, abs(twist[i]) * (reach if i == 2 else 1.0))
     for k in range(n_contacts):
-        first_nu = max(first_nu, abs(contacts.bounds[k]), abs(contacts.bounds[MAX_CONTACTS + k]))
+        first_nu = max(first_nu, abs(contacts[k, BOUND]), abs(contacts[MAX_CONTACTS + k, BOUND]))
     first_nu *= 0.1
     iterations = 0
     for pace in _PACES:
@@ -191,9 +195,8 @@ def pyramid_step(
                 h[i, i] += inertia[i]
                 right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
             for i in range(2 * MAX_CONTACTS):
-                row = contacts.rows[i]
-                miss[i] = contacts.bounds[i] - row[0] * twist[0] - row[1] * twist[1] - row[2] * twist[2]
-            code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, scratch.system)
+                miss[i] = contacts[i, BOUND] - contacts[i, 0] * twist[0] - contacts[i, 1] * twist[1] - contacts[i, 2] * twist[2]
+            code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, row, matrix, column)
             if code == NO_MODE:
                 break
             for i in range(3):
@@ -235,13 +238,13 @@ def pyramid_friction(
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
         # The diagonal turns by -dyaw as seen from the object.
         ex, ey = dy, -dx
+        w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
         for i in range(arms.shape[1]):
             rx, ry = arms[0, i], arms[1, i]
             c = 0.5 * dt * limit[i]
-            w1, w2, z1, z2 = cells.w1[e, i], cells.w2[e, i], cells.z1[e, i], cells.z2[e, i]
-            p = 0.5 * c * (z2 - z1)
+            p = 0.5 * c * (z2[i] - z1[i])
             dt_dyaw = ex * (twist[0] - twist[2] * ry) + ey * (twist[1] + twist[2] * rx)
-            dp = c * dt_dyaw / (w1 / z1 + w2 / z2)
+            dp = c * dt_dyaw / (w1[i] / z1[i] + w2[i] / z2[i])
             by_yaw[0] += p * ex + dp * dx
             by_yaw[1] += p * ey + dp * dy
             by_yaw[2] += p * (rx * ey - ry * ex) + dp * (rx * dy - ry * dx)

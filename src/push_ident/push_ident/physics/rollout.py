@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from push_ident.physics.contact import CONTACT_FIELDS, contact_rows, find_contacts, max_candidates
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, MODE_FREE, NO_MODE, ContactProblem, new_contact_problem, tangent_row
+from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, NO_MODE, tangent_row
 from push_ident.physics.pyramid import PyramidScratch, new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.sensitivity import (
     CAME_TO_REST,
@@ -83,7 +83,7 @@ class RolloutScratch(NamedTuple):
 
     step: StepScratch
     cells: PyramidScratch
-    problem: ContactProblem
+    rows: Float64Array
     contacts: Float64Array
     found: Float64Array
     tips: Float64Array
@@ -94,7 +94,7 @@ def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int) -> Rollout
     return RolloutScratch(
         new_step_scratch(),
         new_pyramid_scratch(n_cells),
-        new_contact_problem(),
+        np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)),
         np.zeros((MAX_CONTACTS, CONTACT_FIELDS)),
         np.zeros((max_candidates(n_corners, n_outline), CONTACT_FIELDS)),
         np.zeros((n_corners, 2)),
@@ -138,7 +138,7 @@ def rollout(
     """
     dt, eps = numerics.dt, numerics.eps
     pusher, centre, arms, limit, mu = push.pusher, push.centre, push.arms, push.limit, push.mu
-    problem, contacts, tips = scratch.problem, scratch.contacts, scratch.tips
+    rows, contacts, tips = scratch.rows, scratch.contacts, scratch.tips
     inertia = np.zeros(3) if numerics.quasi_static else push.inertia
     reach_of_body = math.sqrt(push.inertia[2] / push.inertia[0])
     extent = 0.0
@@ -181,24 +181,24 @@ def rollout(
         if event != IDLE:
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
             for k in range(n_contacts):
-                contact_rows(contacts[k], k, centre, seen, velocity, spin, dt, contacts[0], problem)
+                contact_rows(contacts[k], k, centre, seen, velocity, spin, dt, contacts[0], rows)
             if numerics.diamond:
                 code, used = pyramid_step(
-                    twist, arms, limit, inertia, reach_of_body, problem, n_contacts, mu, dt, cos, sin, code, impulse,
+                    twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, cos, sin, code, impulse,
                     scratch.step, scratch.cells,
                 )  # fmt: skip
             else:
-                code, used = step(twist, arms, limit, inertia, reach_of_body, problem, n_contacts, mu, dt, eps, code, impulse, scratch.step)
+                code, used = step(twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, eps, code, impulse, scratch.step)
             iterations += used
             if code == NO_MODE:
                 return n, iterations
             fx = fy = 0.0
             for k in range(n_contacts):
-                fx += problem.rows[k, 0] * impulse[k]
-                fy += problem.rows[k, 1] * impulse[k]
-            tangent = tangent_row(code, problem)
-            fx += problem.rows[tangent, 0] * impulse[MAX_CONTACTS]
-            fy += problem.rows[tangent, 1] * impulse[MAX_CONTACTS]
+                fx += rows[k, 0] * impulse[k]
+                fy += rows[k, 1] * impulse[k]
+            tangent = tangent_row(code, rows)
+            fx += rows[tangent, 0] * impulse[MAX_CONTACTS]
+            fy += rows[tangent, 1] * impulse[MAX_CONTACTS]
             force[n, 0], force[n, 1] = (cos * fx - sin * fy) / dt, (sin * fx + cos * fy) / dt
             if code == MODE_FREE and max(math.hypot(twist[0], twist[1]), abs(twist[2]) * reach_of_body) < _REST * eps:
                 event = CAME_TO_REST
@@ -213,8 +213,8 @@ def rollout(
                             stiffness[i, j] *= dt
                 balance = StepBalance(twist, scratch.step.old, impulse, inertia, friction, stiffness, by_yaw)
                 if not step_sensitivity(
-                    balance, problem, contacts, n_contacts, code, mu, centre, seen, velocity, spin, cos, sin, dt,
-                    scratch.step.system, tape.block[n],
+                    balance, rows, contacts, n_contacts, code, mu, centre, seen, velocity, spin, cos, sin, dt,
+                    scratch.step.mode, tape.block[n],
                 ):  # fmt: skip
                     return n, iterations
                 tape.twist[n] = twist

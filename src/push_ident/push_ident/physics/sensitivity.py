@@ -21,7 +21,17 @@ from numpy.typing import NDArray
 
 from push_ident.physics.contact import contact_rows_seed
 from push_ident.physics.kernel import fast_kernel, kernel
-from push_ident.physics.modes import MAX_CONTACTS, ContactProblem, ModeSystem, drag_sign, mode_system, solve_small, tangent_row
+from push_ident.physics.modes import (
+    BOUND,
+    CONTACT_COLUMNS,
+    MAX_CONTACTS,
+    SHARES_TANGENT,
+    ModeScratch,
+    drag_sign,
+    mode_system,
+    solve_small,
+    tangent_row,
+)
 from push_ident.physics.support import Cone, unit_friction
 from push_ident.types import Float64Array
 
@@ -101,7 +111,7 @@ def new_tape(n_steps: int) -> Tape:
 @kernel
 def step_sensitivity(
     step: StepBalance,
-    problem: ContactProblem,
+    rows: Float64Array,
     contacts: Float64Array,
     n_contacts: int,
     code: int,
@@ -113,30 +123,26 @@ def step_sensitivity(
     cos: float,
     sin: float,
     dt: float,
-    system: ModeSystem,
+    scratch: ModeScratch,
     block: Float64Array,
 ) -> bool:
     """Derivative of the twist after a step: fills the block [A B C], shape (3, 14). False where the system is singular.
 
-    `pusher` is the pusher's centre, `velocity` its velocity [m/s] and `spin` its rate of turn [rad/s]; `cos` and `sin` belong to the
-    object's yaw. The other arguments are those of `step.step`.
+    `rows` are the contacts as the step saw them (`modes.py`), `contacts` as `contact.py` did; `pusher` is the pusher's centre,
+    `velocity` its velocity [m/s] and `spin` its rate of turn [rad/s]; `cos` and `sin` belong to the object's yaw. The other arguments
+    are those of `step.step`.
     """
-    twist, old, inertia = step.twist, step.old, step.inertia
-    tangent, sign = tangent_row(code, problem), drag_sign(code)
-    n = mode_system(code, problem, mu, system)
-    a = np.zeros((3 + n, 3 + n))
+    twist, old, inertia, impulse, stiffness = step.twist, step.old, step.inertia, step.impulse, step.stiffness
+    row = scratch.row
+    tangent, sign = tangent_row(code, rows), drag_sign(code)
+    h = stiffness.copy()
+    for i in range(3):
+        h[i, i] += inertia[i]
+    n = mode_system(code, h, rows, mu, row, scratch.matrix)
     b = np.zeros((3 + n, _N_COLUMNS))
     for i in range(3):
-        for j in range(3):
-            a[i, j] = step.stiffness[i, j]
-        a[i, i] += inertia[i]
         b[i, _IMPULSE + i] = 1.0
-        for j in range(n):
-            a[i, 3 + j] = -system.direction[j, i]
-            a[3 + j, i] = problem.rows[system.row[j], i]
-
-    d_rows = np.zeros((2 * MAX_CONTACTS, 3))
-    d_bounds = np.zeros(2 * MAX_CONTACTS)
+    d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
     d_pusher, d_centre, d_velocity = np.empty(2), np.empty(2), np.empty(2)
     for column in range(_STATE, _N_COLUMNS):
         d_pusher[:], d_centre[:], d_velocity[:] = 0.0, 0.0, 0.0
@@ -172,7 +178,7 @@ def step_sensitivity(
             # Cell arms shrink by dc: their velocities change by omega (dc_y, -dc_x), their torques by -dc x force.
             sx, sy = twist[2] * d_centre[1], -twist[2] * d_centre[0]
             for i in range(3):
-                b[i, column] -= step.stiffness[i, 0] * sx + step.stiffness[i, 1] * sy
+                b[i, column] -= stiffness[i, 0] * sx + stiffness[i, 1] * sy
             b[2, column] += d_centre[0] * step.friction[1] - d_centre[1] * step.friction[0]
         elif column == _INERTIA:
             if inertia[2] > 0.0:
@@ -180,22 +186,21 @@ def step_sensitivity(
         else:
             carried = 0.0
             for k in range(n_contacts):
-                if problem.shares_tangent[k]:
-                    carried += step.impulse[k]
+                carried += impulse[k] * rows[k, SHARES_TANGENT]
             for i in range(3):
-                b[i, column] += sign * carried * problem.rows[tangent, i]
+                b[i, column] += sign * carried * rows[tangent, i]
         if n == 0 or not (_STATE <= column <= _YAW or column == _CENTRE or column == _CENTRE + 1):
             continue
         for k in range(n_contacts):
-            contact_rows_seed(contacts[k], k, centre, pusher, velocity, spin, dt, d_pusher, d_angle, d_centre, d_velocity, d_rows, d_bounds)
+            contact_rows_seed(contacts[k], k, centre, pusher, velocity, spin, dt, d_pusher, d_angle, d_centre, d_velocity, d_rows)
         for i in range(3):
-            b[i, column] += d_rows[tangent, i] * step.impulse[MAX_CONTACTS]
+            b[i, column] += d_rows[tangent, i] * impulse[MAX_CONTACTS]
             for k in range(n_contacts):
-                b[i, column] += d_rows[k, i] * step.impulse[k]
+                b[i, column] += d_rows[k, i] * impulse[k]
         for j in range(n):
-            row = d_rows[system.row[j]]
-            b[3 + j, column] = d_bounds[system.row[j]] - row[0] * twist[0] - row[1] * twist[1] - row[2] * twist[2]
-    if not solve_small(a, b, 3 + n, _N_COLUMNS):
+            k = row[j]
+            b[3 + j, column] = d_rows[k, BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
+    if not solve_small(scratch.matrix, b, 3 + n, _N_COLUMNS):
         return False
     block[:] = b[:3]
     return True

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, NO_MODE, ContactProblem, ModeSystem, new_mode_system, solve_modes
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, new_mode_scratch, solve_modes
 from push_ident.physics.support import support_friction
 from push_ident.types import Float64Array
 
@@ -45,12 +45,12 @@ class StepScratch(NamedTuple):
     model: Float64Array
     """Derivative of the linear model, shape (3, 3)."""
     miss: Float64Array
-    system: ModeSystem
+    mode: ModeScratch
 
 
 def new_step_scratch() -> StepScratch:
     """Scratch space of `step`."""
-    return StepScratch(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2 * MAX_CONTACTS), new_mode_system())
+    return StepScratch(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2 * MAX_CONTACTS), new_mode_scratch())
 
 
 @kernel
@@ -60,7 +60,7 @@ def step(
     limit: Float64Array,
     inertia: Float64Array,
     reach: float,
-    contacts: ContactProblem,
+    contacts: Float64Array,
     n_contacts: int,
     mu: float,
     dt: float,
@@ -77,7 +77,7 @@ def step(
         limit: sliding friction of each cell [N], shape (n_cells,).
         inertia: (m, m, I) about the centre of mass [kg, kg, kg m^2]; zeros for the quasi-static step.
         reach: length that turns a rotation rate into a speed [m].
-        contacts: the contact problem.
+        contacts: the contacts, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`.
         n_contacts: how many contacts there are.
         mu: friction coefficient of the pusher.
         dt: [s]
@@ -90,6 +90,7 @@ def step(
         The mode code and the number of iterations; the code is `NO_MODE` when the step did not converge.
     """
     old, du, gradient, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
+    row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
     old[:] = twist
     newton = True
     last_change = np.inf
@@ -103,9 +104,8 @@ def step(
             h[i, i] += inertia[i]
             right[i] = inertia[i] * (old[i] - twist[i]) - dt * gradient[i]
         for i in range(2 * MAX_CONTACTS):
-            row = contacts.rows[i]
-            miss[i] = contacts.bounds[i] - row[0] * twist[0] - row[1] * twist[1] - row[2] * twist[2]
-        code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, impulse, scratch.system)
+            miss[i] = contacts[i, BOUND] - contacts[i, 0] * twist[0] - contacts[i, 1] * twist[1] - contacts[i, 2] * twist[2]
+        code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, impulse, row, matrix, column)
         if code == NO_MODE:
             return NO_MODE, iteration
         change = 0.0
