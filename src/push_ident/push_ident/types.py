@@ -121,7 +121,10 @@ class ObjectShape:
         if len(self.outline) < 3:
             raise InputError(f"ObjectShape.outline has {len(self.outline)} points, expected at least 3.")
         x, y = self.outline.T
-        if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) < 0:
+        area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        if abs(area) < 1e-12 * float(np.ptp(x) + np.ptp(y)) ** 2 or area == 0.0:
+            raise InputError(f"ObjectShape.outline encloses {area:.2g} m^2, expected an area; its points lie on one line or cross over.")
+        if area < 0:
             flipped = self.outline[::-1].copy()
             flipped.setflags(write=False)
             object.__setattr__(self, "outline", flipped)

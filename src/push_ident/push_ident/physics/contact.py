@@ -16,7 +16,7 @@ from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
 from push_ident.types import Float64Array
 
-__all__ = ["CONTACT_FIELDS", "contact_rows", "contact_rows_seed", "find_contacts", "max_candidates"]
+__all__ = ["CONTACT_FIELDS", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts", "max_candidates"]
 
 GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
 CONTACT_FIELDS = 10
@@ -159,6 +159,19 @@ def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, r
         contact[OWNER] = -1
         n += 1
     return n
+
+
+@kernel
+def count_inside(points: Float64Array, outline: Float64Array) -> int:
+    """How many of `points`, shape (n, 2), lie inside the outline."""
+    number = 0
+    for k in range(points.shape[0]):
+        inside = False
+        for i in range(outline.shape[0]):
+            if _crosses(points[k, 0], points[k, 1], outline, i):
+                inside = not inside
+        number += inside
+    return number
 
 
 def max_candidates(n_tips: int, n_outline: int) -> int:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from push_ident.physics.kernel import kernel
+from push_ident.physics.kernel import fast_kernel, kernel
 from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, solve_modes
 from push_ident.physics.step import StepScratch
 from push_ident.types import Float64Array
@@ -33,8 +33,9 @@ FINAL_NU = 1e-13
 """Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
 _MAX_ITERATIONS = 200
 _TOLERANCE = 1e-11
-_PACES = (0.01, 0.3)  # factors by which nu falls after a full step; the slow one where the fast one, on a sliding contact, circles
-_TO_BOUNDARY = 0.99  # share of the way to the boundary that a step may go
+# Share of the way to the boundary that a step may go, and factor by which nu falls after a full step. The bold pair is enough but for
+# a rare step where an object all but at rest slides along the pusher; the careful ones take over there.
+_ATTEMPTS = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
 
 
 class PyramidScratch(NamedTuple):
@@ -65,7 +66,7 @@ def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: 
             w1[i], w2[i] = nu / (1.0 - q), nu / (1.0 + q)
 
 
-@kernel
+@fast_kernel
 def _model(
     twist: Float64Array,
     arms: Float64Array,
@@ -110,31 +111,28 @@ def _model(
     stiffness[1, 0], stiffness[2, 0], stiffness[2, 1] = stiffness[0, 1], stiffness[0, 2], stiffness[1, 2]
 
 
-@kernel
-def _longest_step(new_twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> float:
-    """Fill `dq` for the new twist and return the share of the step that keeps all w and z positive, at most 1."""
-    longest = 1.0 / _TO_BOUNDARY
+@fast_kernel
+def _longest_step(
+    new_twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, bold: float, cells: PyramidScratch
+) -> float:
+    """Fill `dq` for the new twist; returns the share of the step, at most 1, that takes no w or z further than `bold` of its way to 0."""
+    fastest = bold
+    x, y = arms[0], arms[1]
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
         all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
-        for i in range(arms.shape[1]):
-            t = dx * (new_twist[0] - new_twist[2] * arms[1, i]) + dy * (new_twist[1] + new_twist[2] * arms[0, i])
-            w1, w2, z1, z2 = all_w1[i], all_w2[i], all_z1[i], all_z2[i]
-            dq = (t - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2)
+        for i in range(x.shape[0]):
+            t = dx * (new_twist[0] - new_twist[2] * y[i]) + dy * (new_twist[1] + new_twist[2] * x[i])
+            w1, w2, r1, r2 = all_w1[i], all_w2[i], 1.0 / all_z1[i], 1.0 / all_z2[i]
+            dq = (t - nu * r1 + nu * r2) / (w1 * r1 + w2 * r2)
             all_dq[i] = dq
-            if dq > 0.0:
-                longest = min(longest, z1 / dq)
-            elif dq < 0.0:
-                longest = min(longest, -z2 / dq)
-            dw1, dw2 = (nu + w1 * dq) / z1 - w1, (nu - w2 * dq) / z2 - w2
-            if dw1 < 0.0:
-                longest = min(longest, -w1 / dw1)
-            if dw2 < 0.0:
-                longest = min(longest, -w2 / dw2)
-    return _TO_BOUNDARY * longest
+            # Shares of each variable that the whole step would take away.
+            fastest = max(fastest, max(dq * r1, -dq * r2))
+            fastest = max(fastest, max(1.0 - (nu / w1 + dq) * r1, 1.0 - (nu / w2 - dq) * r2))
+    return bold / fastest
 
 
-@kernel
+@fast_kernel
 def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
     """Go `share` of the step; returns the greatest product w z."""
     worst = 0.0
@@ -147,7 +145,7 @@ def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
             z1 -= share * dq
             z2 += share * dq
             all_w1[i], all_w2[i], all_z1[i], all_z2[i] = w1, w2, z1, z2
-            worst = max(worst, w1 * z1, w2 * z2)
+            worst = max(worst, max(w1 * z1, w2 * z2))
     return worst
 
 
@@ -182,7 +180,7 @@ def pyramid_step(
         first_nu = max(first_nu, abs(contacts[k, BOUND]), abs(contacts[MAX_CONTACTS + k, BOUND]))
     first_nu *= 0.1
     iterations = 0
-    for pace in _PACES:
+    for bold, pace in _ATTEMPTS:
         twist[:] = old
         impulse[:] = 0.0
         nu = first_nu
@@ -201,7 +199,7 @@ def pyramid_step(
                 break
             for i in range(3):
                 new_twist[i] = twist[i] + du[i]
-            share = _longest_step(new_twist, arms, cos, sin, nu, cells)
+            share = _longest_step(new_twist, arms, cos, sin, nu, bold, cells)
             worst = _advance(share, nu, cells)
             change = 0.0
             size = 1e-2
@@ -218,7 +216,7 @@ def pyramid_step(
     return NO_MODE, iterations
 
 
-@kernel
+@fast_kernel
 def pyramid_friction(
     twist: Float64Array,
     arms: Float64Array,

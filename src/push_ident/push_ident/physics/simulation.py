@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.physics.contact import count_inside
 from push_ident.physics.pyramid import FINAL_NU
 from push_ident.physics.rollout import N_BODY_PARAMETERS, Numerics, Push, new_rollout_scratch, rollout
 from push_ident.physics.sensitivity import (
@@ -131,7 +132,7 @@ def body_of_cells(shape: ObjectShape, mass: Float64Array, friction: Float64Array
         if value.shape != (n_cells,):
             raise InputError(f"`{name}` has shape {value.shape}, expected ({n_cells},), a value for each cell of the object.")
         if not np.all(np.isfinite(value) & (value >= 0)):
-            raise InputError(f"`{name}` has {int(np.sum(~(value >= 0)))} cells below 0 and some may not be finite; give numbers >= 0.")
+            raise InputError(f"`{name}` has {int(np.sum(~(np.isfinite(value) & (value >= 0))))} cells that are not numbers >= 0.")
     centres = shape.cells.centres
     total = float(np.sum(mass))
     if total <= 0:
@@ -206,7 +207,8 @@ def simulate(
         The motion; look at its `status`.
 
     Raises:
-        InputError: poses or times that are not finite, or times that do not ascend.
+        InputError: a pose, times or values of the body that are not finite or have another shape, times that do not ascend, negative
+            friction, no mass, or an outline that holds less than half of the cells.
     """
     body = body_of_cells(model.shape, model.mass, model.friction)
     return simulate_body(model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, jacobian=jacobian)
@@ -394,10 +396,17 @@ def _check_body(shape: ObjectShape, body: BodyParameters, pusher_friction: float
         raise InputError(f"The body has mass {body.mass} kg and inertia {body.inertia} kg m^2, expected positive numbers.")
     if np.shape(body.centre) != (2,) or not np.all(np.isfinite(body.centre)):
         raise InputError(f"The body's centre of mass is {body.centre}, expected two finite numbers in metres.")
+    n_inside = count_inside(shape.cells.centres, shape.outline)
+    # Outlines are traced and straightened: a few centres at the rim may lie outside.
+    if 2 * n_inside < len(shape.cells):
+        raise InputError(
+            f"{n_inside} of {len(shape.cells)} cell centres lie inside the outline, expected at least half; "
+            "give cells and outline in the same frame, in metres."
+        )
     limit = np.asarray(body.limit)
     if limit.shape != (len(shape.cells),):
         raise InputError(f"The body's friction limits have shape {limit.shape}, expected ({len(shape.cells)},) as the cells.")
     if not np.all(np.isfinite(limit) & (limit >= 0)):
-        raise InputError(f"{int(np.sum(~(limit >= 0)))} friction limits of cells are negative or not a number; give forces >= 0 N.")
+        raise InputError(f"{int(np.sum(~(np.isfinite(limit) & (limit >= 0))))} friction limits of cells are not forces >= 0 N.")
     if not (np.isfinite(pusher_friction) and pusher_friction >= 0):
         raise InputError(f"The pusher's friction coefficient is {pusher_friction}, expected a number >= 0.")
