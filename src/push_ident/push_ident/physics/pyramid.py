@@ -33,6 +33,9 @@ FINAL_NU = 1e-13
 """Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
 _MAX_ITERATIONS = 200
 _TOLERANCE = 1e-11
+# A difference between w1 - w2 and the velocity that is no more than the rounding of the latter [m/s]: it is left alone, so that the
+# friction of a cell that sticks, w some 1e-13, does not inherit it.
+_ROUNDING = 2e-15
 # Share of the way to the boundary that a step may go, and factor by which nu falls after a full step. The bold pair is enough but for
 # a rare step where an object all but at rest slides along the pusher; the careful ones take over there.
 _ATTEMPTS = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
@@ -90,7 +93,10 @@ def _model(
         for i in range(limit.shape[0]):
             r = x[i] * dy - y[i] * dx
             c = 0.5 * dt * limit[i]
-            t = dx * twist[0] + dy * twist[1] + r * twist[2]
+            t = w1[i] - w2[i]
+            missing = dx * twist[0] + dy * twist[1] + r * twist[2] - t
+            if abs(missing) > _ROUNDING:
+                t += missing
             k = 1.0 / (w1[i] / z1[i] + w2[i] / z2[i])
             p = c * (0.5 * (z2[i] - z1[i]) + k * (t - nu / z1[i] + nu / z2[i]))
             ck = c * k
@@ -113,16 +119,21 @@ def _model(
 
 @fast_kernel
 def _longest_step(
-    new_twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, bold: float, cells: PyramidScratch
+    twist: Float64Array, du: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, bold: float, cells: PyramidScratch
 ) -> float:
-    """Fill `dq` for the new twist; returns the share of the step, at most 1, that takes no w or z further than `bold` of its way to 0."""
+    """Fill `dq` for a change `du` of the twist; returns the share of it, at most 1, that takes no w or z over `bold` of its way to 0."""
     fastest = bold
     x, y = arms[0], arms[1]
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
         all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
         for i in range(x.shape[0]):
-            t = dx * (new_twist[0] - new_twist[2] * y[i]) + dy * (new_twist[1] + new_twist[2] * x[i])
+            r = x[i] * dy - y[i] * dx
+            t = all_w1[i] - all_w2[i]
+            missing = dx * twist[0] + dy * twist[1] + r * twist[2] - t
+            if abs(missing) > _ROUNDING:
+                t += missing
+            t += dx * du[0] + dy * du[1] + r * du[2]
             w1, w2, r1, r2 = all_w1[i], all_w2[i], 1.0 / all_z1[i], 1.0 / all_z2[i]
             dq = (t - nu * r1 + nu * r2) / (w1 * r1 + w2 * r2)
             all_dq[i] = dq
@@ -172,7 +183,6 @@ def pyramid_step(
     row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
     old[:] = twist
     new_impulse = np.empty_like(impulse)
-    new_twist = np.empty(3)
     first_nu = 1e-2
     for i in range(3):
         first_nu = max(first_nu, abs(twist[i]) * (reach if i == 2 else 1.0))
@@ -197,9 +207,7 @@ def pyramid_step(
             code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, row, matrix, column)
             if code == NO_MODE:
                 break
-            for i in range(3):
-                new_twist[i] = twist[i] + du[i]
-            share = _longest_step(new_twist, arms, cos, sin, nu, bold, cells)
+            share = _longest_step(twist, du, arms, cos, sin, nu, bold, cells)
             worst = _advance(share, nu, cells)
             change = 0.0
             size = 1e-2

@@ -115,7 +115,7 @@ def step(
             change = max(change, abs(du[i]) * unit)
             twist[i] += du[i]
             size = max(size, abs(twist[i]) * unit)
-        if change <= _TOLERANCE * size + 1e-16:
+        if newton and change <= _TOLERANCE * size + 1e-16:
             return code, iteration + 1
         # Newton jumps across the kink of a cell that comes to rest; the majoriser creeps but never fails. After a failure of
         # Newton the majoriser leads until its own steps have become a few times shorter than before that failure.
@@ -123,6 +123,7 @@ def step(
             newton = False
             retry_below = 0.2 * min(last_change, change)
         elif not newton:
-            newton = change < retry_below
+            # A short step of the majoriser proves nothing; the last one is Newton's.
+            newton = change < max(retry_below, _TOLERANCE * size)
         last_change = change
     return NO_MODE, _MAX_ITERATIONS
