@@ -13,17 +13,22 @@ from rich.table import Table
 from push_ident.bags.loading import LoadedPushes, load_pushes
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
+from push_ident.identification.budget import Budget
+from push_ident.identification.identifiability import Identifiability, identifiability
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import save_model
 from push_ident.identification.parameters import Prior
-from push_ident.identification.picture import draw_maps
+from push_ident.identification.picture import draw_knowledge, draw_maps
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.result import Identification
+from push_ident.identification.solvers import SOLVERS
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
 __all__ = ["identify_command", "result_json"]
 
 _NOMINAL = Prior()
+_SHOWN = 4
+"""Combinations written out cell by cell."""
 FAILED = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
 
 ObjectOption = Annotated[
@@ -41,7 +46,7 @@ CameraOption = Annotated[
 
 def identify_command(
     bags: BagsArgument,
-    method: Annotated[str, typer.Option(help="Solver.")] = "gauss_newton",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
     train: Annotated[
         str,
         typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all."),
@@ -54,6 +59,9 @@ def identify_command(
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
     friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
     pusher_friction: Annotated[float, typer.Option(help="Nominal friction of the pusher.")] = _NOMINAL.pusher_friction,
+    max_seconds: Annotated[float, typer.Option(help="Time the solver may take [s].")] = 30.0,
+    max_simulations: Annotated[int | None, typer.Option(help="Pushes the solver may simulate.", show_default=False)] = None,
+    seed: Annotated[int, typer.Option(help="Of methods that draw at random.")] = 0,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
     prior = Prior(
@@ -77,7 +85,9 @@ def identify_command(
             [loaded.records[i] for i in chosen],
             prior,
             method=method,
-            on_iteration=lambda n, cost: progress.update(task, description=f"iteration {n}, cost {cost:.1f}"),
+            budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
+            seed=seed,
+            on_progress=lambda best: progress.update(task, description=f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
     content = result_json(result, loaded, chosen)
     _show(content, result, loaded)
@@ -86,8 +96,14 @@ def identify_command(
     if out is not None:
         write_json(out / "result.json", content)
         save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=[loaded.records[i].source for i in chosen])
+        known = identifiability(result.posterior)
         draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
-        console.print(f"written: {out / 'model.json'}, {out / 'map.png'}, {out / 'result.json'}", highlight=False, soft_wrap=True)
+        draw_knowledge(out / "knowledge.png", result.posterior, known, title=f"What {len(chosen)} pushes could tell")
+        console.print(
+            f"written: {out / 'model.json'}, {out / 'map.png'}, {out / 'knowledge.png'}, {out / 'result.json'}",
+            highlight=False,
+            soft_wrap=True,
+        )
     if result.status in FAILED:
         warn(f"push-ident: {result.status.value}")
         raise typer.Exit(1)
@@ -148,8 +164,30 @@ def result_json(result: Identification, loaded: LoadedPushes, train: list[int]) 
             "std": posterior.total_mass.std,
             "identifiable": posterior.total_mass_identifiable,
         },
+        "knowledge": knowledge_json(identifiability(posterior)),
+        "misfit": result.misfit,
         "status": result.status.name.lower(),
         "notes": loaded.notes,
+    }
+
+
+def knowledge_json(known: Identifiability) -> dict[str, Any]:
+    """What the pushes could tell: named quantities, and the combinations of all cells, best known first."""
+    return {
+        "quantities": [
+            {"name": q.name, "unit": q.unit, "value": q.value, "std": q.std, "prior_std": q.prior_std, "verdict": q.knowledge.name.lower()}
+            for q in known.quantities
+        ],
+        "combinations": {
+            "pinned": known.n_pinned,
+            "open": known.n_open,
+            "all": len(known.combinations),
+            "share_left": [c.share_left for c in known.combinations],
+            "best_known": [
+                {"share_left": c.share_left, "log_mass": c.log_mass.tolist(), "log_friction": c.log_friction.tolist()}
+                for c in known.combinations[:_SHOWN]
+            ],
+        },
     }
 
 
@@ -175,11 +213,18 @@ def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes)
             row = [millimetres(part[f"{model}_m"]) for model in ("uniform", "scalar", "identified")]
             table.add_row(f"{name} ({len(part['pushes'])})", *row)
     console.print(table)
-    posterior = result.posterior
-    mass, pusher = posterior.total_mass, posterior.pusher_friction
-    known = "" if posterior.total_mass_identifiable else " (not pinned by these data)"
-    console.print(f"pusher friction {pusher.value:.2f} ± {pusher.std:.2f}", highlight=False)
-    console.print(f"total mass {mass.value:.3f} ± {mass.std:.3f} kg{known}", highlight=False)
-    x, y = result.model.centre_of_friction
-    console.print(f"centre of friction ({1e3 * x:.1f}, {1e3 * y:.1f}) mm in the object frame", highlight=False)
+    known = identifiability(result.posterior)
+    verdicts = Table(title="what these pushes could tell")
+    for heading, justify in (("quantity", "left"), ("value", "right"), ("before", "right"), ("verdict", "left")):
+        verdicts.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    for q in known.quantities:
+        scale, unit = (1e3, "mm") if q.unit == "m" else (1.0, q.unit)
+        digits = 1 if q.unit == "m" else 3
+        value = f"{scale * q.value:.{digits}f} ± {scale * q.std:.{digits}f} {unit}".rstrip()
+        verdicts.add_row(q.name, value, f"± {scale * q.prior_std:.{digits}f}", q.knowledge.value.partition(":")[0])
+    console.print(verdicts)
+    console.print(
+        f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} left open",
+        highlight=False,
+    )
     console.print(f"{result.method}: {result.status.value}; {result.n_simulations} simulations in {result.time_s:.2f} s", highlight=False)

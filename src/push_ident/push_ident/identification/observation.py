@@ -31,6 +31,8 @@ class NoiseModel:
     """Discrepancy of position per way gone."""
     growth_yaw: float = 0.16
     """Discrepancy of yaw per way gone [rad/m]."""
+    lone_frame: float = 1.5
+    """Factor on the stated deviation of a rest pose that was seen once: nothing checks it."""
     max_moving_frames: int = 10
     """Frames kept of the motion itself."""
 
@@ -78,9 +80,11 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
     growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2
-    covariance = np.array(
-        [poses.covariance[g].mean(axis=0) / len(g) + floor + np.diag(growth * way**2) for g, way in zip(groups, travel, strict=True)]
-    )
+    stated = [poses.covariance[g].mean(axis=0) / len(g) for g in groups]
+    for end in (0, -1):
+        if len(groups[end]) == 1:
+            stated[end] = stated[end] * noise.lone_frame**2
+    covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     return Observation(time, pose, whitening, covariance[0], bool(np.any(near)))
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from push_ident.identification.budget import Budget
 from push_ident.identification.identify import identify, prior_posterior
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.parameters import Prior
 from push_ident.identification.result import Identification, ModelPosterior
 from push_ident.physics.simulation import SimulationSettings
-from push_ident.types import Float64Array, ObjectShape, PushRecord
+from push_ident.types import ObjectShape, PushRecord
 
 __all__ = ["OnlineIdentifier"]
 
@@ -30,7 +31,6 @@ class OnlineIdentifier:
         self._noise = noise
         self._settings = settings
         self._records: list[PushRecord] = []
-        self._warm_start: Float64Array | None = None
         self.result: Identification | None = None
         self.posterior: ModelPosterior = prior_posterior(shape, self._prior)
 
@@ -42,25 +42,26 @@ class OnlineIdentifier:
     def add(self, record: PushRecord) -> Identification:
         """Take in a finished push and polish the estimate."""
         self._records.append(record)
-        return self._solve(self._records, max_iterations=60)
+        return self._solve(self._records)
 
     def peek(self, partial: PushRecord, *, max_iterations: int = 4) -> Identification:
         """Estimate with the push under way, as far as it has come; the push is not kept."""
-        return self._solve([*self._records, partial], max_iterations=max_iterations)
+        records = [*self._records, partial]
+        return self._solve(records, Budget(max_simulations=max_iterations * len(records)))
 
     def adopt(self, posterior: ModelPosterior) -> None:
         """Take over a model from elsewhere as the current estimate; pushes seen so far are forgotten."""
         self._records.clear()
-        self._warm_start, self.result, self.posterior = None, None, posterior
+        self.result, self.posterior = None, posterior
 
-    def _solve(self, records: list[PushRecord], *, max_iterations: int) -> Identification:
+    def _solve(self, records: list[PushRecord], budget: Budget | None = None) -> Identification:
         result = identify(
             records,
             self._prior,
             noise=self._noise,
             settings=self._settings,
-            max_iterations=max_iterations,
-            warm_start=self._warm_start,
+            budget=budget,
+            warm_start=self.result,
         )
-        self.result, self.posterior, self._warm_start = result, result.posterior, result.x
+        self.result, self.posterior = result, result.posterior
         return result

@@ -104,6 +104,21 @@ class MapParameters:
             pusher_friction=float(prior.pusher_friction * np.exp(prior.pusher_friction_std * z[-1])),
         )
 
+    def unknowns(self, mass: Float64Array, friction: Float64Array, pusher_friction: float) -> Float64Array:
+        """Unknowns of given maps, shape (size,): exact where every cell has a mode of its own, else the nearest smooth maps.
+
+        Masses may have any common scale. Raises InputError for values that are not positive, which have no logarithm.
+        """
+        if np.any(mass <= 0) or np.any(friction <= 0) or pusher_friction <= 0:
+            raise InputError("Masses and friction coefficients must be positive to have a logarithm; raise those at zero a little.")
+        prior, n = self.prior, self.n_modes
+        z = np.zeros(self.size)
+        log_mass, log_friction = np.log(mass), np.log(friction / prior.friction)
+        z[:n] = np.linalg.lstsq(prior.mass_map_std * self.modes, log_mass - log_mass.mean())[0]
+        z[n : 2 * n] = np.linalg.lstsq(prior.friction_map_std * self.modes, log_friction)[0]
+        z[-1] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
+        return z
+
     def body(self, z: Float64Array) -> tuple[BodyParameters, float, Float64Array]:
         """What moves, and how it depends on `z`.
 

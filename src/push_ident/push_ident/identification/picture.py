@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.identification.identifiability import Identifiability
 from push_ident.identification.result import ModelPosterior
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
 
-__all__ = ["draw_maps", "draw_panels"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PatchCollection
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_knowledge", "draw_maps", "draw_panels"]
 
 
 def draw_maps(path: Path, posterior: ModelPosterior, *, title: str = "") -> None:
@@ -27,6 +34,39 @@ def draw_maps(path: Path, posterior: ModelPosterior, *, title: str = "") -> None
     draw_panels(path, panels, centre=model, title=title)
 
 
+def draw_knowledge(path: Path, posterior: ModelPosterior, known: Identifiability, *, title: str = "") -> None:
+    """Draw what the pushes could tell: share of the prior's deviation left in named quantities, in all combinations, and the best four.
+
+    The best known combinations are drawn as the change of the logarithm of each cell's support friction force.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14.4, 6.4), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, squeeze=False)[:, 0]
+    bars, spectrum = top.subplots(1, 2)
+    named = [q for q in known.quantities if q.prior_std > 0]
+    bars.barh([q.name for q in named][::-1], [q.std / q.prior_std for q in named][::-1], color="tab:blue")
+    bars.set_xlabel("deviation after / before the pushes")
+    bars.set_xlim(0, 1.05)
+    left = [c.share_left for c in known.combinations]
+    spectrum.plot(np.arange(1, len(left) + 1), left, marker=".", color="tab:blue")
+    spectrum.set_xlabel(f"combinations of the cells, best known first ({known.n_pinned} pinned down, {known.n_open} open)")
+    spectrum.set_ylabel("deviation after / before")
+    spectrum.set_ylim(0, 1.05)
+    shape = posterior.parameters.shape
+    best = known.combinations[:4]
+    axes = bottom.subplots(1, len(best), squeeze=False)[0]
+    for ax, combination in zip(axes, best, strict=True):
+        change = combination.log_mass + combination.log_friction
+        limit = float(np.abs(change).max()) or 1.0
+        patches = _cells(ax, shape, change, "coolwarm", (-limit, limit))
+        ax.set_title(f"{100 * combination.share_left:.0f} % of the deviation left", fontsize=10)
+        bottom.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    _save(figure, path)
+
+
 def draw_panels(
     path: Path, panels: Sequence[tuple[str, ObjectShape, Float64Array]], *, centre: ObjectModel | None = None, title: str = ""
 ) -> None:
@@ -38,31 +78,42 @@ def draw_panels(
         centre: mark its centre of friction.
         title: over all.
     """
-    from matplotlib.collections import PatchCollection
     from matplotlib.figure import Figure
-    from matplotlib.patches import Polygon, Rectangle
 
     figure = Figure(figsize=(3.6 * len(panels), 3.4), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, (name, shape, values) in zip(axes, panels, strict=True):
-        size = shape.cells.size
-        squares = [Rectangle((x - size / 2, y - size / 2), size, size) for x, y in shape.cells.centres]
         same = np.concatenate([v for n, _, v in panels if n == name])
-        patches = PatchCollection(squares, cmap="viridis", edgecolor="white", linewidth=0.3)
-        patches.set_array(values)
-        patches.set_clim(min(0.0, float(same.min())), float(same.max()))
-        ax.add_collection(patches)
-        ax.add_patch(Polygon(shape.outline, fill=False, edgecolor="black", linewidth=1.0))
+        patches = _cells(ax, shape, values, "viridis", (min(0.0, float(same.min())), float(same.max())))
         if centre is not None:
             ax.plot(*centre.centre_of_friction, marker="+", color="red", markersize=9)
         ax.set_title(name, fontsize=10)
-        ax.set_aspect("equal")
-        ax.autoscale_view()
-        ax.set_xlabel("x [m]", fontsize=8)
-        ax.tick_params(labelsize=7)
         figure.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
         figure.suptitle(title, fontsize=11)
+    _save(figure, path)
+
+
+def _cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str, limits: tuple[float, float]) -> PatchCollection:
+    """Colour the cells of an object by `values`, shape (n_cells,), inside its outline."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Polygon, Rectangle
+
+    size = shape.cells.size
+    squares = [Rectangle((x - size / 2, y - size / 2), size, size) for x, y in shape.cells.centres]
+    patches = PatchCollection(squares, cmap=colours, edgecolor="white", linewidth=0.3)
+    patches.set_array(values)
+    patches.set_clim(*limits)
+    ax.add_collection(patches)
+    ax.add_patch(Polygon(shape.outline, fill=False, edgecolor="black", linewidth=1.0))
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.set_xlabel("x [m]", fontsize=8)
+    ax.tick_params(labelsize=7)
+    return patches
+
+
+def _save(figure: Figure, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110)

@@ -10,7 +10,6 @@ import numpy as np
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.result import ModelPosterior
-from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.simulation import SimulationSettings, simulate, simulate_body
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PusherPath, PushRecord, SolveStatus
 
@@ -47,6 +46,7 @@ def predict(
     first_covariance: Float64Array | None = None,
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
+    n_samples: int = 32,
 ) -> Prediction:
     """Predict the motion of an object at rest.
 
@@ -59,22 +59,45 @@ def predict(
         noise: its growth with the way gone is added as the discrepancy of the model.
         settings: numerics.
 
+        n_samples: models drawn from the posterior, with as many first poses.
+
     Returns:
-        The prediction; look at its `status`. Linear propagation: right while the motion does not switch with the first pose.
+        The prediction: motion of the mean model, covariance of the motions of the drawn ones. Look at its `status`.
     """
     noise = noise or NoiseModel()
-    body, pusher_friction, d_body = posterior.parameters.body(posterior.z)
-    shape = posterior.parameters.shape
-    motion = simulate_body(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings=settings, jacobian=True)
+    parameters = posterior.parameters
+    shape = parameters.shape
+    first = np.asarray(pose_object_in_table, dtype=np.float64)
     if first_covariance is None:
         first_covariance = np.diag([5e-4, 5e-4, 5e-3]) ** 2
-    by_z = motion.jacobian[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]
-    by_first = motion.jacobian[:, :, :3]
-    covariance = by_z @ posterior.covariance @ by_z.transpose(0, 2, 1) + by_first @ first_covariance @ by_first.transpose(0, 2, 1)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.pose[:, :2], axis=0), axis=1))])
+    # A motion that switches (left or right of the centre of friction, stick or slip) is no linear function of the model: a
+    # few models that the data allow say more than the derivative at the best one. The draws are the same for every push, so that
+    # the predictions of two pushes can be compared.
+    draws = np.random.default_rng(0).normal(size=(n_samples, parameters.size + 3))
+    z_root, first_root = _root(posterior.covariance), _root(first_covariance)
+    poses = []
+    for draw in draws:
+        body, pusher_friction, _ = parameters.body(posterior.z + z_root @ draw[:-3])
+        motion = simulate_body(shape, body, pusher_friction, pusher, first + first_root @ draw[-3:], time, settings=settings)
+        if motion.status is not SolveStatus.SIMULATION_FAILED:
+            poses.append(motion.pose)
+    body, pusher_friction, _ = parameters.body(posterior.z)
+    centre = simulate_body(shape, body, pusher_friction, pusher, first, time, settings=settings)
+    if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
+        unknown = np.full((len(centre.time), 3, 3), np.nan)
+        return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
+    off = np.array(poses) - np.mean(poses, axis=0)
+    covariance = np.einsum("sfi,sfj->fij", off, off) / (len(poses) - 1)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre.pose[:, :2], axis=0), axis=1))])
     growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw])
     covariance += np.einsum("f,i,ij->fij", way**2, growth**2, np.eye(3))
-    return Prediction(motion.time, motion.pose, covariance, _cell_error_std(shape.cells, motion.pose[-1], covariance[-1]), motion.status)
+    return Prediction(centre.time, centre.pose, covariance, _cell_error_std(shape.cells, centre.pose[-1], covariance[-1]), centre.status)
+
+
+def _root(covariance: Float64Array) -> Float64Array:
+    """A with A A' = covariance, also where that is singular."""
+    value, vector = np.linalg.eigh(covariance)
+    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
 
 
 def _cell_error_std(cells: CellGrid, pose: Float64Array, covariance: Float64Array) -> float:

@@ -1,9 +1,13 @@
 """The fit as one problem: residuals of all pushes and their Jacobian, metered.
 
 Unknowns x = (z, first pose of push 1, first pose of push 2, ...): the first pose of a push is uncertain too, so it is fitted with
-the maps, started from the mean of the rest frames. All unknowns are scaled to unit prior, so that the cost is
+the maps, started from the mean of the rest frames; its prior is the first frame itself. All unknowns are in units of their prior
+deviation, so that the cost is
 
-    1/2 sum_frames rho(|W (y - f(x))|^2) + 1/2 |z|^2,      rho: quadratic up to `outlier`, then linear (Huber)
+    sum_frames (n + 3)/2 log(1 + |W (y - f(x))|^2 / n) + 1/2 |z|^2,      n = `TAILS`
+
+The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
+the maps with it.
 """
 
 from __future__ import annotations
@@ -14,13 +18,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.identification.budget import Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import MapParameters
 from push_ident.physics.rollout import PARAM_MASS
-from push_ident.physics.simulation import SimulationSettings, simulate_body
+from push_ident.physics.simulation import Motion, SimulationSettings, simulate_body
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["Evaluation", "FitProblem"]
+__all__ = ["TAILS", "Evaluation", "FitProblem"]
+
+TAILS = 4.0
+"""Degrees of freedom of the noise of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +36,7 @@ class Evaluation:
     """Cost and its first derivatives at one point."""
 
     cost: float
-    """Half the robust sum of squares plus half the squared unknowns; infinite where a simulation failed."""
+    """Negative logarithm of the posterior density up to a constant; infinite where a simulation failed."""
     gradient: Float64Array
     """Shape (n_unknowns,)."""
     hessian: Float64Array
@@ -45,7 +53,7 @@ class FitProblem:
         parameters: the unknowns of the object.
         noise: of the observations.
         settings: numerics of the simulation.
-        outlier: whitened distance of a frame beyond which it counts less.
+        meter: counts the simulations.
 
     Raises:
         InputError: no push, or pushes of objects with different cells.
@@ -58,7 +66,7 @@ class FitProblem:
         *,
         noise: NoiseModel | None = None,
         settings: SimulationSettings | None = None,
-        outlier: float = 4.0,
+        meter: Meter | None = None,
     ) -> None:
         if not records:
             raise InputError("There is no push to learn from; give at least one push record.")
@@ -69,10 +77,9 @@ class FitProblem:
         self.records = list(records)
         self.parameters = parameters
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
-        self._settings = settings or SimulationSettings()
-        self._outlier = outlier
-        self._first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
-        self.n_simulations = 0
+        self.settings = settings or SimulationSettings()
+        self.meter = meter or Meter()
+        self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
     @property
     def size(self) -> int:
@@ -82,40 +89,67 @@ class FitProblem:
     def first_pose(self, x: Float64Array, push: int) -> Float64Array:
         """First pose of a push, table frame, shape (3,)."""
         start = self.parameters.size + 3 * push
-        return self.observations[push].pose[0] + self._first_scale[push] @ x[start : start + 3]
+        return self.observations[push].pose[0] + self.first_scale[push] @ x[start : start + 3]
+
+    def simulate(self, x: Float64Array, *, jacobian: bool = False) -> list[Motion]:
+        """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
+        body, pusher_friction, _ = self.parameters.body(x[: self.parameters.size])
+        motions = []
+        for push, (record, seen) in enumerate(zip(self.records, self.observations, strict=True)):
+            first = self.first_pose(x, push)
+            motions.append(
+                simulate_body(
+                    record.shape, body, pusher_friction, record.pusher, first, seen.time, settings=self.settings, jacobian=jacobian
+                )
+            )
+            self.meter.count(1)
+            if motions[-1].status is SolveStatus.SIMULATION_FAILED:
+                break
+        return motions
+
+    def residual(self, motion: Motion, push: int) -> Float64Array:
+        """Whitened difference of a simulated push to the observed one, shape (n_frames, 3)."""
+        seen = self.observations[push]
+        return np.einsum("fij,fj->fi", seen.whitening, motion.pose - seen.pose)
+
+    def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
+        """Robust cost of whitened residuals, and the weight of each frame's square in it, shape (n_frames,)."""
+        size2 = np.sum(residual**2, axis=1)
+        return 0.5 * (TAILS + 3) * float(np.sum(np.log1p(size2 / TAILS))), (TAILS + 3) / (TAILS + size2)
+
+    def cost(self, x: Float64Array) -> float:
+        """Cost alone at `x`: one simulation a push, without derivative. Infinite where a simulation failed."""
+        return self.cost_of(x, self.simulate(x))
+
+    def cost_of(self, x: Float64Array, motions: Sequence[Motion]) -> float:
+        """Cost of motions simulated at `x`."""
+        if motions[-1].status is SolveStatus.SIMULATION_FAILED:
+            return np.inf
+        misfit = sum(self.weigh(self.residual(motion, push))[0] for push, motion in enumerate(motions))
+        z = x[: self.parameters.size]
+        return 0.5 * float(z @ z) + misfit
 
     def evaluate(self, x: Float64Array) -> Evaluation:
-        """Simulate all pushes at `x`, shape (size,). One simulation a push, with its derivative."""
+        """Cost and derivatives at `x`: one simulation a push, with its derivative."""
         n_z = self.parameters.size
         z = x[:n_z]
-        body, pusher_friction, d_body = self.parameters.body(z)
         cost = 0.5 * float(z @ z)
         gradient = np.zeros(self.size)
-        hessian = np.zeros((self.size, self.size))
         gradient[:n_z] = z
+        hessian = np.zeros((self.size, self.size))
         hessian[np.arange(n_z), np.arange(n_z)] = 1.0
+        motions = self.simulate(x, jacobian=True)
+        if motions[-1].status is SolveStatus.SIMULATION_FAILED:
+            return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
+        _, _, d_body = self.parameters.body(z)
         residuals = []
-        for push, (record, seen) in enumerate(zip(self.records, self.observations, strict=True)):
-            motion = simulate_body(
-                record.shape,
-                body,
-                pusher_friction,
-                record.pusher,
-                self.first_pose(x, push),
-                seen.time,
-                settings=self._settings,
-                jacobian=True,
-            )
-            self.n_simulations += 1
-            if motion.status is SolveStatus.SIMULATION_FAILED:
-                return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
-            residual = np.einsum("fij,fj->fi", seen.whitening, motion.pose - seen.pose)
-            size2 = np.sum(residual**2, axis=1)
-            weight = np.minimum(1.0, self._outlier / np.sqrt(np.maximum(size2, 1e-300)))
-            cost += 0.5 * float(np.sum(np.where(weight < 1.0, self._outlier * (2 * np.sqrt(size2) - self._outlier), size2)))
+        for push, (motion, seen) in enumerate(zip(motions, self.observations, strict=True)):
+            residual = self.residual(motion, push)
+            misfit, weight = self.weigh(residual)
+            cost += misfit
             whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian)
             # Columns: first pose (scaled), then the body chained to z.
-            own = whitened[:, :, :3] @ self._first_scale[push]
+            own = whitened[:, :, :3] @ self.first_scale[push]
             shared = whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]
             jacobian = np.concatenate([shared, own], axis=2)
             columns = np.r_[0:n_z, n_z + 3 * push : n_z + 3 * push + 3]

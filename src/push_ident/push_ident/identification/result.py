@@ -9,7 +9,7 @@ import numpy as np
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
-__all__ = ["Estimate", "Identification", "ModelPosterior"]
+__all__ = ["Checkpoint", "Estimate", "Identification", "ModelPosterior"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +95,17 @@ class ModelPosterior:
 
 
 @dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The best model of a moment of the solve, and what it had cost to get there."""
+
+    n_simulations: int
+    """Pushes simulated so far."""
+    time_s: float
+    cost: float
+    model: ObjectModel
+
+
+@dataclass(frozen=True, slots=True)
 class Identification:
     """Result of `identify`."""
 
@@ -107,11 +118,15 @@ class Identification:
     """Equal cells with nominal values."""
     cost: float
     """Half the robust sum of squared residuals plus half the squared unknowns."""
+    misfit: float
+    """Squared residual per degree of freedom: about 1 where the model fits to within the noise; NaN where the method has no posterior."""
     n_simulations: int
     time_s: float
     """The solve alone."""
-    x: Float64Array
-    """Where the solver ended: a warm start for the same pushes and more."""
+    starts: tuple[Float64Array, ...]
+    """Where the fits of `gauss_newton` ended: a warm start for the same pushes and more."""
+    history: tuple[Checkpoint, ...] = ()
+    """Every better point on the way, oldest first."""
 
     @property
     def model(self) -> ObjectModel:

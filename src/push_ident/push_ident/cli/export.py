@@ -1,0 +1,47 @@
+"""`push-ident export`: a model for other simulators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from push_ident.cli.output import console
+from push_ident.errors import InputError
+from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
+from push_ident.identification.export.files import SUFFIXES, write_description
+from push_ident.identification.model_file import load_model
+
+__all__ = ["export_command"]
+
+_CELLS = {"sliding": True, "fixed": False}
+
+
+def export_command(
+    model: Annotated[Path, typer.Argument(help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)],
+    format_name: Annotated[str, typer.Option("--format", metavar="|".join(SUFFIXES), help="Gazebo, Bullet or MuJoCo.", show_default=False)],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Default: beside the model.", show_default=False)] = None,
+    height: Annotated[float, typer.Option(metavar="M", help="Height of the object, which pushes do not tell [m].")] = DEFAULT_HEIGHT,
+    cells: Annotated[
+        str, typer.Option(metavar="|".join(_CELLS), help="sliding: each cell rests on its own weight, in the plane. fixed: one rigid body.")
+    ] = "sliding",
+) -> None:
+    """Write a model for a simulator: mass and friction of every cell, and the outline for the pusher.
+
+    SDF and URDF come with a mesh of the outline beside them. A comment in the file says what the simulator must be told.
+    """
+    if format_name not in SUFFIXES:
+        raise InputError(f"The format `{format_name}` is not known, expected one of {', '.join(SUFFIXES)}.")
+    if cells not in _CELLS:
+        raise InputError(f"`--cells {cells}` is not known, expected one of {', '.join(_CELLS)}.")
+    path = out or model.with_suffix(SUFFIXES[format_name])
+    if path.resolve() == model.resolve():
+        raise InputError(f"{path} is the model itself; name another file with --out.")
+    object_id, posterior = load_model(model)
+    thing = describe(posterior.model, object_id=object_id, source=model.name, height=height, sliding=_CELLS[cells])
+    for file in write_description(path, thing, format_name):
+        console.print(f"written {file}", highlight=False, soft_wrap=True)
+    if not posterior.total_mass_identifiable:
+        text = f"note: the total mass, {posterior.total_mass.value:.3g} kg, is the one assumed: pushes alone do not tell it"
+        console.print(text, highlight=False, soft_wrap=True)

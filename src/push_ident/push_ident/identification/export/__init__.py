@@ -1,0 +1,1 @@
+"""Models for other simulators: one description of the object, written as MJCF, SDF or URDF."""

@@ -1,0 +1,59 @@
+"""MJCF, the format of MuJoCo. One file; the outline stands in it."""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element, SubElement
+
+from push_ident.identification.export.description import ObjectDescription, add_comment, numbers
+
+__all__ = ["mjcf"]
+
+_NOTE = (
+    "Cells and outline bring their friction along (priority 1), whatever the table and the pusher have.",
+    'A model that this one is attached to needs the option cone="elliptic" too.',
+    "The table can have MuJoCo's default contype and conaffinity; with 2 for both a pusher meets the outline alone.",
+)
+_SOLREF = (0.004, 1.0)
+"""Time constant [s] and damping ratio of a contact. With MuJoCo's own 20 ms the outline gives way to the pusher."""
+
+
+def mjcf(thing: ObjectDescription) -> Element:
+    """The object as a model without table and pusher, to be included or attached."""
+    root = Element("mujoco", model=thing.name)
+    add_comment(root, thing.provenance, *_NOTE)
+    # With the default pyramid, friction is stronger along some directions of the table than along others.
+    SubElement(root, "option", cone="elliptic")
+    _add_defaults(SubElement(root, "default"), thing)
+    asset = SubElement(root, "asset")
+    meshes = [f"{thing.name}_outline_{i}" for i in range(len(thing.pieces))]
+    for mesh, prism in zip(meshes, thing.prisms, strict=True):
+        SubElement(asset, "mesh", name=mesh, vertex=numbers(*prism.ravel()))
+
+    frame = SubElement(SubElement(root, "worldbody"), "body", name=thing.name)
+    if thing.sliding:
+        for joint, kind, axis in (("x", "slide", "1 0 0"), ("y", "slide", "0 1 0"), ("yaw", "hinge", "0 0 1")):
+            SubElement(frame, "joint", name=f"{thing.name}_{joint}", type=kind, axis=axis)
+    else:
+        SubElement(frame, "freejoint", name=f"{thing.name}_free")
+    SubElement(frame, "inertial", pos="0 0 0", mass=numbers(thing.frame_mass), diaginertia=numbers(*[thing.frame_inertia] * 3))
+    for mesh in meshes:
+        SubElement(frame, "geom", {"name": mesh, "class": f"{thing.name}_outline", "mesh": mesh})
+    rows = zip(thing.cell_names, thing.centres, thing.mass, thing.inertia, thing.friction, strict=True)
+    for name, (x, y), mass, inertia, friction in rows:
+        cell = SubElement(frame, "body", name=name, pos=numbers(x, y, 0))
+        if thing.sliding:
+            SubElement(cell, "joint", name=f"{name}_z", type="slide", axis="0 0 1")
+        SubElement(cell, "inertial", pos=numbers(0, 0, thing.cell_height), mass=numbers(mass), diaginertia=numbers(*inertia))
+        SubElement(cell, "geom", {"name": name, "class": f"{thing.name}_cell", "friction": numbers(friction, 0, 0)})
+    return root
+
+
+def _add_defaults(default: Element, thing: ObjectDescription) -> None:
+    contact = {"condim": "3", "priority": "1", "solref": numbers(*_SOLREF)}
+    cell = SubElement(default, "default", {"class": f"{thing.name}_cell"})
+    # Cells meet only what offers itself to bit 1: not the pusher with bit 2, and not each other.
+    attributes = {"size": numbers(thing.foot_radius), "pos": numbers(0, 0, thing.foot_radius), "contype": "0", "conaffinity": "1"}
+    SubElement(cell, "geom", {"type": "sphere", **attributes, **contact})
+    outline = SubElement(default, "default", {"class": f"{thing.name}_outline"})
+    attributes = {"friction": numbers(thing.pusher_friction, 0, 0), "contype": "3", "conaffinity": "3"}
+    SubElement(outline, "geom", {"type": "mesh", **attributes, **contact})

@@ -1,0 +1,93 @@
+"""SDF, the format of Gazebo; the outline is a mesh beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.etree.ElementTree import Element, SubElement
+
+from push_ident.identification.export.description import ObjectDescription, add_comment, numbers
+
+__all__ = ["sdf"]
+
+_VERSION = "1.9"
+_NOTE = (
+    "Gazebo takes the smaller of two coefficients of friction: the table's and the pusher's must be no smaller than the object's.",
+    "The table can have the default collide_bitmask; with 2 the pusher meets the outline alone.",
+    "PyBullet reads neither friction nor inertia of SDF, and no joint to the world: take the URDF for it.",
+)
+_NO_LIMIT = 1e6
+"""[m, rad]. The format wants limits where there are none."""
+_CELL_BIT, _OUTLINE_BITS = "1", "3"
+
+
+def sdf(thing: ObjectDescription, mesh: str) -> Element:
+    """The object as a model; `mesh` is the file name of its outline. Sliding cells hang on a chain of joints from the world."""
+    root = Element("sdf", version=_VERSION)
+    add_comment(root, thing.provenance, *_NOTE)
+    model = SubElement(root, "model", name=thing.name)
+    frame_inertia = [thing.frame_inertia] * 3
+    if thing.sliding:
+        for link in ("x", "y"):
+            _add_inertial(SubElement(model, "link", name=f"{thing.name}_{link}"), thing.frame_mass, 0.0, frame_inertia)
+    frame = SubElement(model, "link", name=thing.name)
+    _add_inertial(frame, thing.frame_mass, 0.0, frame_inertia)
+    for element in ("visual", "collision"):
+        part = SubElement(frame, element, name="outline")
+        _add_text(SubElement(SubElement(part, "geometry"), "mesh"), "uri", mesh)
+        if element == "collision":
+            _add_surface(part, thing.pusher_friction, _OUTLINE_BITS)
+    rows = zip(thing.cell_names, thing.centres, thing.mass, thing.inertia, thing.friction, strict=True)
+    for name, (x, y), mass, inertia, friction in rows:
+        cell = SubElement(model, "link", name=name)
+        _add_text(cell, "pose", numbers(x, y, 0, 0, 0, 0))
+        _add_inertial(cell, mass, thing.cell_height, inertia)
+        foot = SubElement(cell, "collision", name="foot")
+        _add_text(foot, "pose", numbers(0, 0, thing.foot_radius, 0, 0, 0))
+        _add_text(SubElement(SubElement(foot, "geometry"), "sphere"), "radius", numbers(thing.foot_radius))
+        _add_surface(foot, friction, _CELL_BIT)
+    if thing.sliding:
+        _add_joint(model, f"{thing.name}_x_joint", "prismatic", "world", f"{thing.name}_x", "1 0 0")
+        _add_joint(model, f"{thing.name}_y_joint", "prismatic", f"{thing.name}_x", f"{thing.name}_y", "0 1 0")
+        _add_joint(model, f"{thing.name}_yaw_joint", "continuous", f"{thing.name}_y", thing.name, "0 0 1")
+    for name in thing.cell_names:
+        if thing.sliding:
+            _add_joint(model, f"{name}_joint", "prismatic", thing.name, name, "0 0 1")
+        else:
+            _add_joint(model, f"{name}_joint", "fixed", thing.name, name, None)
+    return root
+
+
+def _add_text(parent: Element, tag: str, text: str) -> None:
+    SubElement(parent, tag).text = text
+
+
+def _add_joint(model: Element, name: str, kind: str, parent: str, child: str, axis: str | None) -> None:
+    joint = SubElement(model, "joint", name=name, type=kind)
+    _add_text(joint, "parent", parent)
+    _add_text(joint, "child", child)
+    if axis is None:
+        return
+    element = SubElement(joint, "axis")
+    _add_text(element, "xyz", axis)
+    limit = SubElement(element, "limit")
+    _add_text(limit, "lower", numbers(-_NO_LIMIT))
+    _add_text(limit, "upper", numbers(_NO_LIMIT))
+
+
+def _add_inertial(link: Element, mass: float, height: float, inertia: Iterable[float]) -> None:
+    inertial = SubElement(link, "inertial")
+    _add_text(inertial, "pose", numbers(0, 0, height, 0, 0, 0))
+    _add_text(inertial, "mass", numbers(mass))
+    tensor = SubElement(inertial, "inertia")
+    for tag, value in zip(("ixx", "iyy", "izz"), inertia, strict=True):
+        _add_text(tensor, tag, numbers(value))
+    for tag in ("ixy", "ixz", "iyz"):
+        _add_text(tensor, tag, "0")
+
+
+def _add_surface(collision: Element, friction: float, bits: str) -> None:
+    surface = SubElement(collision, "surface")
+    ode = SubElement(SubElement(surface, "friction"), "ode")
+    for tag in ("mu", "mu2"):
+        _add_text(ode, tag, numbers(friction))
+    _add_text(SubElement(surface, "contact"), "collide_bitmask", bits)

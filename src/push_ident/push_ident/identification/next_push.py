@@ -1,0 +1,332 @@
+"""Which push to make next: the one after which other pushes would be predicted best.
+
+Around a guess z of the object, the frames of a push depend linearly on the unknowns, with the noise that the fit gives them. What
+the posterior covariance S would become then does not depend on what will be seen, and is known before the push is made:
+
+    S' = (S^-1 + H(z))^-1            H: what the push is expected to add to the Hessian of the fit, its own first pose marginalised
+    error(S) = mean over reference pushes of sqrt(tr(Q G S G')),   G = d(last pose) / dz,   Q: mean square over the cells
+
+The push with the least error(S') is Bayesian A-optimal, not for the maps but for what they are wanted for, predictions; the
+information gained, 1/2 log det(S S'^-1), is the D-optimal criterion (Chaloner and Verdinelli, Bayesian Experimental Design, 1995).
+
+A linearisation tells one side of a switch only (stick or slip, left or right of the centre of friction). So H and G are taken at
+several draws from the posterior as well as at its mean, and the criteria are averaged over them. A guess at which the simulation of a
+push fails, or chatters, counts as one at which that push tells nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
+
+from push_ident.errors import InputError
+from push_ident.geometry.se2 import rotation
+from push_ident.identification.observation import NoiseModel, Observation, observe_push
+from push_ident.identification.parameters import MapParameters
+from push_ident.identification.result import ModelPosterior
+from push_ident.physics.rollout import PARAM_MASS
+from push_ident.physics.simulation import SimulationSettings, simulate_body
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.sampling import sample_push
+from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
+
+__all__ = ["Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "candidate_pushes", "rank_pushes", "reference_pushes"]
+
+_SAMPLING = 100.0  # of planned pusher paths [Hz]
+_CHATTER = 10.0
+"""A first pose that is off makes the end of an ordinary push 1 to 8 times as far off. Where the factor is larger, the motion chatters
+between modes of contact, and its derivative, though exact, holds over micrometres only: it says nothing of what would be seen."""
+
+
+class Criterion(Enum):
+    """What makes one push better than another."""
+
+    ERROR = "least expected cell error of predictions"
+    INFORMATION = "most information on the unknowns"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPush:
+    """A push that could be made."""
+
+    pose_object_in_table: Float64Array
+    """Of the object before the push, shape (3,)."""
+    pusher: PusherPath
+    plan: PushPlan2D | None = None
+    """What the path was made from, for the arm."""
+
+    def __post_init__(self) -> None:
+        _freeze(self, "pose_object_in_table", (3,))
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSensor:
+    """How the poses of a push would be seen."""
+
+    rate: float = 30.0
+    """Frames per second [Hz]."""
+    covariance: Float64Array = field(default_factory=lambda: np.diag([1e-3, 1e-3, np.radians(0.5)]) ** 2)
+    """Of one pose (x, y, yaw), shape (3, 3), table frame."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise InputError(f"PoseSensor.rate is {self.rate}, expected a positive number of frames per second.")
+        _freeze(self, "covariance", (3, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class PushValue:
+    """What one candidate is expected to tell."""
+
+    push: PlannedPush
+    status: SolveStatus
+    """CONVERGED; NO_CONTACT or SIMULATION_FAILED tell nothing and rank last."""
+    error_after: float
+    """Expected cell error of the reference pushes once this push has been learned from [m]."""
+    information: float
+    """Expected gain on the unknowns [nat], >= 0."""
+    covariance: Float64Array
+    """Of the unknowns after this push, linearised at the mean, shape (n_unknowns, n_unknowns)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RankedPushes:
+    """Candidates, the best first."""
+
+    values: tuple[PushValue, ...]
+    error_before: float
+    """Expected cell error of the reference pushes as things stand [m]."""
+
+    @property
+    def best(self) -> PlannedPush | None:
+        """The push to make; None where no candidate would tell anything."""
+        first = self.values[0]
+        return first.push if first.status is SolveStatus.CONVERGED else None
+
+
+def candidate_pushes(
+    shape: ObjectShape,
+    pose_object_in_table: ArrayLike,
+    rng: np.random.Generator,
+    n: int,
+    settings: PushSettings,
+    obstacles: Sequence[Float64Array] = (),
+    *,
+    rest: float = 0.5,
+) -> list[PlannedPush]:
+    """Random safe pushes of an object where it lies now.
+
+    Args:
+        shape: of the object.
+        pose_object_in_table: where it lies, shape (3,).
+        rng: of the draws.
+        n: how many.
+        settings: limits and ranges of the pushes.
+        obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
+        rest: the pusher stands still so long before and after the push [s].
+
+    Raises:
+        PlanningError: UNREACHABLE where no push is safe.
+    """
+    pose = np.array(pose_object_in_table, dtype=np.float64)
+    plans = [sample_push(shape, pose, rng, settings, obstacles) for _ in range(n)]
+    return [PlannedPush(pose, _pusher_path(plan, settings, rest), plan) for plan in plans]
+
+
+def reference_pushes(shape: ObjectShape, rng: np.random.Generator, n: int, settings: PushSettings | None = None) -> list[PlannedPush]:
+    """Random pushes over the whole outline of an object with free space around it: a fair sample of what there is to predict.
+
+    Of `settings` only the workspace is left out.
+    """
+    anywhere = replace(settings or PushSettings(), workspace=(-np.inf, np.inf, -np.inf, np.inf))
+    return candidate_pushes(shape, np.zeros(3), rng, n, anywhere)
+
+
+def rank_pushes(
+    posterior: ModelPosterior,
+    candidates: Sequence[PlannedPush],
+    *,
+    reference: Sequence[PlannedPush],
+    rng: np.random.Generator,
+    criterion: Criterion = Criterion.ERROR,
+    n_draws: int = 1,
+    sensor: PoseSensor | None = None,
+    noise: NoiseModel | None = None,
+    settings: SimulationSettings | None = None,
+) -> RankedPushes:
+    """Order pushes by what they would tell.
+
+    Args:
+        posterior: what is known of the object.
+        candidates: pushes to choose from.
+        reference: pushes that are to be predicted well, see `reference_pushes`.
+        rng: of the draws from the posterior.
+        criterion: what to order by.
+        n_draws: guesses of the object beside the mean; more make a steadier order at proportional cost.
+        sensor: how the push would be seen.
+        noise: of the observed poses, as the fit will take it.
+        settings: numerics of the simulation; by default steps of 1/120 s, since the worth of a push needs no finer.
+
+    Returns:
+        The candidates, those that would fail or touch nothing last.
+
+    Raises:
+        InputError: no candidate, no reference push that moves the object, or fewer than no draws.
+    """
+    if not candidates:
+        raise InputError("There is no candidate to rank; give at least one push.")
+    if n_draws < 0:
+        raise InputError(f"n_draws is {n_draws}, expected 0 (the mean alone) or more.")
+    settings = settings or SimulationSettings(step=1 / 120)
+    scale = _square_root(posterior.covariance)
+    draws = posterior.z + rng.standard_normal((n_draws, len(posterior.z))) @ scale.T
+    rows = [_reference_rows(posterior.parameters, z, reference, settings) for z in (posterior.z, *draws)]
+    if len(rows[0]) == 0:
+        raise InputError(f"None of {len(reference)} reference pushes moves the object; draw them over its outline.")
+    guesses = [_Guess(z, own @ scale) for z, own in zip((posterior.z, *draws), rows, strict=True) if len(own)]
+    values = [_value(posterior, scale, guesses, push, sensor or PoseSensor(), noise, settings) for push in candidates]
+    useless = [v.status is not SolveStatus.CONVERGED for v in values]
+    merit = [v.error_after if criterion is Criterion.ERROR else -v.information for v in values]
+    return RankedPushes(
+        values=tuple(values[i] for i in np.lexsort((merit, useless))),
+        error_before=float(np.mean([g.error(np.eye(len(scale))) for g in guesses])),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Guess:
+    """An object that may be the true one, and how predictions depend on the unknowns there."""
+
+    z: Float64Array
+    rows: Float64Array
+    """d(cell displacement at the end of a reference push) / d(unknowns of unit covariance), shape (n_references, 3, n_unknowns)."""
+
+    def error(self, root: Float64Array) -> float:
+        """Mean over the reference pushes of the root mean square cell error [m]; `root` root' is the precision, lower triangular."""
+        after = solve_triangular(root, self.rows.reshape(-1, len(root)).T, lower=True)
+        return float(np.mean(np.sqrt(np.sum(after.reshape(len(root), -1, 3) ** 2, axis=(0, 2)))))
+
+
+def _value(
+    posterior: ModelPosterior,
+    scale: Float64Array,
+    guesses: Sequence[_Guess],
+    push: PlannedPush,
+    sensor: PoseSensor,
+    noise: NoiseModel | None,
+    settings: SimulationSettings,
+) -> PushValue:
+    """Expected outcome of one push."""
+    identity = np.eye(len(scale))
+    roots: list[Float64Array] = [identity] * len(guesses)
+    record, status = _imagined(posterior, push, sensor, settings)
+    if record is not None:
+        seen = observe_push(record, noise)
+        told = [_sensitivity(posterior.parameters, guess.z, push, seen, settings) @ scale for guess in guesses]
+        roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in told]
+    at_mean = solve_triangular(roots[0], scale.T, lower=True)
+    return PushValue(
+        push=push,
+        status=status,
+        error_after=float(np.mean([guess.error(root) for guess, root in zip(guesses, roots, strict=True)])),
+        information=float(np.mean([max(0.0, np.sum(np.log(np.diag(root)))) for root in roots])),
+        covariance=at_mean.T @ at_mean,
+    )
+
+
+def _imagined(
+    posterior: ModelPosterior, push: PlannedPush, sensor: PoseSensor, settings: SimulationSettings
+) -> tuple[PushRecord | None, SolveStatus]:
+    """The push as it would be recorded if the mean model were true; no record where there would be nothing to see."""
+    parameters, pusher = posterior.parameters, push.pusher
+    body, pusher_friction, _ = parameters.body(posterior.z)
+    time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
+    motion = simulate_body(parameters.shape, body, pusher_friction, pusher, push.pose_object_in_table, time, settings=settings)
+    if motion.status is not SolveStatus.CONVERGED:
+        return None, motion.status
+    poses = PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3)))
+    return PushRecord("", parameters.shape, poses, pusher), motion.status
+
+
+def _sensitivity(
+    parameters: MapParameters, z: Float64Array, push: PlannedPush, seen: Observation, settings: SimulationSettings
+) -> Float64Array:
+    """Rows G with H = G' G: how whitened frames depend on z beyond what another first pose would explain, shape (n_rows, n_unknowns)."""
+    body, pusher_friction, d_body = parameters.body(z)
+    motion = simulate_body(
+        parameters.shape, body, pusher_friction, push.pusher, push.pose_object_in_table, seen.time, settings=settings, jacobian=True
+    )
+    nothing = np.zeros((0, len(z)))
+    if motion.status is SolveStatus.SIMULATION_FAILED:
+        return nothing
+    whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian)
+    by_first = whitened[:, :, :3].reshape(-1, 3)
+    in_deviations = by_first @ np.linalg.cholesky(seen.first_covariance)
+    if np.sum(in_deviations**2) > _CHATTER**2 * len(seen.time):
+        return nothing
+    by_z = (whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]).reshape(-1, len(z))
+    explained, _ = np.linalg.qr(by_first)
+    return np.asarray(by_z - explained @ (explained.T @ by_z))
+
+
+def _reference_rows(
+    parameters: MapParameters, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings
+) -> Float64Array:
+    """d(cell displacement at the end) / dz of the reference pushes that move the object of `z`, shape (n_moved, 3, n_unknowns)."""
+    body, pusher_friction, d_body = parameters.body(z)
+    cells = parameters.shape.cells
+    rows = []
+    for push in reference:
+        motion = simulate_body(
+            parameters.shape,
+            body,
+            pusher_friction,
+            push.pusher,
+            push.pose_object_in_table,
+            push.pusher.time[-1:],
+            settings=settings,
+            jacobian=True,
+        )
+        if motion.status is not SolveStatus.CONVERGED:
+            continue
+        by_body = _displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
+        by_first = np.linalg.solve(_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
+        if np.linalg.norm(by_first, 2) < _CHATTER:
+            rows.append(by_body[:, PARAM_MASS:] @ d_body[PARAM_MASS:])
+    return np.array(rows)
+
+
+def _displacement(cells: CellGrid, yaw: float) -> Float64Array:
+    """D with |D d|^2 = mean square displacement of the cells when their pose, turned by `yaw`, moves by a small d; shape (3, 3)."""
+    arms = cells.centres @ rotation(yaw).T
+    x, y = arms.mean(axis=0)
+    gyration = float(np.sqrt(np.mean(np.sum((arms - arms.mean(axis=0)) ** 2, axis=1))))
+    return np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, gyration]])
+
+
+def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) -> None:
+    """Store an array read-only, checking its shape and that it is finite."""
+    array = np.array(getattr(owner, name), dtype=np.float64)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise InputError(f"{type(owner).__name__}.{name} is {array.tolist()}, expected finite numbers of shape {shape}.")
+    array.setflags(write=False)
+    object.__setattr__(owner, name, array)
+
+
+def _square_root(covariance: Float64Array) -> Float64Array:
+    """L with L L' = covariance, also where some directions are known exactly."""
+    value, vector = np.linalg.eigh(covariance)
+    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
+
+
+def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float) -> PusherPath:
+    """Stand, drive straight at constant speed through the contact to the end, stand."""
+    length = settings.clearance + plan.distance
+    time = np.arange(0.0, length / plan.speed + 2 * rest, 1.0 / _SAMPLING)
+    way = np.clip((time - rest) * plan.speed, 0.0, length)
+    return PusherPath(time, plan.tool_start(settings.clearance) + way[:, None] * plan.heading, settings.pusher_radius)

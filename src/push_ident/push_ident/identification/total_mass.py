@@ -1,0 +1,76 @@
+"""Total mass from measured forces, the one thing that poses cannot tell.
+
+A force tells the product of total mass M and friction scale: log(F_measured / F_simulated at M = 1) = log M + log(friction scale).
+Poses tell the friction scale a little (through inertia), the prior tells both a little: one Gaussian measurement of their sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from push_ident.identification.problem import FitProblem
+from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.physics.simulation import simulate
+from push_ident.types import Float64Array, ObjectModel, SolveStatus
+
+__all__ = ["with_measured_forces"]
+
+_IDENTIFIABLE = 0.5  # total mass is identified when the data leave less than this share of the prior's deviation
+_MIN_FORCE_STD = 0.05  # of the logarithm, shared by all pushes: no force sensor and no friction model is better
+
+
+def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Float64Array) -> ModelPosterior:
+    """Condition a posterior on the wrenches of the pushes; as it was where there are none.
+
+    Args:
+        posterior: from the poses alone.
+        problem: pushes it rests on.
+        x: unknowns of the problem at the posterior's mean, for the first poses, shape (problem.size,).
+    """
+    model = posterior.parameters.model(posterior.z)
+    ratios = [r for push in range(len(problem.records)) if (r := _force_ratio(model, problem, x, push))]
+    if not ratios:
+        return posterior
+    logs = np.log(ratios)
+    measured = float(np.median(logs))
+    # The sensor's scale is off by the same in every push; the rest averages out.
+    variance = _MIN_FORCE_STD**2 + float(np.var(logs)) / len(logs)
+    prior = posterior.prior
+    row = posterior.friction_force_row
+    mass_variance = prior.total_mass_std**2
+    spread = posterior.covariance @ row
+    total = float(row @ spread) + mass_variance + variance
+    # Kalman update of (z, log M), independent before.
+    z = posterior.z + spread * (measured / total)
+    covariance = posterior.covariance - np.outer(spread, spread) / total
+    log_mass = mass_variance * measured / total
+    log_variance = mass_variance - mass_variance**2 / total
+    value = prior.total_mass * float(np.exp(log_mass))
+    return replace(
+        posterior,
+        z=z,
+        covariance=covariance,
+        total_mass=Estimate(value, value * float(np.sqrt(log_variance))),
+        total_mass_identifiable=bool(mass_variance == 0 or log_variance < (_IDENTIFIABLE * prior.total_mass_std) ** 2),
+    )
+
+
+def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push: int) -> float | None:
+    """Measured over simulated force of one push, least squares over the time in contact; None where nothing was measured."""
+    record = problem.records[push]
+    if record.wrench is None:
+        return None
+    motion = simulate(model, record.pusher, problem.first_pose(x, push), record.pusher.time[-1:], settings=problem.settings)
+    if motion.status is not SolveStatus.CONVERGED:
+        return None
+    wrench = record.wrench
+    simulated = np.column_stack([np.interp(wrench.time, motion.force_time, motion.force[:, axis]) for axis in (0, 1)])
+    # Only the steady part: at the touch and at the stop a small error of time makes a large error of force.
+    size = np.linalg.norm(simulated, axis=1)
+    steady = size > 0.5 * np.quantile(size[size > 0], 0.5) if np.any(size > 0) else np.zeros(len(size), dtype=bool)
+    if not np.any(steady):
+        return None
+    ratio = float(np.sum(wrench.force[steady] * simulated[steady]) / np.sum(simulated[steady] ** 2))
+    return ratio if np.isfinite(ratio) and ratio > 0 else None
