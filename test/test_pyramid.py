@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from objects import hammer, random_push, straight_push
+import torch
+from objects import hammer, hammer_shape, random_push, straight_push
 from test_physics import square, uniform
 
 from push_ident.errors import InputError
 from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_SLIDE_MINUS, MODE_SLIDE_PLUS, MODE_STICK, NO_MODE
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
-from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.physics.reference import ReferenceModel, reference_rollout
+from push_ident.physics.simulation import SimulationSettings, body_of_cells, cell_gradient, simulate, simulate_body
 from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.support import support_friction
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 PYRAMID = SimulationSettings(friction_cone="pyramid")
 
@@ -129,6 +131,39 @@ def test_pyramid_and_circle_agree_on_a_push_along_an_axis() -> None:
     fine = SimulationSettings(smoothing_speed=1e-8)
     circle, pyramid = (simulate(model, pusher, np.zeros(3), pusher.time, settings=s).pose for s in (fine, PYRAMID))
     assert pyramid == pytest.approx(circle, abs=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pyramid_equals_the_reference_engine_with_its_derivatives(seed: int) -> None:
+    # The reference keeps the paper's 3k velocities, rigid joints and friction rows; the fast step has three velocities.
+    rng = np.random.default_rng(seed)
+    shape = hammer_shape(0.03)
+    keep = ObjectShape(CellGrid(shape.cells.centres[::4], 0.03), shape.outline)
+    n = len(keep.cells)
+    model = ObjectModel(keep, rng.uniform(0.01, 0.08, n), rng.uniform(0.1, 0.5, n), 0.3)
+    pose = np.array([0.02, -0.03, rng.uniform(-3, 3)])
+    pusher = random_push(keep, pose, rng)
+    # Start and end inside the motion: all is sliding then, and the reference is slow.
+    pusher = PusherPath(pusher.time[24:48] - pusher.time[24], pusher.position[24:48], pusher.radius)
+    time = pusher.time[::5]
+    settings = SimulationSettings(step=1 / 120, friction_cone="pyramid")
+    body = body_of_cells(keep, model.mass, model.friction)
+    fast = simulate_body(keep, body, model.pusher_friction, pusher, pose, time, settings=settings, jacobian=True)
+    by_mass, by_friction = cell_gradient(keep, model.mass, model.friction, fast.jacobian[-1])
+
+    mass, friction, mu = (
+        torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (model.mass, model.friction, model.pusher_friction)
+    )
+    result = reference_rollout(
+        keep, ReferenceModel(mass, friction, mu), [pusher], torch.tensor(pose)[None], [time], settings=SimulationSettings(step=1 / 120)
+    )  # fmt: skip
+    end = result.poses[0]
+    assert fast.pose == pytest.approx(end.detach().numpy(), abs=1e-8)
+    assert np.abs(fast.pose[-1] - pose).max() > 5e-3
+    for row in range(3):
+        g_mass, g_friction, g_mu = torch.autograd.grad(end[-1, row], (mass, friction, mu), retain_graph=True)
+        for exact, other in ((by_mass[row], g_mass), (by_friction[row], g_friction), (fast.jacobian[-1, row, 7], g_mu)):
+            assert np.abs(exact - other.numpy()).max() < 5e-6 * np.abs(exact).max()
 
 
 def test_resting_object_does_not_creep() -> None:

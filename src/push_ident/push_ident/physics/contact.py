@@ -16,7 +16,7 @@ from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
 from push_ident.types import Float64Array
 
-__all__ = ["CONTACT_FIELDS", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts", "max_candidates"]
+__all__ = ["CONTACT_FIELDS", "MAX_DISC_CONTACTS", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts", "max_candidates"]
 
 GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
 CONTACT_FIELDS = 10
@@ -27,6 +27,9 @@ decides the gap x, y [m], index of the pusher's corner (-1 for a side).
 ON_EDGE, ON_CORNER, ON_SIDE = 0.0, 1.0, 2.0
 """`kind`: a corner of the pusher on an edge of the outline (the contact point follows the pusher), on a corner of the outline (it
 stays), a corner of the outline on a side of the pusher (it stays and the normal turns with the pusher)."""
+
+MAX_DISC_CONTACTS = 2
+"""Of a disc: the nearest, and one on a face that looks elsewhere."""
 
 _PARALLEL = 0.9  # cosine between normals above which two contacts belong to the same face
 _SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may fall behind the foremost one

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.physics.contact import count_inside
@@ -286,7 +286,7 @@ class PullBack:
             InputError: `by_pose` has another shape.
         """
         motion = self._run.motion
-        by_pose = np.ascontiguousarray(by_pose, dtype=np.float64)
+        by_pose = _owned(by_pose)
         if by_pose.shape != motion.pose.shape:
             raise InputError(f"`by_pose` has shape {by_pose.shape}, expected {motion.pose.shape} as the poses.")
         gradient = np.full(N_BODY_PARAMETERS + self._run.chain.arms.shape[1], np.nan)
@@ -328,6 +328,11 @@ class _Run(NamedTuple):
     chain: _Chain
 
 
+def _owned(values: ArrayLike) -> Float64Array:
+    """A writable copy in C order: numba would compile every kernel once more for arrays that are read-only or laid out otherwise."""
+    return np.array(values, dtype=np.float64, order="C")
+
+
 def _run(
     shape: ObjectShape,
     body: BodyParameters,
@@ -340,7 +345,7 @@ def _run(
 ) -> _Run:
     """Simulate, with what the derivative needs where `derive`."""
     time = np.asarray(time, dtype=np.float64)
-    pose0 = np.asarray(pose_object_in_table, dtype=np.float64)
+    pose0 = _owned(pose_object_in_table)
     if pose0.shape != (3,) or not np.all(np.isfinite(pose0)):
         raise InputError(f"The first pose is {pose0}, expected three finite numbers (x, y, yaw).")
     if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
@@ -358,16 +363,16 @@ def _run(
         path[:, 2] = np.interp(clock, pusher.time, pusher.yaw)
     at = np.clip((time - start) / settings.step, 0.0, n_steps)
     frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
-    corners = np.zeros((1, 2)) if pusher.polygon is None else pusher.polygon
-    centre = np.array(body.centre, dtype=np.float64)
+    corners = np.zeros((1, 2)) if pusher.polygon is None else _owned(pusher.polygon)
+    centre = _owned(body.centre)
     push = Push(
         pose=pose0,
         pusher=path,
         corners=corners,
         radius=float(pusher.radius),
-        outline=shape.outline,
-        arms=np.ascontiguousarray((shape.cells.centres - centre).T),
-        limit=np.ascontiguousarray(body.limit, dtype=np.float64),
+        outline=_owned(shape.outline),
+        arms=_owned((shape.cells.centres - centre).T),
+        limit=_owned(body.limit),
         centre=centre,
         inertia=np.array([body.mass, body.mass, body.inertia]),
         mu=float(pusher_friction),
@@ -396,7 +401,7 @@ def _check_body(shape: ObjectShape, body: BodyParameters, pusher_friction: float
         raise InputError(f"The body has mass {body.mass} kg and inertia {body.inertia} kg m^2, expected positive numbers.")
     if np.shape(body.centre) != (2,) or not np.all(np.isfinite(body.centre)):
         raise InputError(f"The body's centre of mass is {body.centre}, expected two finite numbers in metres.")
-    n_inside = count_inside(shape.cells.centres, shape.outline)
+    n_inside = count_inside(_owned(shape.cells.centres), _owned(shape.outline))
     # Outlines are traced and straightened: a few centres at the rim may lie outside.
     if 2 * n_inside < len(shape.cells):
         raise InputError(
