@@ -110,6 +110,37 @@ def _emit_pose(state: Float64Array, cos: float, sin: float, centre: Float64Array
 
 
 @kernel
+def _see_pusher(
+    push: Push,
+    n: int,
+    dt: float,
+    state: Float64Array,
+    cos: float,
+    sin: float,
+    centre: Float64Array,
+    velocity: Float64Array,
+    corners: Float64Array,
+) -> tuple[float, float]:
+    """The pusher during step n as seen from the object: fills its centre, velocity and corners.
+
+    Returns its rate of turn [rad/s] and the greatest speed of any of its points [m/s].
+    """
+    pusher, shape = push.pusher, push.corners
+    px, py = pusher[n, 0] - state[0], pusher[n, 1] - state[1]
+    centre[0], centre[1] = cos * px + sin * py + push.centre[0], -sin * px + cos * py + push.centre[1]
+    vx, vy = (pusher[n + 1, 0] - pusher[n, 0]) / dt, (pusher[n + 1, 1] - pusher[n, 1]) / dt
+    velocity[0], velocity[1] = cos * vx + sin * vy, -sin * vx + cos * vy
+    spin = (pusher[n + 1, 2] - pusher[n, 2]) / dt
+    cos_seen, sin_seen = math.cos(pusher[n, 2] - state[2]), math.sin(pusher[n, 2] - state[2])
+    extent = 0.0
+    for j in range(shape.shape[0]):
+        corners[j, 0] = centre[0] + cos_seen * shape[j, 0] - sin_seen * shape[j, 1]
+        corners[j, 1] = centre[1] + sin_seen * shape[j, 0] + cos_seen * shape[j, 1]
+        extent = max(extent, math.hypot(shape[j, 0], shape[j, 1]) + push.radius)
+    return spin, math.hypot(vx, vy) + abs(spin) * extent
+
+
+@kernel
 def rollout(
     push: Push,
     numerics: Numerics,
@@ -137,13 +168,10 @@ def rollout(
         The step that did not converge, or -1; and the total number of iterations.
     """
     dt, eps = numerics.dt, numerics.eps
-    pusher, centre, arms, limit, mu = push.pusher, push.centre, push.arms, push.limit, push.mu
+    centre, arms, limit, mu = push.centre, push.arms, push.limit, push.mu
     rows, contacts, tips = scratch.rows, scratch.contacts, scratch.tips
     inertia = np.zeros(3) if numerics.quasi_static else push.inertia
     reach_of_body = math.sqrt(push.inertia[2] / push.inertia[0])
-    extent = 0.0
-    for j in range(push.corners.shape[0]):
-        extent = max(extent, math.hypot(push.corners[j, 0], push.corners[j, 1]) + push.radius)
     cos, sin = math.cos(push.pose[2]), math.sin(push.pose[2])
     state = np.zeros(6)
     state[0] = push.pose[0] + cos * centre[0] - sin * centre[1]
@@ -154,7 +182,7 @@ def rollout(
     impulse = np.zeros(MAX_CONTACTS + 1)
     twist, seen, velocity = np.zeros(3), np.zeros(2), np.zeros(2)
     friction, by_yaw, stiffness = np.zeros(3), np.zeros(3), np.zeros((3, 3))
-    n_steps, n_frames = pusher.shape[0] - 1, frame_step.shape[0]
+    n_steps, n_frames = push.pusher.shape[0] - 1, frame_step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
         begin = frame
@@ -162,17 +190,7 @@ def rollout(
             _emit_pose(state, cos, sin, centre, 1.0 - frame_fraction[frame], poses[frame])
             frame += 1
 
-        # The pusher as seen from the object.
-        px, py = pusher[n, 0] - state[0], pusher[n, 1] - state[1]
-        seen[0], seen[1] = cos * px + sin * py + centre[0], -sin * px + cos * py + centre[1]
-        qx, qy = (pusher[n + 1, 0] - pusher[n, 0]) / dt, (pusher[n + 1, 1] - pusher[n, 1]) / dt
-        velocity[0], velocity[1] = cos * qx + sin * qy, -sin * qx + cos * qy
-        spin = (pusher[n + 1, 2] - pusher[n, 2]) / dt
-        cos_tips, sin_tips = math.cos(pusher[n, 2] - state[2]), math.sin(pusher[n, 2] - state[2])
-        for j in range(tips.shape[0]):
-            tips[j, 0] = seen[0] + cos_tips * push.corners[j, 0] - sin_tips * push.corners[j, 1]
-            tips[j, 1] = seen[1] + sin_tips * push.corners[j, 0] + cos_tips * push.corners[j, 1]
-        speed = math.hypot(qx, qy) + abs(spin) * extent
+        spin, speed = _see_pusher(push, n, dt, state, cos, sin, seen, velocity, tips)
         n_contacts = find_contacts(tips, push.radius, push.outline, _REACH + speed * dt, scratch.found, contacts)
 
         coasts = not numerics.quasi_static and (state[3] != 0.0 or state[4] != 0.0 or state[5] != 0.0)
