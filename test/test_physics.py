@@ -10,7 +10,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.physics.simulation import GRAVITY, BodyParameters, SimulationSettings, body_of_cells, simulate, simulate_body
-from push_ident.physics.step import support_friction
+from push_ident.physics.support import support_friction
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 FINE = SimulationSettings(step=1 / 4000, smoothing_speed=1e-6)
@@ -33,7 +33,7 @@ def test_torque_of_a_spinning_disc() -> None:
     arms = grid[np.linalg.norm(grid, axis=1) < radius]
     limit = np.full(len(arms), mu * mass * GRAVITY / len(arms))
     gradient, hessian = np.empty(3), np.empty((3, 3))
-    support_friction(np.array([0.0, 0.0, 2.3]), arms, limit, 1e-9, True, gradient, hessian)
+    support_friction(np.array([0.0, 0.0, 2.3]), arms.T.copy(), limit, 1e-9, True, gradient, hessian)
     assert gradient[2] == pytest.approx(2 / 3 * mu * mass * GRAVITY * radius, rel=2e-3)
     assert gradient[:2] == pytest.approx([0.0, 0.0], abs=1e-9)
 

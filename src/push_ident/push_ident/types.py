@@ -121,7 +121,10 @@ class ObjectShape:
         if len(self.outline) < 3:
             raise InputError(f"ObjectShape.outline has {len(self.outline)} points, expected at least 3.")
         x, y = self.outline.T
-        if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) < 0:
+        area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        if abs(area) < 1e-12 * float(np.ptp(x) + np.ptp(y)) ** 2 or area == 0.0:
+            raise InputError(f"ObjectShape.outline encloses {area:.2g} m^2, expected an area; its points lie on one line or cross over.")
+        if area < 0:
             flipped = self.outline[::-1].copy()
             flipped.setflags(write=False)
             object.__setattr__(self, "outline", flipped)
@@ -156,24 +159,41 @@ class PoseTrack:
 
 @dataclass(frozen=True, slots=True)
 class PusherPath:
-    """Path of the pusher, a vertical cylinder, during one push."""
+    """Path of the pusher, an upright cylinder or prism, during one push."""
 
     time: Float64Array
     """[s], shape (n_samples,), strictly increasing."""
     position: Float64Array
-    """Axis of the cylinder [m], shape (n_samples, 2), table frame."""
+    """Origin of the pusher's frame [m], shape (n_samples, 2), table frame; of a cylinder its axis."""
     radius: float
-    """[m]; 0 is a point."""
+    """[m]; of a cylinder, or by which a polygon is rounded outwards. 0 is a point, or a polygon with sharp corners."""
+    polygon: Float64Array | None = None
+    """Convex, counter-clockwise, not closed [m], shape (n_corners, 2), pusher's frame; None for a cylinder."""
+    yaw: Float64Array | None = None
+    """Of the pusher's frame in the table frame [rad], shape (n_samples,), not wrapped; None where the pusher does not turn."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         _freeze(self, "time", ("n_samples",), sizes)
         _freeze(self, "position", ("n_samples", 2), sizes)
+        if self.yaw is not None:
+            _freeze(self, "yaw", ("n_samples",), sizes)
         _check_increasing(self, "time")
         if len(self.time) < 2:
             raise InputError(f"PusherPath has {len(self.time)} samples, expected at least 2.")
         if not (np.isfinite(self.radius) and self.radius >= 0):
             raise InputError(f"PusherPath.radius is {self.radius}, expected a length >= 0 in metres.")
+        if self.polygon is not None:
+            _freeze(self, "polygon", ("n_corners", 2), {})
+            edge = np.roll(self.polygon, -1, axis=0) - self.polygon
+            following = np.roll(edge, -1, axis=0)
+            # A polygon that winds around more than once turns left at every corner too.
+            turn = np.arctan2(edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0], np.sum(edge * following, axis=1))
+            if len(self.polygon) < 3 or np.any(turn <= 0) or abs(np.sum(turn) - 2 * np.pi) > 1e-6:
+                raise InputError(
+                    f"PusherPath.polygon with {len(self.polygon)} corners is not strictly convex and counter-clockwise; "
+                    "take the corners of its convex hull in that order, each once."
+                )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
-"""Contact between a disc pusher and the exact outline polygon, in the object frame (compiled).
+"""Contact between the pusher and the exact outline polygon, in the object frame (compiled).
 
-The pusher is a disc; its centre is seen from the object. At most two contacts act at once: the nearest feature of the
-outline, and the nearest other feature whose normal points elsewhere (a pusher in a concave corner). Cells play no part:
-a staircase of cells would turn every oblique face into a row of steps.
+The pusher is a convex polygon rounded by a radius; a single point rounded by a radius is a disc. Two kinds of features meet: a
+corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. Up to three act at once: the
+nearest; its neighbours to the left and right on the same flat face (a line contact); the nearest on a face that looks elsewhere
+(a pusher in a concave corner). Cells play no part: a staircase of cells would turn every oblique face into a row of steps.
 """
 
 from __future__ import annotations
@@ -10,37 +11,33 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from push_ident.physics.kernel import kernel
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
 from push_ident.types import Float64Array
 
-__all__ = ["CONTACT_FIELDS", "MAX_CONTACTS", "find_contacts"]
+__all__ = ["CONTACT_FIELDS", "MAX_DISC_CONTACTS", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts", "max_candidates"]
 
-MAX_CONTACTS = 2
-CONTACT_FIELDS = 7
-"""Columns of a contact: gap [m], outward normal x, y, contact point x, y [m], curvature [1/m], kind.
+GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
+CONTACT_FIELDS = 10
+"""Columns of a contact: gap [m], outward normal x, y, contact point x, y [m], curvature [1/m], kind, point of the pusher's core that
+decides the gap x, y [m], index of the pusher's corner (-1 for a side).
 
-`curvature` c [1/m] gives the turn of the normal, dn = c (I - n n') d(centre): 0 on an edge, +-1/distance at a vertex.
-`kind` is 0 on an edge (the contact point follows the pusher) and 1 at a vertex (it stays)."""
+`curvature` c [1/m] gives the turn of the normal, dn = c (I - n n') d(tip): 0 on an edge, +-1/distance at a corner."""
+ON_EDGE, ON_CORNER, ON_SIDE = 0.0, 1.0, 2.0
+"""`kind`: a corner of the pusher on an edge of the outline (the contact point follows the pusher), on a corner of the outline (it
+stays), a corner of the outline on a side of the pusher (it stays and the normal turns with the pusher)."""
 
-_PARALLEL = 0.9  # cosine above which a second contact repeats the first
+MAX_DISC_CONTACTS = 2
+"""Of a disc: the nearest, and one on a face that looks elsewhere."""
+
+_PARALLEL = 0.9  # cosine between normals above which two contacts belong to the same face
+_SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may fall behind the foremost one
+_APART = 1e-4  # contacts of a face nearer to each other than this repeat each other [m]
 _TINY = 1e-12
 
 
-@njit(cache=True)
-def _inside(px: float, py: float, outline: Float64Array) -> bool:
-    inside = False
-    n = outline.shape[0]
-    j = n - 1
-    for i in range(n):
-        yi, yj = outline[i, 1], outline[j, 1]
-        if (yi > py) != (yj > py) and px < (outline[j, 0] - outline[i, 0]) * (py - yi) / (yj - yi) + outline[i, 0]:
-            inside = not inside
-        j = i
-    return inside
-
-
-@njit(cache=True)
+@kernel
 def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[float, float, float, float]:
     """Distance to edge i, its nearest point, and where along the edge (0..1) that lies."""
     j = i + 1 if i + 1 < outline.shape[0] else 0
@@ -50,12 +47,20 @@ def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[
     s = 0.0 if length2 < _TINY else ((px - ax) * ex + (py - ay) * ey) / length2
     s = min(1.0, max(0.0, s))
     qx, qy = ax + s * ex, ay + s * ey
-    return math.hypot(px - qx, py - qy), qx, qy, s
+    return math.sqrt((px - qx) ** 2 + (py - qy) ** 2), qx, qy, s
 
 
-@njit(cache=True)
-def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: Float64Array, i: int, inside: bool) -> None:
-    """Contact of the pusher with the nearest point of edge i."""
+@kernel
+def _crosses(px: float, py: float, outline: Float64Array, i: int) -> bool:
+    """Whether a ray from the point along +x crosses edge i: an odd number of crossings means inside."""
+    j = i + 1 if i + 1 < outline.shape[0] else 0
+    yi, yj = outline[i, 1], outline[j, 1]
+    return (yi > py) != (yj > py) and px < (outline[j, 0] - outline[i, 0]) * (py - yi) / (yj - yi) + outline[i, 0]
+
+
+@kernel
+def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: Float64Array, i: int, inside: bool, owner: int) -> None:
+    """Contact of a corner of the pusher with the nearest point of edge i."""
     distance, qx, qy, s = _edge_feature(px, py, outline, i)
     sign = -1.0 if inside else 1.0
     if 0.0 < s < 1.0 or distance < 1e-9:
@@ -63,53 +68,255 @@ def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: F
         ex, ey = outline[j, 0] - outline[i, 0], outline[j, 1] - outline[i, 1]
         length = math.hypot(ex, ey)
         # The outline runs counter-clockwise, so the outside lies to the right of each edge.
-        contact[1], contact[2] = ey / length, -ex / length
-        contact[5], contact[6] = 0.0, 0.0
+        contact[NORMAL], contact[NORMAL + 1] = ey / length, -ex / length
+        contact[CURVATURE], contact[KIND] = 0.0, ON_EDGE
     else:
-        contact[1], contact[2] = sign * (px - qx) / distance, sign * (py - qy) / distance
-        contact[5], contact[6] = sign / distance, 1.0
-    contact[0] = sign * distance - radius
-    contact[3], contact[4] = qx, qy
+        contact[NORMAL], contact[NORMAL + 1] = sign * (px - qx) / distance, sign * (py - qy) / distance
+        contact[CURVATURE], contact[KIND] = sign / distance, ON_CORNER
+    contact[GAP] = sign * distance - radius
+    contact[POINT], contact[POINT + 1] = qx, qy
+    contact[TIP], contact[TIP + 1] = px, py
+    contact[OWNER] = owner
 
 
-@njit(cache=True)
-def find_contacts(px: float, py: float, radius: float, outline: Float64Array, reach: float, contacts: Float64Array) -> int:
-    """Contacts of a disc with the outline.
+@kernel
+def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
+    """Whether corner j of the pusher is about the foremost one against the normal: only that one can touch there."""
+    m = tips.shape[0]
+    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    for k in ((j + 1) % m, (j + m - 1) % m):
+        ex, ey = tips[k, 0] - tips[j, 0], tips[k, 1] - tips[j, 1]
+        if -(nx * ex + ny * ey) > _SUPPORT * math.sqrt(ex * ex + ey * ey):
+            return False
+    return True
+
+
+@kernel
+def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
+    """Append the contacts of corner j of the pusher to the `n` found: the nearest feature, and every other edge that it faces."""
+    px, py = tips[j, 0], tips[j, 1]
+    nearest, nearest_distance = 0, np.inf
+    inside = False
+    for i in range(outline.shape[0]):
+        distance, _, _, _ = _edge_feature(px, py, outline, i)
+        if distance < nearest_distance:
+            nearest, nearest_distance = i, distance
+        if _crosses(px, py, outline, i):
+            inside = not inside
+    if not inside and nearest_distance - radius > reach:
+        return n
+    polygon = tips.shape[0] > 1
+    _fill(found[n], px, py, radius, outline, nearest, inside, j)
+    if not polygon or _foremost(found[n], tips, j):
+        n += 1
+    if inside and not polygon:
+        return n
+    for i in range(outline.shape[0]):
+        distance, qx, qy, s = _edge_feature(px, py, outline, i)
+        if i == nearest or not 0.0 < s < 1.0 or distance - radius > reach:
+            continue
+        k = i + 1 if i + 1 < outline.shape[0] else 0
+        faces = (outline[k, 1] - outline[i, 1]) * (px - qx) - (outline[k, 0] - outline[i, 0]) * (py - qy) > 0.0
+        if faces == inside:
+            continue
+        _fill(found[n], px, py, radius, outline, i, inside, j)
+        if polygon and not _foremost(found[n], tips, j):
+            continue
+        # A corner inside the outline is pressed out through one edge alone, the nearest of those that it can touch.
+        if inside and n > 0 and found[n - 1, OWNER] == j:
+            if found[n, GAP] > found[n - 1, GAP]:
+                found[n - 1] = found[n]
+            continue
+        n += 1
+    return n
+
+
+@kernel
+def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
+    """Append the contacts of convex corners of the outline with straight sides of the pusher to the `n` found."""
+    m = tips.shape[0]
+    n_outline = outline.shape[0]
+    for i in range(n_outline):
+        ox, oy = outline[i, 0], outline[i, 1]
+        a, b = outline[i - 1 if i > 0 else n_outline - 1], outline[i + 1 if i + 1 < n_outline else 0]
+        if (ox - a[0]) * (b[1] - oy) - (oy - a[1]) * (b[0] - ox) <= 0.0:
+            continue
+        height, mx, my, place = -np.inf, 0.0, 0.0, 0.0
+        for j in range(m):
+            k = j + 1 if j + 1 < m else 0
+            ex, ey = tips[k, 0] - tips[j, 0], tips[k, 1] - tips[j, 1]
+            length = math.sqrt(ex * ex + ey * ey)
+            h = (ey * (ox - tips[j, 0]) - ex * (oy - tips[j, 1])) / length
+            # Of a convex polygon the side with the greatest height is the one that faces the point.
+            if h > height:
+                height, mx, my = h, ey / length, -ex / length
+                place = (ex * (ox - tips[j, 0]) + ey * (oy - tips[j, 1])) / (length * length)
+        if not 0.0 < place < 1.0 or abs(height) - radius > reach:
+            continue
+        contact = found[n]
+        contact[GAP] = height - radius
+        contact[NORMAL], contact[NORMAL + 1] = -mx, -my
+        contact[POINT], contact[POINT + 1] = ox, oy
+        contact[CURVATURE], contact[KIND] = 0.0, ON_SIDE
+        contact[TIP], contact[TIP + 1] = ox, oy
+        contact[OWNER] = -1
+        n += 1
+    return n
+
+
+@kernel
+def count_inside(points: Float64Array, outline: Float64Array) -> int:
+    """How many of `points`, shape (n, 2), lie inside the outline."""
+    number = 0
+    for k in range(points.shape[0]):
+        inside = False
+        for i in range(outline.shape[0]):
+            if _crosses(points[k, 0], points[k, 1], outline, i):
+                inside = not inside
+        number += inside
+    return number
+
+
+def max_candidates(n_tips: int, n_outline: int) -> int:
+    """Rows that `find_contacts` needs in `found`."""
+    return n_tips * (n_outline + 1) + n_outline + 1
+
+
+@kernel
+def find_contacts(
+    tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, contacts: Float64Array
+) -> int:
+    """Contacts of the pusher with the outline.
 
     Args:
-        px, py: centre of the disc [m], object frame.
-        radius: of the disc [m]; 0 is a point.
+        tips: corners of the pusher's core, counter-clockwise [m], shape (n_tips, 2), object frame; the centre of a disc.
+        radius: of the rounding [m].
         outline: counter-clockwise polygon [m], shape (n_vertices, 2), object frame.
         reach: features with a gap above it are left out [m].
+        found: scratch, shape (max_candidates(n_tips, n_vertices), CONTACT_FIELDS).
         contacts: filled with one row a contact, shape (MAX_CONTACTS, CONTACT_FIELDS); see `CONTACT_FIELDS`.
 
     Returns:
         The number of rows filled. The first is the nearest.
     """
-    n = outline.shape[0]
-    nearest, nearest_distance = 0, np.inf
+    n = 0
+    for j in range(tips.shape[0]):
+        n = _corner_candidates(tips, j, radius, outline, reach, found, n)
+    if tips.shape[0] > 1:
+        n = _side_candidates(tips, radius, outline, reach, found, n)
+    first = -1
     for i in range(n):
-        distance, _, _, _ = _edge_feature(px, py, outline, i)
-        if distance < nearest_distance:
-            nearest, nearest_distance = i, distance
-    inside = _inside(px, py, outline)
-    _fill(contacts[0], px, py, radius, outline, nearest, inside)
-    if contacts[0, 0] > reach:
+        if found[i, GAP] <= reach and (first < 0 or found[i, GAP] < found[first, GAP]):
+            first = i
+    if first < 0:
         return 0
-    # A second contact needs a feature of its own: an edge that the pusher faces, not a neighbour of the same vertex.
-    if inside:
-        return 1
-    second, second_distance = -1, np.inf
+    contacts[0] = found[first]
+    nx, ny = contacts[0, NORMAL], contacts[0, NORMAL + 1]
+    # On the face of the first contact, to its left and its right, the one that the least relative turn would close.
+    left = right = elsewhere = -1
+    left_turn = right_turn = elsewhere_gap = np.inf
     for i in range(n):
-        distance, qx, qy, s = _edge_feature(px, py, outline, i)
-        if not 0.0 < s < 1.0 or distance - radius > reach or distance >= second_distance:
+        if i == first or found[i, GAP] > reach:
             continue
-        dx, dy = (px - qx) / max(distance, _TINY), (py - qy) / max(distance, _TINY)
-        j = i + 1 if i + 1 < n else 0
-        faces = (outline[j, 1] - outline[i, 1]) * dx - (outline[j, 0] - outline[i, 0]) * dy > 0.0
-        if faces and dx * contacts[0, 1] + dy * contacts[0, 2] < _PARALLEL:
-            second, second_distance = i, distance
-    if second < 0:
-        return 1
-    _fill(contacts[1], px, py, radius, outline, second, False)
-    return 2
+        if found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny < _PARALLEL:
+            if found[i, GAP] < elsewhere_gap:
+                elsewhere, elsewhere_gap = i, found[i, GAP]
+            continue
+        if found[i, OWNER] >= 0.0 and found[i, OWNER] == contacts[0, OWNER]:
+            continue
+        offset = -ny * (found[i, POINT] - contacts[0, POINT]) + nx * (found[i, POINT + 1] - contacts[0, POINT + 1])
+        if abs(offset) < _APART:
+            continue
+        turn = (found[i, GAP] - contacts[0, GAP] + _APART) / abs(offset)
+        if offset > 0.0 and turn < left_turn:
+            left, left_turn = i, turn
+        elif offset < 0.0 and turn < right_turn:
+            right, right_turn = i, turn
+    number = 1
+    while number < MAX_CONTACTS:
+        best = -1
+        for i in (left, right, elsewhere):
+            if i >= 0 and (best < 0 or found[i, GAP] < found[best, GAP]):
+                best = i
+        if best < 0:
+            break
+        contacts[number] = found[best]
+        number += 1
+        if best == left:
+            left = -1
+        elif best == right:
+            right = -1
+        else:
+            elsewhere = -1
+    return number
+
+
+@kernel
+def contact_rows(
+    contact: Float64Array,
+    k: int,
+    centre: Float64Array,
+    pusher: Float64Array,
+    velocity: Float64Array,
+    spin: float,
+    dt: float,
+    face: Float64Array,
+    rows: Float64Array,
+) -> None:
+    """Enter contact k in the contacts of a step of length `dt`, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`.
+
+    `centre` is the centre of mass, `pusher` the pusher's centre and `velocity` its velocity, object axes, shape (2,); `spin` is the
+    pusher's rate of turn [rad/s]; `face` is the first contact.
+    """
+    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
+    vx = velocity[0] - spin * (contact[POINT + 1] - pusher[1])
+    vy = velocity[1] + spin * (contact[POINT] - pusher[0])
+    tx, ty = -ny, nx
+    i = MAX_CONTACTS + k
+    rows[k, 0], rows[k, 1], rows[k, 2] = -nx, -ny, -(ax * ny - ay * nx)
+    rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
+    rows[k, BOUND] = -(nx * vx + ny * vy) - contact[GAP] / dt
+    rows[i, BOUND] = tx * vx + ty * vy
+    rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= _PARALLEL else 0.0
+
+
+@kernel
+def contact_rows_seed(
+    contact: Float64Array,
+    k: int,
+    centre: Float64Array,
+    pusher: Float64Array,
+    velocity: Float64Array,
+    spin: float,
+    dt: float,
+    d_pusher: Float64Array,
+    d_angle: float,
+    d_centre: Float64Array,
+    d_velocity: Float64Array,
+    d_rows: Float64Array,
+) -> None:
+    """Derivative of `contact_rows` for a change of the pusher's centre, angle and velocity and of the centre of mass."""
+    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    tx, ty = -ny, nx
+    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
+    bx, by = contact[POINT] - pusher[0], contact[POINT + 1] - pusher[1]
+    vx, vy = velocity[0] - spin * by, velocity[1] + spin * bx
+    d_tip_x = d_pusher[0] - d_angle * (contact[TIP + 1] - pusher[1])
+    d_tip_y = d_pusher[1] + d_angle * (contact[TIP] - pusher[0])
+    along = tx * d_tip_x + ty * d_tip_y
+    turn = d_angle if contact[KIND] == ON_SIDE else contact[CURVATURE] * along
+    slide = along if contact[KIND] == ON_EDGE else 0.0
+    dnx, dny = turn * tx, turn * ty
+    dtx, dty = -dny, dnx
+    dax, day = slide * tx - d_centre[0], slide * ty - d_centre[1]
+    dvx = d_velocity[0] - spin * (slide * ty - d_pusher[1])
+    dvy = d_velocity[1] + spin * (slide * tx - d_pusher[0])
+    d_gap = nx * d_tip_x + ny * d_tip_y
+    d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
+    d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
+    d_rows[k, BOUND] = -(dnx * vx + dny * vy + nx * dvx + ny * dvy) - d_gap / dt
+    i = MAX_CONTACTS + k
+    d_rows[i, 0], d_rows[i, 1] = dtx, dty
+    d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx
+    d_rows[i, BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy

@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from push_ident.errors import InputError
-from push_ident.physics.contact import CONTACT_FIELDS, MAX_CONTACTS, find_contacts
+from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, find_contacts, max_candidates
 from push_ident.physics.lcp import Lcp, LcpStatus, solve_lcp
 from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
@@ -115,10 +115,10 @@ class StepProblem:
             "cells": (batch, n_cells, 2),
             "twist": (batch, 3),
             "limit": (batch, n_cells),
-            "normal": (batch, MAX_CONTACTS, 2),
-            "point": (batch, MAX_CONTACTS, 2),
-            "gap": (batch, MAX_CONTACTS),
-            "active": (batch, MAX_CONTACTS),
+            "normal": (batch, MAX_DISC_CONTACTS, 2),
+            "point": (batch, MAX_DISC_CONTACTS, 2),
+            "gap": (batch, MAX_DISC_CONTACTS),
+            "active": (batch, MAX_DISC_CONTACTS),
             "pusher_velocity": (batch, 2),
             "pusher_friction": (batch,),
             "restitution": (batch,),
@@ -280,6 +280,8 @@ def reference_rollout(
     mass, friction, pusher_friction = _expanded_model(model, batch, n_cells)
     if tuple(poses_object_in_table.shape) != (batch, 3) or not bool(torch.isfinite(poses_object_in_table).all()):
         raise InputError(f"The first poses have shape {tuple(poses_object_in_table.shape)}, expected {(batch, 3)}, all finite.")
+    if any(pusher.polygon is not None or pusher.yaw is not None for pusher in pushers):
+        raise InputError("The reference engine knows disc pushers that do not turn; simulate polygon pushers with `simulate`.")
     if len(times) != batch:
         raise InputError(f"There are {len(times)} lists of times, expected {batch}, one a push.")
     for time in times:
@@ -326,7 +328,7 @@ def reference_rollout(
                     normal=_rotated(yaw[go, None], normal),
                     point=_rotated(yaw[go, None], point - centre[go, None]),
                     gap=gap,
-                    active=torch.arange(MAX_CONTACTS) < torch.tensor(n_contacts)[go, None],
+                    active=torch.arange(MAX_DISC_CONTACTS) < torch.tensor(n_contacts)[go, None],
                     pusher_velocity=torch.tensor(travel / dt)[go],
                     pusher_friction=pusher_friction[go],
                     restitution=torch.full((len(go),), model.restitution, dtype=torch.float64),
@@ -452,12 +454,14 @@ def _at_times(trajectory: Tensor, since_start: Float64Array, dt: float) -> Tenso
 def _features(
     shape: ObjectShape, pushers: Sequence[PusherPath], seen: Tensor, travel: Float64Array
 ) -> tuple[Float64Array, NDArray[np.int64]]:
-    """Rows of `find_contacts` for the pusher seen from the object at `seen`, shape (batch, 2, 7), and how many they are, shape (batch,)."""
-    contacts = np.zeros((len(pushers), MAX_CONTACTS, CONTACT_FIELDS))
+    """Rows of `find_contacts` for the pusher seen at `seen`, shape (batch, 2, CONTACT_FIELDS), and how many they are, shape (batch,)."""
+    contacts = np.zeros((len(pushers), MAX_DISC_CONTACTS, CONTACT_FIELDS))
     count = np.zeros(len(pushers), dtype=np.int64)
-    for b, (x, y) in enumerate(seen.tolist()):
+    found = np.zeros((max_candidates(1, len(shape.outline)), CONTACT_FIELDS))
+    outline = np.array(shape.outline)  # writable, as kernels are compiled for
+    for b, centre in enumerate(seen.detach().numpy()):
         reach = _REACH + math.hypot(*travel[b])
-        count[b] = find_contacts(x, y, pushers[b].radius, shape.outline, reach, contacts[b])
+        count[b] = find_contacts(centre[None], pushers[b].radius, outline, reach, found, contacts[b])
     return contacts, count
 
 

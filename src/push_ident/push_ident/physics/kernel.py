@@ -1,0 +1,49 @@
+"""How kernels are compiled, and kept on disk honestly.
+
+Numba files a compiled kernel under the content of its own source and does not notice that a kernel of another file, which it has
+compiled in, changed. Therefore any change of a source of this package drops all of its compiled kernels.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import partial
+from pathlib import Path
+
+from numba import config, njit
+
+__all__ = ["fast_kernel", "kernel"]
+
+kernel = partial(njit, cache=True, error_model="numpy")
+"""Compiles a function; division by zero gives infinity, as in numpy."""
+
+fast_kernel = partial(kernel, fastmath={"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"})
+"""For sums over cells: their order is free, so that they run in vector registers. Not for code that meets NaN or infinity."""
+
+
+@kernel
+def _probe() -> int:
+    """Tells where numba keeps the kernels of this folder."""
+    return 0
+
+
+def _drop_stale_kernels() -> None:
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+    folder = Path(_probe.stats.cache_path)
+    stamp = folder / "kernels.sha256"
+    try:
+        if stamp.exists() and stamp.read_text() == digest:
+            return
+        for source in sources:
+            for index in folder.glob(f"{source.stem}.*.nbi"):
+                index.unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        stamp.write_text(digest)
+    except OSError:
+        # A folder that cannot be written holds no kernels that a change of the sources could make stale.
+        return
+
+
+if not config.DISABLE_JIT:
+    _drop_stale_kernels()

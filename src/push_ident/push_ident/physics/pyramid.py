@@ -1,0 +1,256 @@
+"""One implicit step with the paper's friction pyramid, not smoothed, by a primal-dual interior-point method (compiled).
+
+The pyramid of a cell (rows +-x, +-y of the table frame, multipliers that sum to at most f dt) is a square, so it splits into two
+one-dimensional frictions of weight c = f dt / 2 along its diagonals d = (1, 1) and (1, -1) (`support.py`). With t = d . J u, the friction
+c q of each is
+
+    t = w1 - w2,    0 <= w1  perpendicular to  1 - q >= 0,    0 <= w2  perpendicular to  1 + q >= 0
+
+which is the complementarity problem of Song & Boularias (2020, Eq. 2), cell by cell. The interior-point method asks for products
+w z = nu instead of 0 and lowers nu. A Newton iteration eliminates every cell in closed form,
+
+    dq = (d . J u+ - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2),      z1 = 1 - q,  z2 = 1 + q
+
+so that an iteration is one sweep over the cells and one problem in the three velocities. Contact is not relaxed: its modes are
+tried exactly, as in `step.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from push_ident.physics.kernel import fast_kernel, kernel
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, solve_modes
+from push_ident.physics.step import StepScratch
+from push_ident.types import Float64Array
+
+__all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_friction", "pyramid_step"]
+
+FINAL_NU = 1e-13
+"""Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
+_MAX_ITERATIONS = 200
+_TOLERANCE = 1e-11
+# A difference between w1 - w2 and the velocity that is no more than the rounding of the latter [m/s]: it is left alone, so that the
+# friction of a cell that sticks, w some 1e-13, does not inherit it.
+_ROUNDING = 2e-15
+# Share of the way to the boundary that a step may go, and factor by which nu falls after a full step. The bold pair is enough but for
+# a rare step where an object all but at rest slides along the pusher; the careful ones take over there.
+_ATTEMPTS = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
+
+
+class PyramidScratch(NamedTuple):
+    """Interior-point variables of the two diagonals of each cell, shapes (2, n_cells)."""
+
+    w1: Float64Array
+    w2: Float64Array
+    z1: Float64Array
+    z2: Float64Array
+    dq: Float64Array
+
+
+def new_pyramid_scratch(n_cells: int) -> PyramidScratch:
+    """Scratch space of `pyramid_step`."""
+    return PyramidScratch(*(np.zeros((2, n_cells)) for _ in range(5)))
+
+
+@kernel
+def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> None:
+    """Put all cells on the central path at `nu` [m/s]."""
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
+        for i in range(arms.shape[1]):
+            t = dx * (twist[0] - twist[2] * arms[1, i]) + dy * (twist[1] + twist[2] * arms[0, i])
+            q = t / (nu + math.sqrt(nu * nu + t * t))
+            z1[i], z2[i] = 1.0 - q, 1.0 + q
+            w1[i], w2[i] = nu / (1.0 - q), nu / (1.0 + q)
+
+
+@fast_kernel
+def _model(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    dt: float,
+    cos: float,
+    sin: float,
+    nu: float,
+    cells: PyramidScratch,
+    impulse: Float64Array,
+    stiffness: Float64Array,
+) -> None:
+    """Linear model of the friction impulse about `twist`, one Newton step towards `nu`: value, shape (3,), and derivative, shape (3, 3)."""
+    impulse[:] = 0.0
+    stiffness[:] = 0.0
+    x, y = arms[0], arms[1]
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
+        sum_p = torque_p = sum_k = first_k = second_k = 0.0
+        for i in range(limit.shape[0]):
+            r = x[i] * dy - y[i] * dx
+            c = 0.5 * dt * limit[i]
+            t = w1[i] - w2[i]
+            missing = dx * twist[0] + dy * twist[1] + r * twist[2] - t
+            if abs(missing) > _ROUNDING:
+                t += missing
+            k = 1.0 / (w1[i] / z1[i] + w2[i] / z2[i])
+            p = c * (0.5 * (z2[i] - z1[i]) + k * (t - nu / z1[i] + nu / z2[i]))
+            ck = c * k
+            sum_p += p
+            torque_p += r * p
+            sum_k += ck
+            first_k += ck * r
+            second_k += ck * r * r
+        impulse[0] += dx * sum_p
+        impulse[1] += dy * sum_p
+        impulse[2] += torque_p
+        stiffness[0, 0] += dx * dx * sum_k
+        stiffness[0, 1] += dx * dy * sum_k
+        stiffness[1, 1] += dy * dy * sum_k
+        stiffness[0, 2] += dx * first_k
+        stiffness[1, 2] += dy * first_k
+        stiffness[2, 2] += second_k
+    stiffness[1, 0], stiffness[2, 0], stiffness[2, 1] = stiffness[0, 1], stiffness[0, 2], stiffness[1, 2]
+
+
+@fast_kernel
+def _longest_step(
+    twist: Float64Array, du: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, bold: float, cells: PyramidScratch
+) -> float:
+    """Fill `dq` for a change `du` of the twist; returns the share of it, at most 1, that takes no w or z over `bold` of its way to 0."""
+    fastest = bold
+    x, y = arms[0], arms[1]
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
+        for i in range(x.shape[0]):
+            r = x[i] * dy - y[i] * dx
+            t = all_w1[i] - all_w2[i]
+            missing = dx * twist[0] + dy * twist[1] + r * twist[2] - t
+            if abs(missing) > _ROUNDING:
+                t += missing
+            t += dx * du[0] + dy * du[1] + r * du[2]
+            w1, w2, r1, r2 = all_w1[i], all_w2[i], 1.0 / all_z1[i], 1.0 / all_z2[i]
+            dq = (t - nu * r1 + nu * r2) / (w1 * r1 + w2 * r2)
+            all_dq[i] = dq
+            # Shares of each variable that the whole step would take away.
+            fastest = max(fastest, max(dq * r1, -dq * r2))
+            fastest = max(fastest, max(1.0 - (nu / w1 + dq) * r1, 1.0 - (nu / w2 - dq) * r2))
+    return bold / fastest
+
+
+@fast_kernel
+def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
+    """Go `share` of the step; returns the greatest product w z."""
+    worst = 0.0
+    for e in range(2):
+        all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
+        for i in range(all_dq.shape[0]):
+            w1, w2, z1, z2, dq = all_w1[i], all_w2[i], all_z1[i], all_z2[i], all_dq[i]
+            w1 += share * ((nu + w1 * dq) / z1 - w1)
+            w2 += share * ((nu - w2 * dq) / z2 - w2)
+            z1 -= share * dq
+            z2 += share * dq
+            all_w1[i], all_w2[i], all_z1[i], all_z2[i] = w1, w2, z1, z2
+            worst = max(worst, max(w1 * z1, w2 * z2))
+    return worst
+
+
+@kernel
+def pyramid_step(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    inertia: Float64Array,
+    reach: float,
+    contacts: Float64Array,
+    n_contacts: int,
+    mu: float,
+    dt: float,
+    cos: float,
+    sin: float,
+    last_code: int,
+    impulse: Float64Array,
+    scratch: StepScratch,
+    cells: PyramidScratch,
+) -> tuple[int, int]:
+    """Advance `twist` by one step, in place: as `step.step`, with `cos` and `sin` of the object's yaw and `cells` for scratch."""
+    old, du, friction, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
+    row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
+    old[:] = twist
+    new_impulse = np.empty_like(impulse)
+    first_nu = 1e-2
+    for i in range(3):
+        first_nu = max(first_nu, abs(twist[i]) * (reach if i == 2 else 1.0))
+    for k in range(n_contacts):
+        first_nu = max(first_nu, abs(contacts[k, BOUND]), abs(contacts[MAX_CONTACTS + k, BOUND]))
+    first_nu *= 0.1
+    iterations = 0
+    for bold, pace in _ATTEMPTS:
+        twist[:] = old
+        impulse[:] = 0.0
+        nu = first_nu
+        _start(twist, arms, cos, sin, nu, cells)
+        code = last_code
+        for _ in range(_MAX_ITERATIONS):
+            iterations += 1
+            _model(twist, arms, limit, dt, cos, sin, nu, cells, friction, h)
+            for i in range(3):
+                h[i, i] += inertia[i]
+                right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
+            for i in range(2 * MAX_CONTACTS):
+                miss[i] = contacts[i, BOUND] - contacts[i, 0] * twist[0] - contacts[i, 1] * twist[1] - contacts[i, 2] * twist[2]
+            code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, row, matrix, column)
+            if code == NO_MODE:
+                break
+            share = _longest_step(twist, du, arms, cos, sin, nu, bold, cells)
+            worst = _advance(share, nu, cells)
+            change = 0.0
+            size = 1e-2
+            for i in range(3):
+                unit = reach if i == 2 else 1.0
+                change = max(change, abs(du[i]) * unit)
+                twist[i] += share * du[i]
+                size = max(size, abs(twist[i]) * unit)
+            for i in range(impulse.shape[0]):
+                impulse[i] += share * (new_impulse[i] - impulse[i])
+            if nu == FINAL_NU and share == 1.0 and change <= _TOLERANCE * size and worst <= 2.0 * nu:
+                return code, iterations
+            nu = max(FINAL_NU, worst * max(pace, 1.0 - 0.99 * share))
+    return NO_MODE, iterations
+
+
+@fast_kernel
+def pyramid_friction(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    dt: float,
+    cos: float,
+    sin: float,
+    cells: PyramidScratch,
+    impulse: Float64Array,
+    stiffness: Float64Array,
+    by_yaw: Float64Array,
+) -> None:
+    """Friction impulse at the solution of a step, its derivative by the twist, and that by the yaw at a given twist in object axes."""
+    _model(twist, arms, limit, dt, cos, sin, FINAL_NU, cells, impulse, stiffness)
+    by_yaw[:] = 0.0
+    for e in range(2):
+        dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
+        # The diagonal turns by -dyaw as seen from the object.
+        ex, ey = dy, -dx
+        w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
+        for i in range(arms.shape[1]):
+            rx, ry = arms[0, i], arms[1, i]
+            c = 0.5 * dt * limit[i]
+            p = 0.5 * c * (z2[i] - z1[i])
+            dt_dyaw = ex * (twist[0] - twist[2] * ry) + ey * (twist[1] + twist[2] * rx)
+            dp = c * dt_dyaw / (w1[i] / z1[i] + w2[i] / z2[i])
+            by_yaw[0] += p * ex + dp * dx
+            by_yaw[1] += p * ey + dp * dy
+            by_yaw[2] += p * (rx * ey - ry * ex) + dp * (rx * dy - ry * dx)

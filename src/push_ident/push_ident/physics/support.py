@@ -1,0 +1,95 @@
+"""Friction between the table and the cells (compiled).
+
+A cell that moves with velocity v is held back by f phi(v), f = mu_i m_i g its limit. Two laws, both of which meet Coulomb's:
+
+    circle    phi(v) = v / sqrt(|v|^2 + eps^2)
+    diamond   phi(v) = 1/2 sum_{d = (1,1), (1,-1)} d s(d . v),      s(t) = t / (eps + sqrt(eps^2 + t^2)),  v in table axes
+
+The diamond is the paper's friction pyramid (rows +-x, +-y; multipliers that sum to at most f): |phi_x| + |phi_y| <= 1 is a square, so
+that it splits into two one-dimensional frictions of half the limit along its diagonals, with dissipation f max(|v_x|, |v_y|). Here eps is
+the end of the central path of `pyramid.py`, far below any speed that matters.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from push_ident.physics.kernel import fast_kernel
+from push_ident.types import Float64Array
+
+__all__ = ["Cone", "support_friction", "unit_friction"]
+
+
+class Cone(NamedTuple):
+    """Law of the support friction during one step."""
+
+    diamond: bool
+    """The paper's pyramid; else the circle."""
+    eps: float
+    """Smoothing speed [m/s]."""
+    cos: float
+    """Of the object's yaw: the diamond stands in table axes."""
+    sin: float
+
+
+@fast_kernel
+def unit_friction(ux: float, uy: float, cone: Cone) -> tuple[float, float]:
+    """phi of a cell's velocity, both in object axes."""
+    if not cone.diamond:
+        q = 1.0 / math.sqrt(ux * ux + uy * uy + cone.eps * cone.eps)
+        return q * ux, q * uy
+    x, y = cone.cos * ux - cone.sin * uy, cone.sin * ux + cone.cos * uy
+    a, b = x + y, x - y
+    a /= cone.eps + math.sqrt(cone.eps * cone.eps + a * a)
+    b /= cone.eps + math.sqrt(cone.eps * cone.eps + b * b)
+    x, y = 0.5 * (a + b), 0.5 * (a - b)
+    return cone.cos * x + cone.sin * y, -cone.sin * x + cone.cos * y
+
+
+@fast_kernel
+def support_friction(
+    twist: Float64Array, arms: Float64Array, limit: Float64Array, eps: float, newton: bool, gradient: Float64Array, hessian: Float64Array
+) -> None:
+    """Friction of the table on all cells: sum_i f_i J_i' phi(J_i u) and its derivative with respect to u.
+
+    Args:
+        twist: of the centre of mass, object axes [m/s, m/s, rad/s], shape (3,).
+        arms: cell centres from the centre of mass [m], shape (2, n_cells), object axes.
+        limit: friction force of each cell when it slides [N], shape (n_cells,).
+        eps: speed at which friction is smoothed [m/s].
+        newton: the true derivative; else the majorising one.
+        gradient: filled [N, N, N m], shape (3,).
+        hessian: filled, shape (3, 3).
+    """
+    vx, vy, w = twist[0], twist[1], twist[2]
+    eps2 = eps * eps
+    x, y = arms[0], arms[1]
+    g0 = g1 = g2 = 0.0
+    h00 = h01 = h02 = h11 = h12 = h22 = 0.0
+    turn = 1.0 if newton else 0.0
+    for i in range(limit.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = vx - w * ry, vy + w * rx
+        s = 1.0 / math.sqrt(ux * ux + uy * uy + eps2)
+        fs = limit[i] * s
+        px, py = fs * ux, fs * uy
+        g0 += px
+        g1 += py
+        g2 += rx * py - ry * px
+        q = turn * s * s
+        kxx = fs - q * px * ux
+        kxy = -q * px * uy
+        kyy = fs - q * py * uy
+        ax = kxy * rx - kxx * ry
+        ay = kyy * rx - kxy * ry
+        h00 += kxx
+        h01 += kxy
+        h11 += kyy
+        h02 += ax
+        h12 += ay
+        h22 += rx * ay - ry * ax
+    gradient[0], gradient[1], gradient[2] = g0, g1, g2
+    hessian[0, 0], hessian[0, 1], hessian[0, 2] = h00, h01, h02
+    hessian[1, 0], hessian[1, 1], hessian[1, 2] = h01, h11, h12
+    hessian[2, 0], hessian[2, 1], hessian[2, 2] = h02, h12, h22
