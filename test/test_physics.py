@@ -168,3 +168,13 @@ def test_cells_carry_their_own_weight() -> None:
     body = body_of_cells(shape, mass, np.full(len(mass), 0.3))
     assert body.limit == pytest.approx(0.3 * mass * GRAVITY)
     assert body.centre == pytest.approx(mass @ shape.cells.centres / mass.sum())
+
+
+def test_an_overlap_is_taken_back_without_throwing_the_object_away() -> None:
+    model = hammer(0)
+    edge = float(model.shape.outline[:, 0].max())
+    # Noisy poses put the pusher 1 mm inside; it then stands still.
+    pusher = PusherPath(np.array([0.0, 1.0]), np.array([[edge + 0.007, 0.0], [edge + 0.007, 0.0]]), 0.008)
+    motion = simulate(model, pusher, np.zeros(3), np.array([0.0, 0.5, 1.0]))
+    assert motion.pose[-1, 0] == pytest.approx(-1e-3, abs=1e-4)
+    assert np.array_equal(motion.pose[1], motion.pose[2])

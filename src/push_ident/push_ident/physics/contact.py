@@ -16,7 +16,10 @@ from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
 from push_ident.types import Float64Array
 
-__all__ = ["CONTACT_FIELDS", "MAX_DISC_CONTACTS", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts", "max_candidates"]
+__all__ = [
+    "CONTACT_FIELDS", "MAX_DISC_CONTACTS", "RECOVERY_SPEED", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts",
+    "max_candidates",
+]  # fmt: skip
 
 GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
 CONTACT_FIELDS = 10
@@ -30,6 +33,9 @@ stays), a corner of the outline on a side of the pusher (it stays and the normal
 
 MAX_DISC_CONTACTS = 2
 """Of a disc: the nearest, and one on a face that looks elsewhere."""
+
+RECOVERY_SPEED = 0.02
+"""An overlap, as noisy poses make it, is taken back no faster than this [m/s]: in one step it would throw the object away."""
 
 _PARALLEL = 0.9  # cosine between normals above which two contacts belong to the same face
 _SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may fall behind the foremost one
@@ -276,7 +282,7 @@ def contact_rows(
     i = MAX_CONTACTS + k
     rows[k, 0], rows[k, 1], rows[k, 2] = -nx, -ny, -(ax * ny - ay * nx)
     rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
-    rows[k, BOUND] = -(nx * vx + ny * vy) - contact[GAP] / dt
+    rows[k, BOUND] = -(nx * vx + ny * vy) - max(contact[GAP] / dt, -RECOVERY_SPEED)
     rows[i, BOUND] = tx * vx + ty * vy
     rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= _PARALLEL else 0.0
 
@@ -312,7 +318,8 @@ def contact_rows_seed(
     dax, day = slide * tx - d_centre[0], slide * ty - d_centre[1]
     dvx = d_velocity[0] - spin * (slide * ty - d_pusher[1])
     dvy = d_velocity[1] + spin * (slide * tx - d_pusher[0])
-    d_gap = nx * d_tip_x + ny * d_tip_y
+    # An overlap that is taken back at the recovery speed is taken back at that speed whatever its depth.
+    d_gap = nx * d_tip_x + ny * d_tip_y if contact[GAP] > -RECOVERY_SPEED * dt else 0.0
     d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
     d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
     d_rows[k, BOUND] = -(dnx * vx + dny * vy + nx * dvx + ny * dvy) - d_gap / dt

@@ -31,7 +31,7 @@ Where the print of the paper cannot stand, this is built:
 - gamma beside E in the friction constraints is eta, and E eta is meant; psi in the figure is xi; mu_t is the applied force.
 
 As in the compiled engine, friction of the pusher acts at the nearest contact and a second one (a concave corner) is
-frictionless, contacts out of reach are left out, and the pose is advanced in the state of the centre of mass.
+frictionless, contacts out of reach are left out, an overlap is taken back at a limited speed, and the pose is advanced in the state of the centre of mass.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from push_ident.errors import InputError
-from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, find_contacts, max_candidates
+from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, RECOVERY_SPEED, find_contacts, max_candidates
 from push_ident.physics.lcp import Lcp, LcpStatus, solve_lcp
 from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
@@ -327,7 +327,7 @@ def reference_rollout(
                     limit=limit[go],
                     normal=_rotated(yaw[go, None], normal),
                     point=_rotated(yaw[go, None], point - centre[go, None]),
-                    gap=gap,
+                    gap=gap.clamp(min=-RECOVERY_SPEED * dt),
                     active=torch.arange(MAX_DISC_CONTACTS) < torch.tensor(n_contacts)[go, None],
                     pusher_velocity=torch.tensor(travel / dt)[go],
                     pusher_friction=pusher_friction[go],
