@@ -31,7 +31,8 @@ Where the print of the paper cannot stand, this is built:
 - gamma beside E in the friction constraints is eta, and E eta is meant; psi in the figure is xi; mu_t is the applied force.
 
 As in the compiled engine, friction of the pusher acts at the nearest contact and a second one (a concave corner) is
-frictionless, contacts out of reach are left out, an overlap is taken back at a limited speed, and the pose is advanced in the state of the centre of mass.
+frictionless, contacts out of reach are left out, an overlap is taken back at a limited speed, and the pose is advanced in the state
+of the centre of mass.
 """
 
 from __future__ import annotations
