@@ -1,10 +1,4 @@
-"""The simulated cell in Bullet: arm, hand, table and one object whose cells each rest on their own weight.
-
-Cells that are fixed links of one body would share its load in a way that contacts leave open, and differently at each step. So the
-object is a chain: two sliding joints and a turning one carry a frame that moves in the plane, and below that frame every cell
-hangs on a vertical sliding joint of its own. Cells touch the table alone; the pusher touches the outline alone, which is a
-body of its own in that frame, so that it never catches on the edge between two cells.
-"""
+"""The simulated cell in Bullet: arm, hand, table and one object (`bullet_object`)."""
 
 from __future__ import annotations
 
@@ -16,29 +10,15 @@ from pathlib import Path
 import numpy as np
 import pybullet as bullet
 from numpy.typing import ArrayLike, NDArray
-from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
 from push_ident.errors import InputError
-from push_ident_sim.friction import cone_friction_correction
-from push_ident_sim.objects import SimObject, outline_rectangles
+from push_ident_sim.bullet_object import ARM_GROUP, OUTLINE_GROUP, PUSHER_GROUP, TABLE_GROUP, BulletObject, add_table, checked_pose, connect
+from push_ident_sim.objects import SimObject
 from push_ident_sim.robot import HOME, JOINT_NAMES, robot_description
 
 __all__ = ["CellWorld", "WorldConfig"]
 
 FloatArray = NDArray[np.float64]
-
-_TABLE_GROUP, _CELL_GROUP, _OUTLINE_GROUP, _PUSHER_GROUP, _ARM_GROUP = (1 << bit for bit in range(8, 13))
-_N_PLANE_JOINTS = 3
-_FRAME_LINK = 2
-"""Link that moves in the plane (x, y, yaw); outline and cells hang below it."""
-_OUTLINE_LINK = 3
-"""Held up by little more than its weight: friction along z, which cannot push the object, then takes no share of the friction cone."""
-_FIRST_CELL_LINK = 4
-_FRAME_MASS = 1e-4
-"""Of each link that is no cell [kg]: small against any cell."""
-_CORNER_RADIUS = 1e-4
-_FOOT_RADIUS = 0.004
-"""A cell stands on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,35 +44,18 @@ class CellWorld:
         self.object = sim_object
         self.config = config or WorldConfig()
         self.joint_names = JOINT_NAMES
-        self._start_pose = _checked_pose(pose)
-        self._client = BulletClient(connection_mode=bullet.DIRECT)
-        self._client.setGravity(0.0, 0.0, -self.config.gravity)
-        self._client.setPhysicsEngineParameter(
-            fixedTimeStep=self.config.time_step,
-            numSolverIterations=self.config.solver_iterations,
-            # With the default pyramid, friction is stronger along some directions of the table than along others.
-            enableConeFriction=1,
-            # Contacts at rest would otherwise bounce at very low speed.
-            restitutionVelocityThreshold=0.0,
-            deterministicOverlappingPairs=1,
-        )
-        self._add_table()
+        self._start_pose = checked_pose(pose)
+        self._client = connect(self.config.time_step, self.config.solver_iterations, self.config.gravity)
+        self._table = add_table(self._client)
         self._add_robot()
-        self._add_object()
+        self._thing = BulletObject(self._client, sim_object, self.config.gravity)
+        self._thing.place(self._start_pose)
         self._n_steps = 0
         self.set_joint_targets(HOME, np.zeros(len(HOME)))
         self._impulse = np.zeros(3)
         self._impulse_steps = 0
 
     # --- what is in the cell -------------------------------------------------------------------------------------------
-
-    def _add_table(self) -> None:
-        half = np.array([0.8, 0.7, 0.02])
-        shape = self._client.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist())
-        self._table = self._client.createMultiBody(0.0, shape, basePosition=[0.0, 0.0, -half[2]])
-        # Bullet multiplies the coefficients of the two bodies: the table and the pusher have 1, the object's side the coefficient itself.
-        self._client.changeDynamics(self._table, -1, lateralFriction=1.0, restitution=0.0)
-        self._client.setCollisionFilterGroupMask(self._table, -1, _TABLE_GROUP, _CELL_GROUP | _ARM_GROUP | _PUSHER_GROUP)
 
     def _add_robot(self) -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -111,73 +74,14 @@ class CellWorld:
         self._tip_link = link_index["tool_tip"]
         for index in range(-1, len(infos)):
             self._client.changeDynamics(self._robot, index, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
-            self._client.setCollisionFilterGroupMask(self._robot, index, _ARM_GROUP, 0)
+            self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, 0)
         for name, index in link_index.items():
             if name.startswith("hand_") or name in {"lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7"}:
-                self._client.setCollisionFilterGroupMask(self._robot, index, _ARM_GROUP, _TABLE_GROUP)
-        self._client.setCollisionFilterGroupMask(self._robot, self._pusher_link, _PUSHER_GROUP, _OUTLINE_GROUP | _TABLE_GROUP)
+                self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, TABLE_GROUP)
+        self._client.setCollisionFilterGroupMask(self._robot, self._pusher_link, PUSHER_GROUP, OUTLINE_GROUP | TABLE_GROUP)
         self._client.changeDynamics(self._robot, self._pusher_link, lateralFriction=1.0)
         for joint, position in zip(self._arm_joints, HOME, strict=True):
             self._client.resetJointState(self._robot, joint, position)
-
-    def _add_object(self) -> None:
-        thing, n_cells = self.object, len(self.object)
-        outline = self._outline_shape()
-        foot = self._client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
-        n_links = _FIRST_CELL_LINK + n_cells
-        self._body = self._client.createMultiBody(
-            baseMass=0.0,
-            linkMasses=[_FRAME_MASS] * _FIRST_CELL_LINK + thing.mass.tolist(),
-            linkCollisionShapeIndices=[-1, -1, -1, outline] + [foot] * n_cells,
-            linkVisualShapeIndices=[-1] * n_links,
-            linkPositions=[[0.0, 0.0, 0.0]] * _FIRST_CELL_LINK + [[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
-            linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
-            linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n_links,
-            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
-            linkParentIndices=[0, 1, 2] + [_FRAME_LINK + 1] * (1 + n_cells),
-            linkJointTypes=[bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
-            + [bullet.JOINT_PRISMATIC] * (1 + n_cells),
-            linkJointAxis=[[1, 0, 0], [0, 1, 0], [0, 0, 1]] + [[0, 0, 1]] * (1 + n_cells),
-        )
-        self._client.setJointMotorControlArray(self._body, range(n_links), bullet.VELOCITY_CONTROL, forces=[0.0] * n_links)
-        for link in range(n_links):
-            self._client.changeDynamics(self._body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
-            self._client.setCollisionFilterGroupMask(self._body, link, _CELL_GROUP, _TABLE_GROUP)
-        for link in range(_FIRST_CELL_LINK):
-            self._client.changeDynamics(self._body, link, localInertiaDiagonal=[1e-8] * 3)
-        for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
-            self._client.changeDynamics(
-                self._body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3
-            )
-        self._client.changeDynamics(self._body, _OUTLINE_LINK, lateralFriction=thing.pusher_friction)
-        self._client.setJointMotorControl2(
-            self._body, _OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * self.config.gravity
-        )
-        self._client.setCollisionFilterGroupMask(self._body, _OUTLINE_LINK, _OUTLINE_GROUP, _PUSHER_GROUP)
-        self._friction_limit = thing.friction * thing.mass * self.config.gravity
-        self._place_object(self._start_pose, np.zeros(3))
-
-    def _outline_shape(self) -> int:
-        """Collision shape of the outline: one box per rectangle and one thin post per convex corner.
-
-        Bullet rounds the edges of a box by its collision margin of 1 mm, which would put a pusher at a corner up to 0.4 mm off.
-        """
-        thing = self.object
-        height = float(thing.height.max())
-        rectangles = outline_rectangles(thing.cells, thing.cell_size)
-        before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
-        outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
-        convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
-        posts = (thing.outline - _CORNER_RADIUS * outward)[convex]
-        centres = [*(centre for centre, _ in rectangles), *posts]
-        shape: int = self._client.createCollisionShapeArray(
-            shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
-            halfExtents=[[edges[0] / 2, edges[1] / 2, height / 2] for _, edges in rectangles] + [[0.0, 0.0, 0.0]] * len(posts),
-            radii=[0.0] * len(rectangles) + [_CORNER_RADIUS] * len(posts),
-            lengths=[0.0] * len(rectangles) + [height] * len(posts),
-            collisionFramePositions=[[float(x), float(y), height / 2] for x, y in centres],
-        )
-        return shape
 
     # --- time ----------------------------------------------------------------------------------------------------------
 
@@ -188,12 +92,10 @@ class CellWorld:
 
     def step(self) -> None:
         """Advance by one time step."""
-        self._client.setJointMotorControlArray(
-            self._body, range(_N_PLANE_JOINTS), bullet.TORQUE_CONTROL, forces=self._friction_correction().tolist()
-        )
+        self._thing.correct_friction()
         self._client.stepSimulation()
         self._n_steps += 1
-        self._impulse += self._contact_force() * self.config.time_step
+        self._impulse += self._thing.force_of(self._robot, self._pusher_link) * self.config.time_step
         self._impulse_steps += 1
 
     def close(self) -> None:
@@ -244,11 +146,11 @@ class CellWorld:
 
     def object_pose(self) -> FloatArray:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
-        return np.array([s[0] for s in self._client.getJointStates(self._body, range(_N_PLANE_JOINTS))])
+        return self._thing.pose()
 
     def object_velocity(self) -> FloatArray:
         """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
-        return np.array([s[1] for s in self._client.getJointStates(self._body, range(_N_PLANE_JOINTS))])
+        return self._thing.velocity()
 
     def place_object(self, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate).
@@ -256,45 +158,20 @@ class CellWorld:
         Raises InputError where the pusher is in the way, and leaves the object where it was.
         """
         before = self.object_pose(), self.object_velocity()
-        self._place_object(_checked_pose(pose), np.asarray(velocity, dtype=np.float64))
-        if self._client.getClosestPoints(self._robot, self._body, 0.0, self._pusher_link, _OUTLINE_LINK):
-            self._place_object(*before)
+        self._thing.place(checked_pose(pose), velocity)
+        if self._thing.touches(self._robot, self._pusher_link):
+            self._thing.place(*before)
             raise InputError(f"The pusher stands where the object should go, {np.round(np.asarray(pose), 4)}; lift or move the tool first.")
 
     def reset_object(self) -> None:
         """Put the object back to its start pose, at rest; raises InputError where the pusher is in the way."""
         self.place_object(self._start_pose)
 
-    def _place_object(self, pose: FloatArray, velocity: FloatArray) -> None:
-        for joint in range(_N_PLANE_JOINTS):
-            self._client.resetJointState(self._body, joint, pose[joint], velocity[joint])
-
-    def _friction_correction(self) -> FloatArray:
-        states = self._client.getJointStates(self._body, range(_N_PLANE_JOINTS))
-        cosine, sine = np.cos(states[2][0]), np.sin(states[2][0])
-        return cone_friction_correction(
-            self.object.cells @ np.array([[cosine, sine], [-sine, cosine]]),
-            self.object.mass,
-            self.object.cell_size,
-            self._friction_limit,
-            np.array([state[1] for state in states]),
-        )
-
     # --- forces --------------------------------------------------------------------------------------------------------
 
     def cell_loads(self) -> FloatArray:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
-        loads = np.zeros(len(self.object))
-        for contact in self._client.getContactPoints(self._body, self._table):
-            loads[contact[3] - _FIRST_CELL_LINK] += contact[9]
-        return loads
-
-    def _contact_force(self) -> FloatArray:
-        """Force of the pusher on the object in the last step [N], shape (3,)."""
-        force = np.zeros(3)
-        for contact in self._client.getContactPoints(self._body, self._robot, _OUTLINE_LINK, self._pusher_link):
-            force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
-        return force
+        return self._thing.cell_loads(self._table)
 
     def take_pusher_force(self) -> FloatArray:
         """Force of the pusher on the object [N], shape (3,): mean over the steps since the last call."""
@@ -302,10 +179,3 @@ class CellWorld:
         self._impulse = np.zeros(3)
         self._impulse_steps = 0
         return force
-
-
-def _checked_pose(pose: ArrayLike) -> FloatArray:
-    pose = np.array(pose, dtype=np.float64)
-    if pose.shape != (3,) or not np.all(np.isfinite(pose)):
-        raise InputError(f"An object pose is three finite numbers (x, y, yaw), got {pose}.")
-    return pose

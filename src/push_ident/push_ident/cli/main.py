@@ -9,6 +9,8 @@ from typing import Annotated
 import typer
 
 from push_ident.cli.demo import demo_command
+from push_ident.cli.experiment import experiment_command
+from push_ident.cli.export import export_command
 from push_ident.cli.identify import identify_command
 from push_ident.cli.importing import import_command
 from push_ident.cli.live import doctor_command, replay_command, up_command
@@ -21,9 +23,11 @@ __all__ = ["app", "main"]
 app = typer.Typer(name="push-ident", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.command("identify")(identify_command)
 app.command("predict")(predict_command)
+app.command("export")(export_command)
 app.command("replay")(replay_command)
 app.command("import")(import_command)
 app.command("up")(up_command)
+app.command("experiment")(experiment_command)
 app.command("demo")(demo_command)
 app.command("doctor")(doctor_command)
 

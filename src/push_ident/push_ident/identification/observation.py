@@ -31,7 +31,7 @@ class NoiseModel:
     """Discrepancy of position per way gone."""
     growth_yaw: float = 0.16
     """Discrepancy of yaw per way gone [rad/m]."""
-    lone_frame: float = 1.5
+    lone_frame: float = 2.0
     """Factor on the stated deviation of a rest pose that was seen once: nothing checks it."""
     max_moving_frames: int = 10
     """Frames kept of the motion itself."""

@@ -1,0 +1,15 @@
+"""The experiments of Song & Boularias (2020) on ground truth from Bullet, and what goes beyond them."""
+
+from __future__ import annotations
+
+from push_ident_sim.experiments.convergence import EXPERIMENT as _CONVERGENCE
+from push_ident_sim.experiments.coverage import EXPERIMENT as _COVERAGE
+from push_ident_sim.experiments.experiment import Experiment
+from push_ident_sim.experiments.maps import EXPERIMENT as _MAPS
+from push_ident_sim.experiments.real_protocol import EXPERIMENT as _REAL_PROTOCOL
+from push_ident_sim.experiments.training import EXPERIMENT as _TRAINING
+
+__all__ = ["EXPERIMENTS"]
+
+EXPERIMENTS: dict[str, Experiment] = {e.name: e for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE)}
+"""By name, in the order of the report."""

@@ -1,0 +1,204 @@
+"""Run the cases of an experiment side by side; each leaves a file, so that a run that was cut off goes on where it stopped."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import json
+import multiprocessing
+import os
+import platform
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import push_ident
+from push_ident.errors import InputError, PushIdentError
+from push_ident.identification.budget import Budget
+from push_ident_sim import truth
+from push_ident_sim.experiments import measuring
+from push_ident_sim.experiments.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.objects import OBJECT_NAMES
+from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, truth_file
+
+__all__ = ["RunOptions", "run_experiment", "write_json"]
+
+Progress = Callable[[str, int, int], None]
+"""Told what is under way, and how many of how many are done."""
+
+_CORE = Path(push_ident.__file__).parent
+_STAGES = ("geometry", "physics", "identification")
+"""Of the core that a result depends on."""
+_Calls = list[tuple[Callable[..., Any], tuple[Any, ...]]]
+
+_SINGLE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Which cases to run, and where."""
+
+    folder: Path
+    """Of results: one file a case in FOLDER/NAME/."""
+    truth_folder: Path
+    """Of ground-truth pushes; they are simulated when they are not there."""
+    objects: tuple[str, ...] = OBJECT_NAMES
+    n_models: int = 10
+    """Ground truths of each object."""
+    seed: int = 0
+    """Of the first ground truth; the others follow it."""
+    variants: tuple[str, ...] = ()
+    """Those of the experiment to run; all when empty."""
+    jobs: int = 1
+    """Processes, each with one thread."""
+    max_seconds: float = 30.0
+    """Budget of one solve, as in the paper [s]."""
+    truth: TruthSettings = field(default_factory=TruthSettings)
+    noise: CameraNoise = field(default_factory=CameraNoise)
+
+    def __post_init__(self) -> None:
+        if unknown := [name for name in self.objects if name not in OBJECT_NAMES]:
+            raise InputError(f"Object {unknown[0]!r} is not known, expected some of {', '.join(OBJECT_NAMES)}.")
+        for name, lowest in (("n_models", 1), ("jobs", 1), ("seed", 0)):
+            if getattr(self, name) < lowest:
+                raise InputError(f"`{name}` is {getattr(self, name)}, expected at least {lowest}.")
+
+
+def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Progress | None = None) -> Json:
+    """Run every case that has no result yet, and sum up all of them.
+
+    Returns:
+        What the run was (`experiment, objects, models, seed, max_seconds, machine`), the cases that failed (`failed`: case and error),
+        and the experiment's `summary`. Times are of the machine that ran the case.
+
+    Raises:
+        InputError: no case gave a result, or a variant that the experiment does not have.
+    """
+    report = on_progress or (lambda what, done, total: None)
+    if unknown := [v for v in options.variants if v not in experiment.variants]:
+        raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
+    models = [(name, options.seed + i) for i in range(options.n_models) for name in options.objects]
+    cases = [Case(name, model, variant) for name, model in models for variant in options.variants or experiment.variants]
+    settings = CaseSettings(options.truth_folder, Budget(max_seconds=options.max_seconds), options.truth, options.noise)
+    folder = options.folder / experiment.name
+    # Results of other settings or other code have other names, so that no mean is taken over both.
+    digest = _digest(experiment, settings)
+    files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
+    missing = [case for case in cases if not files[case].exists()]
+    with _pool(options.jobs) as pool:
+        unmade = [(n, m) for n, m in models if not truth_file(options.truth_folder, n, m, options.truth).exists()]
+        calls: _Calls = [(generate_truth, (options.truth_folder, n, m, options.truth)) for n, m in unmade]
+        for done in _finished(pool, calls):
+            report("simulating pushes", done, len(calls))
+        calls = [(_run_case, (experiment.name, case, settings, files[case])) for case in missing]
+        report(experiment.name, len(cases) - len(missing), len(cases))
+        for done in _finished(pool, calls):
+            report(experiment.name, len(cases) - len(missing) + done, len(cases))
+    outcomes = {case: _read_json(files[case]) for case in cases}
+    results = [CaseResult(case, outcome["values"]) for case, outcome in outcomes.items() if "values" in outcome]
+    if not results:
+        first = next(iter(outcomes.values()))["error"]
+        raise InputError(f"All {len(cases)} cases of {experiment.name} failed, the first with: {first}")
+    return {
+        "experiment": experiment.name,
+        "objects": list(options.objects),
+        "models": options.n_models,
+        "seed": options.seed,
+        "max_seconds": options.max_seconds,
+        "machine": _machine(options.jobs),
+        "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
+        "summary": experiment.summarise(results),
+    }
+
+
+def _digest(experiment: Experiment, settings: CaseSettings) -> str:
+    """Of all that a result depends on but its case: the settings, and the code but for its comments and layout."""
+    values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
+    sources = [_CORE / "types.py", *(path for stage in _STAGES for path in (_CORE / stage).rglob("*.py"))]
+    sources += [Path(module.__file__ or "") for module in (truth, measuring)] + [Path(experiment.run.__code__.co_filename)]
+    for path in sorted(sources):
+        digest.update(ast.dump(ast.parse(path.read_text(encoding="utf-8"))).encode())
+    return digest.hexdigest()[:10]
+
+
+def _run_case(name: str, case: Case, settings: CaseSettings, file: Path) -> None:
+    from push_ident_sim.experiments import EXPERIMENTS
+
+    try:
+        outcome: Json = {"case": asdict(case), "values": EXPERIMENTS[name].run(case, settings)}
+    except PushIdentError as error:
+        outcome = {"case": asdict(case), "error": str(error)}
+    write_json(file, outcome)
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Fresh processes with one thread each: solves are timed, and must not fight for cores."""
+    before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
+    os.environ.update(_SINGLE_THREAD)
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare_worker)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _prepare_worker() -> None:
+    """Ctrl-C ends a worker at once and without a word; so does Bullet not print, which would tear the progress bar of the command."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    nowhere, errors = os.open(os.devnull, os.O_WRONLY), os.dup(2)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    importlib.import_module("pybullet")
+    os.dup2(errors, 2)
+
+
+def _finished(pool: ProcessPoolExecutor, calls: _Calls) -> Iterator[int]:
+    """Run the calls; yields how many are done, each time one more is."""
+    pending: set[Future[Any]] = {pool.submit(function, *arguments) for function, arguments in calls}
+    count = 0
+    while pending:
+        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+        for future in finished:
+            future.result()
+            count += 1
+            yield count
+
+
+def _machine(jobs: int) -> Json:
+    name = platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        name = names[0] if names else name
+    return {"processor": name, "cores": os.cpu_count(), "jobs": jobs, "python": platform.python_version()}
+
+
+def write_json(path: Path, content: Json) -> None:
+    """Write whole or not at all. Raises PushIdentError where it cannot be written, ValueError for numbers that are not finite."""
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
+
+
+def _read_json(path: Path) -> Json:
+    try:
+        content: Json = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the result {path}: {error}; delete it and run the experiment again.") from None
+    return content

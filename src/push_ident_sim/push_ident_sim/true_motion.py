@@ -1,0 +1,26 @@
+"""What an engine says of one push: the truth behind a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["TrueMotion"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TrueMotion:
+    """What really happened in one push, without noise; one row a time step."""
+
+    time: FloatArray
+    """[s], shape (n_steps + 1,), from 0."""
+    pose: FloatArray
+    """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_steps + 1, 3), yaw not wrapped."""
+    pusher: FloatArray
+    """Axis of the pusher in `table` [m], shape (n_steps + 1, 2)."""
+    force: FloatArray
+    """Of the pusher on the object in `table` [N], mean over the step that ends at `time`, shape (n_steps + 1, 2)."""

@@ -1,0 +1,231 @@
+"""Ground truth for experiments: random pushes of known objects in Bullet, kept in files, and what a camera would see of them.
+
+What happened is simulated once and stored without noise; noise comes with reading, from a seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.sampling import sample_push
+from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
+from push_ident_sim.true_motion import TrueMotion
+
+if TYPE_CHECKING:
+    from push_ident_sim.push_world import PushWorld
+
+__all__ = ["CameraNoise", "TruthSettings", "generate_truth", "load_truth", "make_pushes", "true_model", "truth_file"]
+
+FloatArray = NDArray[np.float64]
+
+_VERSION = 3
+"""Raise it when the same settings give other pushes."""
+_LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)
+_ARRAYS = ("time", "pose", "pusher", "force")
+
+
+def _paper_pushes() -> PushSettings:
+    return PushSettings(
+        workspace=_LARGE_TABLE,
+        pusher_radius=0.008,
+        clearance=0.02,
+        distance_range=(0.06, 0.10),
+        speed_range=(0.1, 0.2),
+        cone=float(np.radians(40.0)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSettings:
+    """How pushes are drawn and simulated."""
+
+    n_train: int = 8
+    n_test: int = 12
+    """As in the paper."""
+    pushes: PushSettings = field(default_factory=_paper_pushes)
+    time_step: float = 1.0 / 240.0
+    """Of the engine [s]."""
+    placing: float = 0.15
+    """First positions of the object lie within this of the middle of the table along x and y [m]; its yaw is any."""
+    acceleration: float = 2.0
+    """Of the pusher at the start and at the end of a push [m/s^2]."""
+    least_way: float = 0.010
+    least_turn: float = 0.1
+    """A push that moves the object's frame by less than this [m] and turns it by less than this [rad] is drawn again."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNoise:
+    """What a camera and a force sensor make of a true motion."""
+
+    position_std: float = 1e-3
+    """Of x and y, independent from frame to frame [m]."""
+    yaw_std: float = float(np.radians(0.5))
+    """[rad]"""
+    rate: float = 30.0
+    """[Hz]"""
+    rest: float = 0.4
+    """Frames are taken this long before and after the motion [s]."""
+    force_std: float | None = None
+    """Of the measured force [N]; None: there is no force sensor."""
+    force_rate: float = 120.0
+    """[Hz]"""
+
+
+def true_model(thing: SimObject) -> ObjectModel:
+    """An object of the simulation as the model that identification should find."""
+    shape = ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline)
+    return ObjectModel(shape, thing.mass, thing.friction, thing.pusher_friction)
+
+
+def make_pushes(thing: SimObject, seed: Sequence[int], settings: TruthSettings | None = None) -> list[TrueMotion]:
+    """Random pushes as in the paper: any pose on the table, contact uniform over the outline, direction in a cone about its normal.
+
+    Args:
+        thing: what is pushed; it is put down anew for each push.
+        seed: integers >= 0; push number i depends on them and on i alone.
+        settings: of the pushes.
+
+    Returns:
+        `settings.n_train + settings.n_test` motions.
+    """
+    # Here, so that reading pushes and drawing results does without the engine.
+    from push_ident_sim.push_world import PushWorld
+
+    settings = settings or TruthSettings()
+    shape = true_model(thing).shape
+    world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step)
+    try:
+        return [_one_push(world, shape, [*seed, i], settings) for i in range(settings.n_train + settings.n_test)]
+    finally:
+        world.close()
+
+
+def _one_push(world: PushWorld, shape: ObjectShape, seed: Sequence[int], settings: TruthSettings) -> TrueMotion:
+    rng = np.random.default_rng(seed)
+    while True:
+        pose = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
+        plan = sample_push(shape, pose, rng, settings.pushes)
+        motion = world.push(pose, _path(plan, settings))
+        way = np.abs(motion.pose[-1] - motion.pose[0])
+        if np.hypot(way[0], way[1]) >= settings.least_way or way[2] >= settings.least_turn:
+            return motion
+
+
+def _path(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
+    """Straight path with constant acceleration at both ends, sampled at each time step."""
+    length = settings.pushes.clearance + plan.distance
+    speed = min(plan.speed, float(np.sqrt(settings.acceleration * length)))
+    ramp = speed / settings.acceleration
+    total = length / speed + ramp
+    time = np.append(np.arange(0.0, total, settings.time_step), total)
+    gone = 0.5 * settings.acceleration * np.minimum(time, ramp) ** 2
+    cruise = speed * np.clip(time - ramp, 0.0, total - 2 * ramp)
+    left = np.clip(time - (total - ramp), 0.0, ramp)
+    way = gone + cruise + speed * left - 0.5 * settings.acceleration * left**2
+    return PusherPath(time, plan.tool_start(settings.pushes.clearance) + way[:, None] * plan.heading, settings.pushes.pusher_radius)
+
+
+# --- files ---------------------------------------------------------------------------------------------------------------
+
+
+def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
+    """Where the pushes of `make_object(name, seed)` are kept; another name for other settings or another object."""
+    thing = make_object(name, seed)
+    values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
+    content = json.dumps([_VERSION, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
+    return folder / f"{name}-{seed:04d}-{hashlib.sha256(content).hexdigest()[:12]}.npz"
+
+
+def generate_truth(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
+    """Simulate the pushes of `make_object(name, seed)` into `folder`, unless they are there already.
+
+    The file appears whole or not at all. Raises PushIdentError where it cannot be written.
+    """
+    path = truth_file(folder, name, seed, settings)
+    if path.exists():
+        return path
+    motions = make_pushes(make_object(name, seed), [seed, OBJECT_NAMES.index(name)], settings)
+    arrays = {key: np.concatenate([getattr(m, key) for m in motions]) for key in _ARRAYS}
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, n_rows=np.array([len(m.time) for m in motions]), **arrays)
+        partial.replace(path)
+    except OSError as error:
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder that can be written to.") from None
+    return path
+
+
+def _read_motions(path: Path) -> list[TrueMotion]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            ends = np.cumsum(file["n_rows"])[:-1]
+            columns = [np.split(file[key], ends) for key in _ARRAYS]
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise InputError(f"Cannot read the pushes in {path}: {error}; delete the file to simulate them again.") from None
+    return [TrueMotion(*arrays) for arrays in zip(*columns, strict=True)]
+
+
+def load_truth(
+    folder: Path, name: str, seed: int, settings: TruthSettings | None = None, noise: CameraNoise | None = None
+) -> tuple[list[PushRecord], list[PushRecord], SimObject]:
+    """Pushes to learn from, pushes to test on, and the truth, of `make_object(name, seed)`; simulated first where the folder has none.
+
+    Args:
+        folder: of the files.
+        name: one of `OBJECT_NAMES`.
+        seed: of the object, its pushes and their noise.
+        settings: of the pushes.
+        noise: of what is seen of them.
+    """
+    settings, noise = settings or TruthSettings(), noise or CameraNoise()
+    thing = make_object(name, seed)
+    motions = _read_motions(generate_truth(folder, name, seed, settings))
+    shape = true_model(thing).shape
+    radius, own = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
+    records = [
+        PushRecord(name, shape, *_observe(motion, radius, noise, np.random.default_rng([seed, own, i, 1])), f"{name} {seed}, push {i}")
+        for i, motion in enumerate(motions)
+    ]
+    return records[: settings.n_train], records[settings.n_train :], thing
+
+
+def _observe(
+    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator
+) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
+    """What is seen of a motion; before and after it everything stands still."""
+    rest, end = noise.rest, float(motion.time[-1])
+    clock = np.concatenate([[0.0], rest + motion.time, [2 * rest + end]])
+    hold = np.r_[0, 0 : len(motion.time), len(motion.time) - 1]
+
+    def at(time: FloatArray, values: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(time, clock, column) for column in values[hold].T])
+
+    frames = np.arange(0.0, clock[-1], 1.0 / noise.rate)
+    std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
+    seen = at(frames, motion.pose) + std * rng.normal(size=(len(frames), 3))
+    poses = PoseTrack(frames, seen, np.broadcast_to(np.diag(std**2), (len(frames), 3, 3)))
+    wrench = None
+    if noise.force_std is not None:
+        # The sensor averages over its sampling time: a difference of the impulse so far.
+        steps = np.diff(motion.time, prepend=0.0)
+        impulse = np.cumsum(motion.force * steps[:, None], axis=0)
+        bounds = np.arange(0.0, clock[-1], 1.0 / noise.force_rate)
+        force = np.diff(at(bounds, impulse), axis=0) * noise.force_rate
+        wrench = WrenchTrack(bounds[1:], force + noise.force_std * rng.normal(size=force.shape))
+    return poses, PusherPath(clock, motion.pusher[hold], radius), wrench
