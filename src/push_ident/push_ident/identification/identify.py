@@ -15,7 +15,7 @@ from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Checkpoint, Estimate, Identification, ModelPosterior
 from push_ident.identification.solvers import SOLVERS
-from push_ident.identification.solvers.gauss_newton import minimise
+from push_ident.identification.solvers.gauss_newton import MAX_ITERATIONS, minimise
 from push_ident.identification.total_mass import with_measured_forces
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
@@ -52,6 +52,7 @@ def identify(
     budget: Budget | None = None,
     seed: int = 0,
     warm_start: Identification | None = None,
+    max_iterations: int = MAX_ITERATIONS,
     on_progress: Progress | None = None,
 ) -> Identification:
     """Fit the maps of one object to pushes.
@@ -65,6 +66,7 @@ def identify(
         budget: limits of the solve; 30 s by default.
         seed: of the solvers that draw at random.
         warm_start: an earlier result of `gauss_newton` for the first of these pushes.
+        max_iterations: of `gauss_newton`.
         on_progress: told of every better point.
 
     Returns:
@@ -81,11 +83,19 @@ def identify(
     shape = records[0].shape
     meter = Meter(budget, on_progress)
     scalar_problem = FitProblem(records, MapParameters(shape, prior, maps=False), noise=noise, settings=settings)
-    x_scalar, _, _ = minimise(scalar_problem, np.zeros(scalar_problem.size))
+    x_scalar, _, _ = minimise(scalar_problem, np.zeros(scalar_problem.size), max_iterations)
     if method == "gauss_newton":
         meter.count(scalar_problem.meter.n_simulations)
-        starts = warm_start.starts if warm_start else ()
-        fit = fit_maps(records, prior, noise=noise, settings=settings, meter=meter, x_scalar=x_scalar, warm_starts=starts)
+        fit = fit_maps(
+            records,
+            prior,
+            noise=noise,
+            settings=settings,
+            meter=meter,
+            x_scalar=x_scalar,
+            warm_starts=warm_start.starts if warm_start else (),
+            max_iterations=max_iterations,
+        )
     else:
         meter.restart()
         fit = _fit_cell_by_cell(records, prior, method, noise, settings, meter, np.random.default_rng(seed))

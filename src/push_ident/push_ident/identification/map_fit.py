@@ -21,7 +21,7 @@ from push_ident.identification.observation import NoiseModel
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.identification.result import Estimate, ModelPosterior
-from push_ident.identification.solvers.gauss_newton import minimise
+from push_ident.identification.solvers.gauss_newton import MAX_ITERATIONS, minimise
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
@@ -85,6 +85,7 @@ def fit_maps(
     meter: Meter,
     x_scalar: Float64Array,
     warm_starts: Sequence[Float64Array] = (),
+    max_iterations: int = MAX_ITERATIONS,
 ) -> MapFit:
     """Fit the maps under every amplitude that the pushes leave possible, and average.
 
@@ -96,6 +97,7 @@ def fit_maps(
         meter: counts the simulations of all fits.
         x_scalar: unknowns without maps: friction scale, pusher friction and first poses, shape (2 + 3 n_records,).
         warm_starts: `starts` of an earlier fit of fewer or as many pushes.
+        max_iterations: of each amplitude.
     """
     parameters = MapParameters(records[0].shape, prior)
     fits: list[_Fit] = []
@@ -108,7 +110,7 @@ def fit_maps(
         x0[own.size - 2 :] = x_scalar
         if i < len(warm_starts) and own.size <= len(warm_starts[i]) <= problem.size:
             x0[: len(warm_starts[i])] = warm_starts[i]
-        x, end, status = minimise(problem, x0)
+        x, end, status = minimise(problem, x0, max_iterations)
         fits.append(_Fit(amplitude, problem, x, end, status))
         if fits[-1].log_evidence < max(f.log_evidence for f in fits) - _NEGLIGIBLE or meter.spent:
             break

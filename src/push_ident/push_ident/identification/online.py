@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from push_ident.identification.budget import Budget
 from push_ident.identification.identify import identify, prior_posterior
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.parameters import Prior
 from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.identification.solvers.gauss_newton import MAX_ITERATIONS
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import ObjectShape, PushRecord
 
@@ -46,21 +46,20 @@ class OnlineIdentifier:
 
     def peek(self, partial: PushRecord, *, max_iterations: int = 4) -> Identification:
         """Estimate with the push under way, as far as it has come; the push is not kept."""
-        records = [*self._records, partial]
-        return self._solve(records, Budget(max_simulations=max_iterations * len(records)))
+        return self._solve([*self._records, partial], max_iterations)
 
     def adopt(self, posterior: ModelPosterior) -> None:
         """Take over a model from elsewhere as the current estimate; pushes seen so far are forgotten."""
         self._records.clear()
         self.result, self.posterior = None, posterior
 
-    def _solve(self, records: list[PushRecord], budget: Budget | None = None) -> Identification:
+    def _solve(self, records: list[PushRecord], max_iterations: int = MAX_ITERATIONS) -> Identification:
         result = identify(
             records,
             self._prior,
             noise=self._noise,
             settings=self._settings,
-            budget=budget,
+            max_iterations=max_iterations,
             warm_start=self.result,
         )
         self.result, self.posterior = result, result.posterior

@@ -8,12 +8,12 @@ from scipy.linalg import cho_factor, cho_solve
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["gauss_newton", "minimise"]
+__all__ = ["MAX_ITERATIONS", "gauss_newton", "minimise"]
 
 _MAX_DAMPING = 1e8
 _TOLERANCE = 5e-3
 """Converged when a full step is expected to lower the cost by less (in units of 1/2 chi^2)."""
-_MAX_ITERATIONS = 60
+MAX_ITERATIONS = 60
 
 
 def gauss_newton(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
@@ -22,7 +22,7 @@ def gauss_newton(problem: FitProblem, x0: Float64Array, rng: np.random.Generator
     return x, status
 
 
-def minimise(problem: FitProblem, x0: Float64Array) -> tuple[Float64Array, Evaluation, SolveStatus]:
+def minimise(problem: FitProblem, x0: Float64Array, max_iterations: int = MAX_ITERATIONS) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """Minimise the cost of `problem` from `x0`, shape (problem.size,).
 
     Returns:
@@ -34,7 +34,7 @@ def minimise(problem: FitProblem, x0: Float64Array) -> tuple[Float64Array, Evalu
         return x, best, SolveStatus.SIMULATION_FAILED
     problem.meter.offer(x, best.cost)
     damping = 1e-3
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(max_iterations):
         scale = np.diag(best.hessian)
         step = -cho_solve(cho_factor(best.hessian + damping * np.diag(scale)), best.gradient)
         expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
