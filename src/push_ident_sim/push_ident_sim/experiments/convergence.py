@@ -19,7 +19,7 @@ from push_ident_sim.experiments.drawing import (
     save,
 )
 from push_ident_sim.experiments.experiment import Case, CaseResult, CaseSettings, Experiment, Json
-from push_ident_sim.experiments.measuring import curve_on_grid, error_row, fit_errors, grouped, learning_curve
+from push_ident_sim.experiments.measuring import curve_on_grid, error_row, fit_errors, grouped, history_with_end, learning_curve
 from push_ident_sim.truth import load_truth
 
 __all__ = ["EXPERIMENT"]
@@ -36,7 +36,7 @@ _PAPER_ERROR = 0.015
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     result, values = fit_errors(train[:_N_TRAIN], test, thing, case.variant, settings)
-    return values | {"curve": learning_curve(result.history, result.uniform, test)}
+    return values | {"curve": learning_curve(history_with_end(result), result.uniform, test)}
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
@@ -52,7 +52,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
                 "cases": len(own),
                 "final": error_row(own),
                 "at_s": {str(moment): _at(own, moment) for moment in _MOMENTS},
-                "reached_paper": sum(min(r.values["curve"]["error_m"]) < _PAPER_ERROR for r in own),
+                "below_paper": sum(r.values["curve"]["error_m"][-1] < _PAPER_ERROR for r in own),
                 "median_time_s": round(float(np.median([r.values["time_s"] for r in own])), 3),
                 "median_simulations": float(np.median([r.values["n_simulations"] for r in own])),
                 "curves": {axis: _band(own, axis, grid) for axis, grid in grids.items()},
@@ -86,11 +86,11 @@ def _tables(summary: Json) -> str:
             mean_in_millimetres(own["final"]),
             f"{own['median_time_s']:.2f}",
             f"{own['median_simulations']:.0f}",
-            f"{own['reached_paper']} of {own['cases']}",
+            f"{own['below_paper']} of {own['cases']}",
         ]
         for method, own in summary["methods"].items()
     ]
-    head = ["mean cell error on unseen pushes [mm]", *moments, "at the end", "median solve [s]", "median simulations", "below 15 mm"]
+    head = ["mean cell error on unseen pushes [mm]", *moments, "at the end", "median solve [s]", "median simulations", "ended below 15 mm"]
     uniform, truth = (millimetres(summary[name]["mean_m"]) for name in ("uniform", "truth"))
     return markdown_table(head, rows) + f"\n\nEqual cells with nominal values: {uniform} mm. The true maps: {truth} mm."
 

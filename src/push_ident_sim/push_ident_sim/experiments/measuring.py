@@ -16,7 +16,7 @@ from push_ident_sim.experiments.experiment import CaseResult, CaseSettings, Json
 from push_ident_sim.objects import SimObject
 from push_ident_sim.truth import true_model
 
-__all__ = ["MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "learning_curve", "micrometres", "pooled"]
+__all__ = ["MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "history_with_end", "learning_curve", "micrometres", "pooled"]
 
 FloatArray = NDArray[np.float64]
 
@@ -43,6 +43,11 @@ def fit_errors(
         "errors_m": {name: micrometres(held_out_errors(model, test)) for name, model in models.items()},
     }
     return result, values
+
+
+def history_with_end(result: Identification) -> tuple[Checkpoint, ...]:
+    """The history of a solve and its result, which may be more than the last model: `gauss_newton` averages over several fits."""
+    return (*result.history, Checkpoint(result.n_simulations, result.time_s, result.cost, result.model))
 
 
 def learning_curve(history: Sequence[Checkpoint], uniform: ObjectModel, test: Sequence[PushRecord]) -> Json:

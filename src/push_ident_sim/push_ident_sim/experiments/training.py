@@ -19,7 +19,7 @@ from push_ident_sim.experiments.drawing import (
     save,
 )
 from push_ident_sim.experiments.experiment import Case, CaseResult, CaseSettings, Experiment, Json
-from push_ident_sim.experiments.measuring import curve_on_grid, error_row, fit_errors, grouped, learning_curve, pooled
+from push_ident_sim.experiments.measuring import curve_on_grid, error_row, fit_errors, grouped, history_with_end, learning_curve, pooled
 from push_ident_sim.truth import load_truth
 
 __all__ = ["EXPERIMENT"]
@@ -33,7 +33,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     method, number = case.variant.rsplit("-", 1)
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     result, values = fit_errors(train[: int(number)], test, thing, method, settings)
-    return values | {"curve": learning_curve(result.history, result.uniform, test)}
+    return values | {"curve": learning_curve(history_with_end(result), result.uniform, test)}
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
