@@ -3,6 +3,9 @@
 Frames before the touch all show one pose, and so do those after the object has come to rest: each group becomes its mean. Of the
 frames between, a limited number is kept. Noise is that of the frame plus a discrepancy that grows with the way the object has
 gone, since no model of pushing is exact, and frames of one push share it.
+
+How far a mean is better than a frame, the rest frames tell: where they scatter as their covariance says, the error averages out;
+where they scatter far less, as those of a tracker do, the covariance is of an error that they share.
 """
 
 from __future__ import annotations
@@ -10,12 +13,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["NoiseModel", "Observation", "observe_push"]
 
+_ENOUGH = 12
+"""Degrees of freedom from which the scatter of rest frames is trusted."""
 _COAST = 0.15  # an object let go at 0.3 m/s on friction 0.2 rests within this [s]
 
 
@@ -23,13 +29,13 @@ _COAST = 0.15  # an object let go at 0.3 m/s on friction 0.2 rests within this [
 class NoiseModel:
     """Errors of observed poses beyond the covariance that comes with them."""
 
-    floor_position: float = 5e-4
-    """That averaging frames does not remove [m]."""
-    floor_yaw: float = 3e-3
+    floor_position: float = 1e-4
+    """That nothing removes: contact is not known better [m]."""
+    floor_yaw: float = 1e-3
     """[rad]"""
-    growth_position: float = 0.016
+    growth_position: float = 0.003
     """Discrepancy of position per way gone."""
-    growth_yaw: float = 0.16
+    growth_yaw: float = 0.03
     """Discrepancy of yaw per way gone [rad/m]."""
     lone_frame: float = 2.0
     """Factor on the stated deviation of a rest pose that was seen once: nothing checks it."""
@@ -80,13 +86,26 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
     growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2
-    stated = [poses.covariance[g].mean(axis=0) / len(g) for g in groups]
+    scatter = _scatter(record, before, after)
+    stated = [poses.covariance[g].mean(axis=0) * max(scatter, 1.0) for g in groups]
     for end in (0, -1):
-        if len(groups[end]) == 1:
-            stated[end] = stated[end] * noise.lone_frame**2
+        n = len(groups[end])
+        shared = max(0.0, 1.0 - 2.0 * scatter)
+        stated[end] = stated[end] * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) / n)
     covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     return Observation(time, pose, whitening, covariance[0], bool(np.any(near)))
+
+
+def _scatter(record: PushRecord, *rests: NDArray[np.intp]) -> float:
+    """Variance of the frames at rest over that which their covariance states; 1 where there are too few to tell."""
+    poses = record.poses
+    squares = freedom = 0.0
+    for rest in rests:
+        off = poses.pose[rest] - poses.pose[rest].mean(axis=0)
+        squares += float(np.sum(off**2 / np.diagonal(poses.covariance[rest], axis1=1, axis2=2)))
+        freedom += 3.0 * (len(rest) - 1)
+    return squares / freedom if freedom >= _ENOUGH else 1.0
 
 
 def _gaps(record: PushRecord) -> Float64Array:

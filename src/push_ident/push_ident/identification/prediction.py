@@ -15,6 +15,9 @@ from push_ident.types import CellGrid, Float64Array, ObjectModel, PusherPath, Pu
 
 __all__ = ["Prediction", "cell_error", "held_out_errors", "predict"]
 
+_NINETY = 6.251
+"""90 % of chi squared with 3 degrees of freedom lie below it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
@@ -86,12 +89,22 @@ def predict(
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
         unknown = np.full((len(centre.time), 3, 3), np.nan)
         return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
-    off = np.array(poses) - np.mean(poses, axis=0)
-    covariance = np.einsum("sfi,sfj->fij", off, off) / (len(poses) - 1)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre.pose[:, :2], axis=0), axis=1))])
+    covariance = _covariance_of_draws(np.array(poses))
+    way = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
     growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw])
     covariance += np.einsum("f,i,ij->fij", way**2, growth**2, np.eye(3))
     return Prediction(centre.time, centre.pose, covariance, _cell_error_std(shape.cells, centre.pose[-1], covariance[-1]), centre.status)
+
+
+def _covariance_of_draws(poses: Float64Array) -> Float64Array:
+    """Covariance whose 90 % region holds 90 % of the draws, at each frame: shape (n_draws, n_frames, 3) to (n_frames, 3, 3).
+
+    Motions that switch have wild tails: a few draws then blow up the covariance, and its regions would hold nearly all the others.
+    """
+    off = poses - poses.mean(axis=0)
+    covariance = np.einsum("sfi,sfj->fij", off, off) / (len(poses) - 1) + 1e-12 * np.eye(3)
+    distance2 = np.einsum("sfi,fij,sfj->sf", off, np.linalg.inv(covariance), off)
+    return np.asarray(covariance * (np.quantile(distance2, 0.9, axis=0) / _NINETY)[:, None, None])
 
 
 def _root(covariance: Float64Array) -> Float64Array:
