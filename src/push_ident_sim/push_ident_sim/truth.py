@@ -27,7 +27,7 @@ from push_ident_sim.true_motion import TrueMotion
 if TYPE_CHECKING:
     from push_ident_sim.push_world import PushWorld
 
-__all__ = ["CameraNoise", "TruthSettings", "generate_truth", "load_truth", "make_pushes", "true_model", "truth_file"]
+__all__ = ["CameraNoise", "TruthSettings", "generate_truth", "load_truth", "make_pushes", "observe_motion", "true_model", "truth_file"]
 
 FloatArray = NDArray[np.float64]
 
@@ -199,13 +199,15 @@ def load_truth(
     shape = true_model(thing).shape
     radius, own = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
     records = [
-        PushRecord(name, shape, *_observe(motion, radius, noise, np.random.default_rng([seed, own, i, 1])), f"{name} {seed}, push {i}")
+        PushRecord(
+            name, shape, *observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1])), f"{name} {seed}, push {i}"
+        )
         for i, motion in enumerate(motions)
     ]
     return records[: settings.n_train], records[settings.n_train :], thing
 
 
-def _observe(
+def observe_motion(
     motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator
 ) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
     """What is seen of a motion; before and after it everything stands still."""

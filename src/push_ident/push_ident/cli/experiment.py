@@ -24,7 +24,7 @@ def experiment_command(
     name: Annotated[
         str,
         typer.Argument(
-            help="convergence, maps, training, real-protocol, coverage; `report` writes the page of all results from their JSON files.",
+            help="convergence, maps, training, real-protocol, coverage, next-push; `report` writes the page of their results.",
             show_default=False,
         ),
     ],
