@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo experiments test lint format clean
+.PHONY: help setup demo bench experiments test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -23,7 +23,10 @@ setup:  ## .venv with every package pinned, ROS 2 Jazzy, workspace built; again:
 demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
 	$(VENV)/push-ident demo
 
-EXPERIMENTS := convergence maps training real-protocol coverage
+bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/benchmarks.md
+	$(VENV)/push-ident bench --page docs/benchmarks.md
+
+EXPERIMENTS := maps training real-protocol coverage next-push convergence
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
 	@for name in $(EXPERIMENTS); do \
 	  $(VENV)/push-ident experiment $$name --json docs/experiments/$$name.json || exit 1; done

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from push_ident.cli.bench import bench_command
 from push_ident.cli.demo import demo_command
 from push_ident.cli.experiment import experiment_command
 from push_ident.cli.export import export_command
@@ -28,6 +29,7 @@ app.command("replay")(replay_command)
 app.command("import")(import_command)
 app.command("up")(up_command)
 app.command("experiment")(experiment_command)
+app.command("bench")(bench_command)
 app.command("demo")(demo_command)
 app.command("doctor")(doctor_command)
 

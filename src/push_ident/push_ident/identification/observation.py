@@ -33,10 +33,14 @@ class NoiseModel:
     """That nothing removes: contact is not known better [m]."""
     floor_yaw: float = 1e-3
     """[rad]"""
-    growth_position: float = 0.003
-    """Discrepancy of position per way gone."""
-    growth_yaw: float = 0.03
+    growth_position: float = 0.012
+    """Discrepancy of position per way gone, as a frame counts in a fit: the ten frames of a push share one, so each counts less."""
+    growth_yaw: float = 0.12
     """Discrepancy of yaw per way gone [rad/m]."""
+    discrepancy_position: float = 0.003
+    """Discrepancy of position per way gone, of a predicted pose."""
+    discrepancy_yaw: float = 0.03
+    """[rad/m]"""
     lone_frame: float = 2.0
     """Factor on the stated deviation of a rest pose that was seen once: nothing checks it."""
     max_moving_frames: int = 10

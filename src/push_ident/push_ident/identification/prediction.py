@@ -59,7 +59,7 @@ def predict(
         pose_object_in_table: first pose, shape (3,).
         time: when [s], ascending, shape (n_frames,).
         first_covariance: of the first pose, shape (3, 3); default 0.5 mm, 0.3 degrees.
-        noise: its growth with the way gone is added as the discrepancy of the model.
+        noise: its discrepancy, which grows with the way gone, is added.
         settings: numerics.
 
         n_samples: models drawn from the posterior, with as many first poses.
@@ -91,7 +91,7 @@ def predict(
         return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
     covariance = _covariance_of_draws(np.array(poses))
     way = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
-    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw])
+    growth = np.array([noise.discrepancy_position, noise.discrepancy_position, noise.discrepancy_yaw])
     covariance += np.einsum("f,i,ij->fij", way**2, growth**2, np.eye(3))
     return Prediction(centre.time, centre.pose, covariance, _cell_error_std(shape.cells, centre.pose[-1], covariance[-1]), centre.status)
 

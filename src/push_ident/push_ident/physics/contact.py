@@ -99,7 +99,7 @@ def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
 
 @kernel
 def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
-    """Append the contacts of corner j of the pusher to the `n` found: the nearest feature, and every other edge that it faces."""
+    """Append the contacts of corner j of the pusher to the `n` found: the nearest feature, and all others that it faces."""
     px, py = tips[j, 0], tips[j, 1]
     nearest, nearest_distance = 0, np.inf
     inside = False
@@ -117,9 +117,13 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
         n += 1
     if inside and not polygon:
         return n
+    _, _, _, s_before = _edge_feature(px, py, outline, outline.shape[0] - 1)
     for i in range(outline.shape[0]):
         distance, qx, qy, s = _edge_feature(px, py, outline, i)
-        if i == nearest or not 0.0 < s < 1.0 or distance - radius > reach:
+        # A corner of the outline that is nearer than what lies beside it: a pusher in a narrow pocket rests on two of them.
+        on_corner = not inside and s == 0.0 and s_before == 1.0
+        s_before = s
+        if i == nearest or not (0.0 < s < 1.0 or on_corner) or distance - radius > reach:
             continue
         k = i + 1 if i + 1 < outline.shape[0] else 0
         faces = (outline[k, 1] - outline[i, 1]) * (px - qx) - (outline[k, 0] - outline[i, 0]) * (py - qy) > 0.0

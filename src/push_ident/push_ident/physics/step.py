@@ -30,7 +30,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["StepScratch", "new_step_scratch", "step"]
 
-_MAX_ITERATIONS = 100
+_MAX_ITERATIONS = 1000  # some twenty are the rule; where the last cells come to rest at once the majoriser may need hundreds
 _TOLERANCE = 1e-10
 
 
