@@ -1,7 +1,8 @@
 """The five objects of the simulated cell, each a grid of cells with its own mass and support friction.
 
-Hammer, wrench, crimp, toolbox and book follow the experimental setup of "Learning Mechanical Models of Unknown Objects
-Online": iron against wood, a handle that does not touch the table, contents that lie on one side. The numbers are our own.
+Hammer, wrench, crimp, toolbox and book follow the experimental setup of Song & Boularias, "Identifying Mechanical Models through
+Differentiable Simulations" (2020): iron against wood, a handle that does not touch the table, contents that lie on one side. The
+numbers are our own.
 """
 
 from __future__ import annotations

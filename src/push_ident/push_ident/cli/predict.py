@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.table import Table
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from push_ident.bags.loading import load_pushes
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
@@ -74,6 +74,6 @@ def _compare(posterior: ModelPosterior, record: PushRecord) -> dict[str, Any]:
         "observed": seen.pose[-1].tolist(),
         "cell_error_m": cell_error(record.shape.cells, prediction.pose[-1], seen.pose[-1]),
         "cell_error_std_m": prediction.cell_error_std,
-        "within_90": bool(not failed and off @ np.linalg.solve(covariance, off) < chi2.ppf(0.9, 3)),
+        "within_90": bool(not failed and off @ np.linalg.solve(covariance, off) < chdtri(3, 0.1)),
         "status": prediction.status.name.lower(),
     }
