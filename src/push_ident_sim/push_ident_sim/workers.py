@@ -1,4 +1,4 @@
-"""Fresh processes with one thread each, for work whose time is measured."""
+"""Processes with one thread each, for work whose time is measured."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["describe_machine", "fresh_workers"]
+__all__ = ["describe_machine", "single_threads"]
 
 _SINGLE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 @contextmanager
-def fresh_workers(jobs: int = 1) -> Iterator[ProcessPoolExecutor]:
-    """Up to `jobs` processes side by side, a new one for every call, so that no call finds what another one left."""
+def single_threads(jobs: int = 1, *, fresh: bool = False) -> Iterator[ProcessPoolExecutor]:
+    """Up to `jobs` processes side by side; `fresh`: a new one for every call, so that no call finds what another one left."""
     # Libraries read these when they are imported, which the children do anew.
     before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
     os.environ.update(_SINGLE_THREAD)
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare, max_tasks_per_child=1)
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare, max_tasks_per_child=1 if fresh else None
+    )
     try:
         yield pool
     finally:

@@ -12,7 +12,7 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident_sim.benchmarks.benchmark import Benchmark, Json, Settings
 from push_ident_sim.experiments.drawing import markdown_table
 from push_ident_sim.experiments.running import write_json
-from push_ident_sim.workers import describe_machine, fresh_workers
+from push_ident_sim.workers import describe_machine, single_threads
 
 __all__ = ["run_benchmark", "write_page", "write_results"]
 
@@ -38,7 +38,7 @@ def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progres
     """
     report = on_progress or (lambda what, done, total: None)
     machine, pieces = describe_machine(benchmark.jobs), benchmark.pieces(settings)
-    with fresh_workers(benchmark.jobs) as pool:
+    with single_threads(benchmark.jobs, fresh=True) as pool:
         futures: list[Future[Json]] = [pool.submit(piece.measure, *piece.arguments) for piece in pieces]
         pending: set[Future[Json]] = set(futures)
         while pending:

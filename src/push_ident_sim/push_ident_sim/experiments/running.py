@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import importlib
 import json
-import multiprocessing
 import os
-import platform
-import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,6 +20,7 @@ from push_ident_sim.experiments import measuring
 from push_ident_sim.experiments.experiment import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.objects import OBJECT_NAMES
 from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, truth_file
+from push_ident_sim.workers import describe_machine, single_threads
 
 __all__ = ["RunOptions", "run_experiment", "write_json"]
 
@@ -35,8 +31,6 @@ _CORE = Path(push_ident.__file__).parent
 _STAGES = ("geometry", "physics", "identification")
 """Of the core that a result depends on."""
 _Calls = list[tuple[Callable[..., Any], tuple[Any, ...]]]
-
-_SINGLE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +84,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     digest = _digest(experiment, settings)
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
     missing = [case for case in cases if not files[case].exists()]
-    with _pool(options.jobs) as pool:
+    with single_threads(options.jobs) as pool:
         unmade = [(n, m) for n, m in models if not truth_file(options.truth_folder, n, m, options.truth).exists()]
         calls: _Calls = [(generate_truth, (options.truth_folder, n, m, options.truth)) for n, m in unmade]
         for done in _finished(pool, calls):
@@ -110,7 +104,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "models": options.n_models,
         "seed": options.seed,
         "max_seconds": options.max_seconds,
-        "machine": _machine(options.jobs),
+        "machine": describe_machine(options.jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
         "summary": experiment.summarise(results),
     }
@@ -137,33 +131,6 @@ def _run_case(name: str, case: Case, settings: CaseSettings, file: Path) -> None
     write_json(file, outcome)
 
 
-@contextmanager
-def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Fresh processes with one thread each: solves are timed, and must not fight for cores."""
-    before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
-    os.environ.update(_SINGLE_THREAD)
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare_worker)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _prepare_worker() -> None:
-    """Ctrl-C ends a worker at once and without a word; so does Bullet not print, which would tear the progress bar of the command."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    nowhere, errors = os.open(os.devnull, os.O_WRONLY), os.dup(2)
-    os.dup2(nowhere, 1)
-    os.dup2(nowhere, 2)
-    importlib.import_module("pybullet")
-    os.dup2(errors, 2)
-
-
 def _finished(pool: ProcessPoolExecutor, calls: _Calls) -> Iterator[int]:
     """Run the calls; yields how many are done, each time one more is."""
     pending: set[Future[Any]] = {pool.submit(function, *arguments) for function, arguments in calls}
@@ -174,15 +141,6 @@ def _finished(pool: ProcessPoolExecutor, calls: _Calls) -> Iterator[int]:
             future.result()
             count += 1
             yield count
-
-
-def _machine(jobs: int) -> Json:
-    name = platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-        name = names[0] if names else name
-    return {"processor": name, "cores": os.cpu_count(), "jobs": jobs, "python": platform.python_version()}
 
 
 def write_json(path: Path, content: Json) -> None:
