@@ -24,6 +24,9 @@ class Budget:
     """Pushes simulated, with or without derivative."""
     max_seconds: float | None = 30.0
     """Of the solve alone [s]."""
+    processor_time: bool = False
+    """Count the seconds that the processor worked for this process instead of those of the clock on the wall: then a busy machine
+    does not change what a study of solvers reports."""
 
     def __post_init__(self) -> None:
         for name in ("max_simulations", "max_seconds"):
@@ -56,12 +59,13 @@ class Meter:
         self.n_simulations = 0
         self.history: list[Sample] = []
         self._on_progress = on_progress
-        self._started = time.perf_counter()
+        self._clock = time.process_time if self.budget.processor_time else time.perf_counter
+        self._started = self._clock()
         self._stopped: float | None = None
 
     def restart(self) -> None:
         """Set the clock to zero."""
-        self._started = time.perf_counter()
+        self._started = self._clock()
 
     def stop(self) -> None:
         """Stop the clock."""
@@ -69,7 +73,7 @@ class Meter:
 
     @property
     def seconds(self) -> float:
-        return time.perf_counter() - self._started if self._stopped is None else self._stopped
+        return self._clock() - self._started if self._stopped is None else self._stopped
 
     @property
     def spent(self) -> bool:
@@ -77,6 +81,11 @@ class Meter:
         return (limit.max_simulations is not None and self.n_simulations >= limit.max_simulations) or (
             limit.max_seconds is not None and self.seconds >= limit.max_seconds
         )
+
+    @property
+    def seconds_left(self) -> float:
+        """Until the budget is spent [s]; infinite without a limit."""
+        return np.inf if self.budget.max_seconds is None else self.budget.max_seconds - self.seconds
 
     @property
     def best(self) -> Sample | None:

@@ -57,6 +57,15 @@ class _Fit:
         size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), 0.8))
         return size2 / _EXPECTED * n_residuals / max(n_residuals - used, 0.25 * n_residuals)
 
+    def minimum_at(self, amplitude: float) -> Float64Array:
+        """Where the cost would be least under another amplitude if the motion were linear in the unknowns: a start that saves steps."""
+        n_z = self.problem.parameters.size
+        prior = np.r_[np.ones(n_z), np.zeros(len(self.x) - n_z)]
+        scale = np.r_[np.full(n_z - 2, amplitude / self.amplitude), np.ones(len(self.x) - n_z + 2)]
+        data = self.end.hessian - np.diag(prior)
+        slope = self.end.gradient - prior * self.x
+        return np.asarray(np.linalg.solve(scale[:, None] * data * scale + np.diag(prior), scale * (data @ self.x - slope)))
+
 
 @dataclass(frozen=True, slots=True)
 class MapFit:
@@ -106,8 +115,11 @@ def fit_maps(
         own = MapParameters(records[0].shape, own_prior, modes=parameters.modes)
         problem = FitProblem(records, own, noise=noise, settings=settings, meter=meter)
         x0 = np.zeros(problem.size)
-        # The maps start flat, at the scales and first poses that fit best without them.
-        x0[own.size - 2 :] = x_scalar
+        if fits:
+            x0 = fits[-1].minimum_at(amplitude)
+        else:
+            # The maps start flat, at the scales and first poses that fit best without them.
+            x0[own.size - 2 :] = x_scalar
         if i < len(warm_starts) and own.size <= len(warm_starts[i]) <= problem.size:
             x0[: len(warm_starts[i])] = warm_starts[i]
         x, end, status = minimise(problem, x0, max_iterations)

@@ -70,7 +70,7 @@ def _origin(run: Json) -> str:
     )
     return (
         f"`push-ident experiment {run['experiment']}`: {objects}; {run['models']} ground truths each, "
-        f"from seed {run['seed']}; at most {run['max_seconds']:g} s a solve. "
+        f"from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
         f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}.{failed}"
     )
 

@@ -51,7 +51,7 @@ class RunOptions:
     jobs: int = 1
     """Processes, each with one thread."""
     max_seconds: float = 30.0
-    """Budget of one solve, as in the paper [s]."""
+    """Budget of one solve, as in the paper [s of the processor]."""
     truth: TruthSettings = field(default_factory=TruthSettings)
     noise: CameraNoise = field(default_factory=CameraNoise)
 
@@ -68,7 +68,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
 
     Returns:
         What the run was (`experiment, objects, models, seed, max_seconds, machine`), the cases that failed (`failed`: case and error),
-        and the experiment's `summary`. Times are of the machine that ran the case.
+        and the experiment's `summary`. Times are of the processor of the machine that ran the case.
 
     Raises:
         InputError: no case gave a result, or a variant that the experiment does not have.
@@ -78,7 +78,9 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
     models = [(name, options.seed + i) for i in range(options.n_models) for name in options.objects]
     cases = [Case(name, model, variant) for name, model in models for variant in options.variants or experiment.variants]
-    settings = CaseSettings(options.truth_folder, Budget(max_seconds=options.max_seconds), options.truth, options.noise)
+    settings = CaseSettings(
+        options.truth_folder, Budget(max_seconds=options.max_seconds, processor_time=True), options.truth, options.noise
+    )
     folder = options.folder / experiment.name
     # Results of other settings or other code have other names, so that no mean is taken over both.
     digest = _digest(experiment, settings)

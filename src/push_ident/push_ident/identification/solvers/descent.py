@@ -36,8 +36,14 @@ def descend(
         return x, SolveStatus.SIMULATION_FAILED
     meter.offer(x, best)
     step = _FIRST_STEP
+    slowest = meter.seconds  # of an evaluation: none is begun that the budget would not let end
+
+    def spent() -> bool:
+        return meter.spent or meter.seconds_left < slowest
+
     while True:
-        slope = None if meter.spent else gradient(x, best)
+        began = meter.seconds
+        slope = None if spent() else gradient(x, best)
         if slope is None:
             return x, SolveStatus.BUDGET_SPENT
         size = float(np.linalg.norm(slope))
@@ -46,13 +52,15 @@ def descend(
         while True:
             trial = x - step / size * slope
             trial_cost = cost(trial)
+            slowest = max(slowest, meter.seconds - began)
             if trial_cost < best:
                 break
             step *= 0.25
             if step < _SMALLEST_STEP:
                 return x, SolveStatus.STALLED
-            if meter.spent:
+            if spent():
                 return x, SolveStatus.BUDGET_SPENT
+            began = meter.seconds
         x, best = trial, trial_cost
         meter.offer(x, best)
         step *= 2.0

@@ -10,9 +10,16 @@ from push_ident.types import Float64Array, SolveStatus
 
 __all__ = ["MAX_ITERATIONS", "gauss_newton", "minimise"]
 
-_MAX_DAMPING = 1e8
+_DAMPING = (1e-4, 1e8)
+"""Least and most; below the least a step is Newton's anyway, and a failure would have to climb from there."""
+_FAILED_DAMPING = 1e-2
+"""At least so much after a step that failed: less would only shorten it by a hair."""
 _TOLERANCE = 5e-3
 """Converged when a full step is expected to lower the cost by less (in units of 1/2 chi^2)."""
+_CREEP = 0.05
+_CREEP_STEPS = 6
+"""Converged, too, when so many steps together lowered the cost by less: the cost has kinks (stick and slip), along which a
+solve could creep for long without the data being able to tell one point from the next."""
 MAX_ITERATIONS = 60
 
 
@@ -34,11 +41,14 @@ def minimise(problem: FitProblem, x0: Float64Array, max_iterations: int = MAX_IT
         return x, best, SolveStatus.SIMULATION_FAILED
     problem.meter.offer(x, best.cost)
     damping = 1e-3
+    costs = [best.cost]
     for _ in range(max_iterations):
         scale = np.diag(best.hessian)
         step = -cho_solve(cho_factor(best.hessian + damping * np.diag(scale)), best.gradient)
         expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
         if expected < _TOLERANCE and damping <= 1e-2:
+            return x, best, SolveStatus.CONVERGED
+        if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP:
             return x, best, SolveStatus.CONVERGED
         if problem.meter.spent:
             return x, best, SolveStatus.BUDGET_SPENT
@@ -47,10 +57,10 @@ def minimise(problem: FitProblem, x0: Float64Array, max_iterations: int = MAX_IT
         if gained > 0:
             x, best = x + step, trial
             problem.meter.offer(x, best.cost)
-            damping = max(damping * (0.1 if gained > 0.5 * expected else 1.0), 1e-9)
+            damping = max(damping * (0.1 if gained > 0.5 * expected else 1.0), _DAMPING[0])
         else:
-            damping *= 10.0
-            if damping > _MAX_DAMPING or (expected < _TOLERANCE and damping > 1e2):
-                # The motion has kinks (stick and slip); at one of them the slope need not vanish.
-                return x, best, SolveStatus.CONVERGED if expected < _TOLERANCE else SolveStatus.STALLED
+            damping = max(10.0 * damping, _FAILED_DAMPING)
+            if damping > _DAMPING[1]:
+                return x, best, SolveStatus.STALLED
+        costs.append(best.cost)
     return x, best, SolveStatus.MAX_ITERATIONS
