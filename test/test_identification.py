@@ -12,7 +12,6 @@ from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.identify import identify, prior_posterior
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.observation import observe_push
-from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import held_out_errors, predict
 from push_ident.identification.problem import FitProblem
@@ -81,22 +80,6 @@ def test_cells_that_nothing_excited_stay_uncertain_and_pushes_narrow_the_rest() 
     wide = predict(before, records[0].pusher, records[0].poses.pose[0], records[0].poses.time)
     assert spread.cell_error_std < 0.5 * wide.cell_error_std
     assert np.all(np.linalg.eigvalsh(spread.covariance) >= -1e-15)
-
-
-def test_identification_during_a_push_uses_what_was_seen_so_far() -> None:
-    truth = hammer(3)
-    records = random_records(truth, 8, 3)
-    online = OnlineIdentifier(records[0].shape)
-    online.add(records[0])
-    half = _first_half(records[1])
-    peeked = online.peek(half)
-    assert online.n_pushes == 1
-    assert peeked.posterior.z.shape == online.posterior.z.shape
-    for record in records[1:4]:
-        online.add(record)
-    batch = identify(records[:4])
-    errors = [float(np.mean(held_out_errors(m, records[4:]))) for m in (online.posterior.model, batch.model)]
-    assert errors[0] == pytest.approx(errors[1], abs=5e-4)
 
 
 def test_pushes_that_never_touch_give_a_status_and_the_prior() -> None:

@@ -129,6 +129,13 @@ class ObjectShape:
             flipped.setflags(write=False)
             object.__setattr__(self, "outline", flipped)
 
+    def is_same_object(self, other: ObjectShape) -> bool:
+        """Whether both are views of one object: the same cells, at the same places to within half a cell."""
+        if len(self.cells) != len(other.cells) or not np.isclose(self.cells.size, other.cells.size, rtol=1e-6):
+            return False
+        apart = np.abs(self.cells.centres - other.cells.centres)
+        return bool(np.max(apart) < 0.5 * self.cells.size)
+
 
 @dataclass(frozen=True, slots=True)
 class PoseTrack:

@@ -49,7 +49,9 @@ def replay_command(
 ) -> None:
     """Play a bag through the live nodes and show the maps they find."""
     contents = read_bag(bag)  # a bag that cannot be used is refused before any process starts
-    parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate}}
+    # The identification node listens to poses, and so does this command; to depth, perception alone.
+    listeners = 2 if contents.has_poses else 1
+    parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
         parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, parameters=parameters)

@@ -16,9 +16,10 @@ from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Checkpoint, Estimate, Identification, ModelPosterior
 from push_ident.identification.solvers import SOLVERS
 from push_ident.identification.solvers.gauss_newton import MAX_ITERATIONS, minimise
+from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_measured_forces
 from push_ident.physics.simulation import SimulationSettings
-from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["identify", "prior_posterior", "uniform_model"]
 
@@ -51,7 +52,8 @@ def identify(
     settings: SimulationSettings | None = None,
     budget: Budget | None = None,
     seed: int = 0,
-    warm_start: Identification | None = None,
+    starts: Sequence[Float64Array] = (),
+    past: Summary | None = None,
     max_iterations: int = MAX_ITERATIONS,
     on_progress: Progress | None = None,
 ) -> Identification:
@@ -65,7 +67,8 @@ def identify(
         settings: numerics of the simulation.
         budget: limits of the solve; 30 s by default.
         seed: of the solvers that draw at random.
-        warm_start: an earlier result of `gauss_newton` for the first of these pushes.
+        starts: `starts` of an earlier result of the same method for the first of these pushes.
+        past: earlier pushes, summed up; for `gauss_newton` alone.
         max_iterations: of `gauss_newton`.
         on_progress: told of every better point.
 
@@ -93,19 +96,20 @@ def identify(
             settings=settings,
             meter=meter,
             x_scalar=x_scalar,
-            warm_starts=warm_start.starts if warm_start else (),
+            warm_starts=starts,
+            past=past,
             max_iterations=max_iterations,
         )
     else:
         meter.restart()
-        fit = _fit_cell_by_cell(records, prior, method, noise, settings, meter, np.random.default_rng(seed))
+        fit = _fit_cell_by_cell(records, prior, method, noise, settings, meter, np.random.default_rng(seed), starts)
     posterior, status = fit.posterior, fit.status
     if status is SolveStatus.SIMULATION_FAILED:
         posterior = prior_posterior(shape, prior)
     elif not any(o.touched for o in fit.problem.observations):
         posterior, status = prior_posterior(shape, prior), SolveStatus.NO_CONTACT
     else:
-        posterior = with_measured_forces(posterior, fit.problem, fit.x)
+        posterior = with_measured_forces(posterior, fit.problem, fit.x, past.log_forces.tolist() if past else ())
     return Identification(
         method=method,
         status=status,
@@ -129,12 +133,16 @@ def _fit_cell_by_cell(
     settings: SimulationSettings | None,
     meter: Meter,
     rng: np.random.Generator,
+    starts: Sequence[Float64Array],
 ) -> MapFit:
     """The paper's way: every cell an unknown of its own, and no posterior: the deviations stay those of the prior."""
     shape = records[0].shape
     parameters = MapParameters(shape, prior, modes=np.eye(len(shape.cells)))
     problem = FitProblem(records, parameters, noise=noise, settings=settings, meter=meter)
-    x, status = SOLVERS[method](problem, np.zeros(problem.size), rng)
+    x0 = np.zeros(problem.size)
+    if starts and len(starts[0]) <= problem.size:
+        x0[: len(starts[0])] = starts[0]
+    x, status = SOLVERS[method](problem, x0, rng)
     meter.stop()
     return MapFit(
         posterior=replace(prior_posterior(shape, prior, parameters), z=x[: parameters.size]),
@@ -143,7 +151,7 @@ def _fit_cell_by_cell(
         x=x,
         cost=meter.best.cost if meter.best else np.inf,
         misfit=np.nan,
-        starts=(),
+        starts=(x,),
     )
 
 

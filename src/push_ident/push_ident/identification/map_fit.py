@@ -22,6 +22,7 @@ from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.solvers.gauss_newton import MAX_ITERATIONS, minimise
+from push_ident.identification.summary import Summary
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
@@ -60,8 +61,9 @@ class _Fit:
     def minimum_at(self, amplitude: float) -> Float64Array:
         """Where the cost would be least under another amplitude if the motion were linear in the unknowns: a start that saves steps."""
         n_z = self.problem.parameters.size
-        prior = np.r_[np.ones(n_z), np.zeros(len(self.x) - n_z)]
-        scale = np.r_[np.full(n_z - 2, amplitude / self.amplitude), np.ones(len(self.x) - n_z + 2)]
+        n_poses = len(self.x) - n_z
+        prior = np.r_[np.ones(n_z), np.zeros(n_poses)]
+        scale = np.r_[self.problem.parameters.unit(amplitude / self.amplitude), np.ones(n_poses)]
         data = self.end.hessian - np.diag(prior)
         slope = self.end.gradient - prior * self.x
         return np.asarray(np.linalg.solve(scale[:, None] * data * scale + np.diag(prior), scale * (data @ self.x - slope)))
@@ -94,6 +96,7 @@ def fit_maps(
     meter: Meter,
     x_scalar: Float64Array,
     warm_starts: Sequence[Float64Array] = (),
+    past: Summary | None = None,
     max_iterations: int = MAX_ITERATIONS,
 ) -> MapFit:
     """Fit the maps under every amplitude that the pushes leave possible, and average.
@@ -106,14 +109,16 @@ def fit_maps(
         meter: counts the simulations of all fits.
         x_scalar: unknowns without maps: friction scale, pusher friction and first poses, shape (2 + 3 n_records,).
         warm_starts: `starts` of an earlier fit of fewer or as many pushes.
+        past: pushes before these, summed up.
         max_iterations: of each amplitude.
     """
-    parameters = MapParameters(records[0].shape, prior)
+    parameters = MapParameters(records[0].shape, prior, modes=past.modes if past else None)
     fits: list[_Fit] = []
     for i, amplitude in enumerate(_AMPLITUDES):
         own_prior = replace(prior, mass_map_std=amplitude * prior.mass_map_std, friction_map_std=amplitude * prior.friction_map_std)
         own = MapParameters(records[0].shape, own_prior, modes=parameters.modes)
-        problem = FitProblem(records, own, noise=noise, settings=settings, meter=meter)
+        own_past = past.cost.scaled(own.unit(amplitude)) if past else None
+        problem = FitProblem(records, own, noise=noise, settings=settings, meter=meter, past=own_past)
         x0 = np.zeros(problem.size)
         if fits:
             x0 = fits[-1].minimum_at(amplitude)
@@ -146,10 +151,10 @@ def _average(fits: Sequence[_Fit], parameters: MapParameters) -> ModelPosterior:
     evidence = np.array([f.log_evidence for f in fits])
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
-    n_z, n_maps = parameters.size, 2 * parameters.n_modes
+    n_z = parameters.size
     means, covariances = [], []
     for fit in fits:
-        unit = np.r_[np.full(n_maps, fit.amplitude), 1.0, 1.0]
+        unit = parameters.unit(fit.amplitude)
         # A fit worse than its noise says that something is not in the model: then nothing is known as well as it seems.
         covariance = np.linalg.inv(fit.end.hessian)[:n_z, :n_z] * max(1.0, fit.misfit)
         means.append(unit * fit.x[:n_z])

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from push_ident import __version__
 from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.files import write_whole
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.types import CellGrid, ObjectShape
 
-__all__ = ["load_model", "save_model"]
+__all__ = ["ModelContent", "load_model", "model_content", "posterior_of", "prior_of", "read_checked", "save_model"]
 
 _FORMAT = "push_ident/model/1"
 _MAX_BYTES = 64 << 20
 
+_Content = TypeVar("_Content", bound=BaseModel)
 
-class _ModelFile(BaseModel):
+
+class ModelContent(BaseModel):
+    """What a model file holds."""
+
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     format: str
@@ -47,10 +52,10 @@ class _ModelFile(BaseModel):
     """The last three follow from the others; they are there for readers of the file."""
 
 
-def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
-    """Write a model; the file appears whole or not at all."""
+def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str]) -> ModelContent:
+    """A posterior, ready to be written."""
     shape, model = posterior.parameters.shape, posterior.model
-    content = _ModelFile(
+    return ModelContent(
         format=_FORMAT,
         version=__version__,
         object_id=object_id,
@@ -69,16 +74,11 @@ def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources
         friction=model.friction.tolist(),
         pusher_friction=model.pusher_friction,
     )
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w") as file:
-            file.write(content.model_dump_json(indent=1))
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        raise ModelFileError(f"Cannot write the model to {path}: {error.strerror}; choose a place that can be written to.") from None
+
+
+def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
+    """Write a model; the file appears whole or not at all."""
+    write_whole(path, model_content(posterior, object_id, sources).model_dump_json(indent=1), "the model")
 
 
 def load_model(path: Path) -> tuple[str, ModelPosterior]:
@@ -90,37 +90,47 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
     Raises:
         ModelFileError: no such file, or not one written by `save_model`.
     """
+    content = read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
+    return content.object_id, posterior_of(content, path)
+
+
+def read_checked(path: Path, content: type[_Content], what: str, remedy: str) -> _Content:
+    """Read JSON of a known form. Raises ModelFileError: not there, too large, or of another form."""
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not a model file.")
-        content = _ModelFile.model_validate_json(path.read_bytes())
+            raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not {what}.")
+        return content.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise ModelFileError(
-            f"Cannot read the model {path}: {error.strerror}; `push-ident identify BAG --out DIR` writes DIR/model.json."
-        ) from None
+        raise ModelFileError(f"Cannot read {path}: {error.strerror}; {remedy}.") from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"
-        raise ModelFileError(
-            f"{path} is not a model file: {where}: {first['msg']}; write one with `push-ident identify BAG --out DIR`."
-        ) from None
+        raise ModelFileError(f"{path} is not {what}: {where}: {first['msg']}; {remedy}.") from None
+
+
+def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
+    """The posterior that was written. Raises ModelFileError where its parts do not fit together."""
     if content.format != _FORMAT:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:
         shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline))
-        known = {name: value for name, value in content.prior.items() if name in Prior.__dataclass_fields__}
-        known["max_modes"] = int(known.get("max_modes", Prior().max_modes))
-        parameters = MapParameters(shape, Prior(**known), modes=np.array(content.modes))  # type: ignore[arg-type]
+        parameters = MapParameters(shape, prior_of(content.prior), modes=np.array(content.modes))
     except (InputError, ValueError) as error:
         raise ModelFileError(f"{path} does not describe an object: {error}") from None
     z, covariance = np.array(content.z), np.array(content.covariance)
     if z.shape != (parameters.size,) or covariance.shape != (parameters.size, parameters.size):
         raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {parameters.size} for its cells; the file is damaged.")
-    posterior = ModelPosterior(
+    return ModelPosterior(
         parameters=parameters,
         z=z,
         covariance=covariance,
         total_mass=Estimate(content.total_mass, content.total_mass_std),
         total_mass_identifiable=content.total_mass_identifiable,
     )
-    return content.object_id, posterior
+
+
+def prior_of(values: dict[str, float]) -> Prior:
+    """A prior that was written; names that this version does not know are left out."""
+    known = {name: value for name, value in values.items() if name in Prior.__dataclass_fields__}
+    known["max_modes"] = int(known.get("max_modes", Prior().max_modes))
+    return Prior(**known)  # type: ignore[arg-type]

@@ -84,7 +84,8 @@ class MapParameters:
             modes = _leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
         if modes.ndim != 2 or len(modes) != len(shape.cells):
             raise InputError(f"`modes` has shape {modes.shape}, expected ({len(shape.cells)}, n_modes) as the cells.")
-        self.modes = modes
+        # In one layout whatever it came from: products over another one differ in the last bit.
+        self.modes = np.ascontiguousarray(modes)
         self.n_modes = self.modes.shape[1]
         self.size = 2 * self.n_modes + 2
 
@@ -92,6 +93,10 @@ class MapParameters:
     def map_remainder(self) -> Float64Array:
         """Prior variance of a unit map that the modes leave out, shape (n_cells,): posteriors add it back."""
         return np.maximum(0.0, 1.0 - np.sum(self.modes**2, axis=1))
+
+    def unit(self, amplitude: float) -> Float64Array:
+        """Size of the unknowns when the maps' deviations are `amplitude` times those of the prior, in units of the prior, shape (size,)."""
+        return np.r_[np.full(2 * self.n_modes, amplitude), 1.0, 1.0]
 
     def model(self, z: Float64Array) -> ObjectModel:
         """The object that `z`, shape (size,), stands for."""

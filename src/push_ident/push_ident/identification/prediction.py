@@ -13,9 +13,9 @@ from push_ident.identification.result import ModelPosterior
 from push_ident.physics.simulation import SimulationSettings, simulate, simulate_body
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PusherPath, PushRecord, SolveStatus
 
-__all__ = ["Prediction", "cell_error", "held_out_errors", "predict"]
+__all__ = ["NINETY", "Prediction", "cell_error", "held_out_errors", "predict"]
 
-_NINETY = 6.251
+NINETY = 6.251
 """90 % of chi squared with 3 degrees of freedom lie below it."""
 
 
@@ -104,7 +104,7 @@ def _covariance_of_draws(poses: Float64Array) -> Float64Array:
     off = poses - poses.mean(axis=0)
     covariance = np.einsum("sfi,sfj->fij", off, off) / (len(poses) - 1) + 1e-12 * np.eye(3)
     distance2 = np.einsum("sfi,fij,sfj->sf", off, np.linalg.inv(covariance), off)
-    return np.asarray(covariance * (np.quantile(distance2, 0.9, axis=0) / _NINETY)[:, None, None])
+    return np.asarray(covariance * (np.quantile(distance2, 0.9, axis=0) / NINETY)[:, None, None])
 
 
 def _root(covariance: Float64Array) -> Float64Array:

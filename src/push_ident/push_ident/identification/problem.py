@@ -4,7 +4,9 @@ Unknowns x = (z, first pose of push 1, first pose of push 2, ...): the first pos
 the maps, started from the mean of the rest frames; its prior is the first frame itself. All unknowns are in units of their prior
 deviation, so that the cost is
 
-    sum_frames (n + 3)/2 log(1 + |W (y - f(x))|^2 / n) + 1/2 |z|^2,      n = `TAILS`
+    sum_frames (n + 3)/2 log(1 + |W (y - f(x))|^2 / n) + 1/2 |z|^2 + past(z),      n = `TAILS`
+
+where the quadratic `past` stands for pushes that are no longer simulated.
 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
 the maps with it.
@@ -21,11 +23,12 @@ from push_ident.errors import InputError
 from push_ident.identification.budget import Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import MapParameters
+from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.rollout import PARAM_MASS
-from push_ident.physics.simulation import Motion, SimulationSettings, simulate_body
+from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, simulate_body
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["TAILS", "Evaluation", "FitProblem"]
+__all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms"]
 
 TAILS = 4.0
 """Degrees of freedom of the noise of a frame."""
@@ -45,6 +48,19 @@ class Evaluation:
     """Whitened, shape (n_frames of all pushes, 3)."""
 
 
+@dataclass(frozen=True, slots=True)
+class PushTerms:
+    """Part of the cost that one push makes, by the unknowns of the object and its own first pose."""
+
+    cost: float
+    gradient: Float64Array
+    """Shape (parameters.size + 3,)."""
+    hessian: Float64Array
+    """Gauss-Newton approximation, shape (parameters.size + 3, parameters.size + 3)."""
+    residual: Float64Array
+    """Whitened, shape (n_frames, 3)."""
+
+
 class FitProblem:
     """Pushes of one object as a least-squares problem.
 
@@ -54,6 +70,7 @@ class FitProblem:
         noise: of the observations.
         settings: numerics of the simulation.
         meter: counts the simulations.
+        past: what is known beyond the prior and these pushes, in the unknowns of `parameters`.
 
     Raises:
         InputError: no push, or pushes of objects with different cells.
@@ -67,6 +84,7 @@ class FitProblem:
         noise: NoiseModel | None = None,
         settings: SimulationSettings | None = None,
         meter: Meter | None = None,
+        past: Quadratic | None = None,
     ) -> None:
         if not records:
             raise InputError("There is no push to learn from; give at least one push record.")
@@ -79,6 +97,7 @@ class FitProblem:
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         self.settings = settings or SimulationSettings()
         self.meter = meter or Meter()
+        self.past = past or Quadratic.zero(parameters.size)
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
     @property
@@ -91,21 +110,20 @@ class FitProblem:
         start = self.parameters.size + 3 * push
         return self.observations[push].pose[0] + self.first_scale[push] @ x[start : start + 3]
 
-    def simulate(self, x: Float64Array, *, jacobian: bool = False) -> list[Motion]:
+    def simulate(self, x: Float64Array) -> list[Motion]:
         """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
         body, pusher_friction, _ = self.parameters.body(x[: self.parameters.size])
-        motions = []
-        for push, (record, seen) in enumerate(zip(self.records, self.observations, strict=True)):
-            first = self.first_pose(x, push)
-            motions.append(
-                simulate_body(
-                    record.shape, body, pusher_friction, record.pusher, first, seen.time, settings=self.settings, jacobian=jacobian
-                )
-            )
-            self.meter.count(1)
+        motions: list[Motion] = []
+        for push in range(len(self.records)):
+            motions.append(self._simulate_push(body, pusher_friction, x, push))
             if motions[-1].status is SolveStatus.SIMULATION_FAILED:
                 break
         return motions
+
+    def _simulate_push(self, body: BodyParameters, pusher_friction: float, x: Float64Array, push: int, jacobian: bool = False) -> Motion:
+        record, first, time = self.records[push], self.first_pose(x, push), self.observations[push].time
+        self.meter.count(1)
+        return simulate_body(record.shape, body, pusher_friction, record.pusher, first, time, settings=self.settings, jacobian=jacobian)
 
     def residual(self, motion: Motion, push: int) -> Float64Array:
         """Whitened difference of a simulated push to the observed one, shape (n_frames, 3)."""
@@ -127,34 +145,45 @@ class FitProblem:
             return np.inf
         misfit = sum(self.weigh(self.residual(motion, push))[0] for push, motion in enumerate(motions))
         z = x[: self.parameters.size]
-        return 0.5 * float(z @ z) + misfit
+        return 0.5 * float(z @ z) + self.past(z) + misfit
 
     def evaluate(self, x: Float64Array) -> Evaluation:
         """Cost and derivatives at `x`: one simulation a push, with its derivative."""
         n_z = self.parameters.size
         z = x[:n_z]
-        cost = 0.5 * float(z @ z)
+        body = self.parameters.body(z)
+        cost = 0.5 * float(z @ z) + self.past(z)
         gradient = np.zeros(self.size)
-        gradient[:n_z] = z
+        gradient[:n_z] = z + self.past.slope(z)
         hessian = np.zeros((self.size, self.size))
-        hessian[np.arange(n_z), np.arange(n_z)] = 1.0
-        motions = self.simulate(x, jacobian=True)
-        if motions[-1].status is SolveStatus.SIMULATION_FAILED:
-            return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
-        _, _, d_body = self.parameters.body(z)
+        hessian[:n_z, :n_z] = np.eye(n_z) + self.past.hessian
         residuals = []
-        for push, (motion, seen) in enumerate(zip(motions, self.observations, strict=True)):
-            residual = self.residual(motion, push)
-            misfit, weight = self.weigh(residual)
-            cost += misfit
-            whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian)
-            # Columns: first pose (scaled), then the body chained to z.
-            own = whitened[:, :, :3] @ self.first_scale[push]
-            shared = whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]
-            jacobian = np.concatenate([shared, own], axis=2)
+        for push in range(len(self.records)):
+            terms = self._push_terms(body, x, push)
+            if terms is None:
+                return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
             columns = np.r_[0:n_z, n_z + 3 * push : n_z + 3 * push + 3]
-            weighted = (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[2])
-            gradient[columns] += weighted.T @ residual.ravel()
-            hessian[np.ix_(columns, columns)] += weighted.T @ jacobian.reshape(-1, jacobian.shape[2])
-            residuals.append(residual)
+            cost += terms.cost
+            gradient[columns] += terms.gradient
+            hessian[np.ix_(columns, columns)] += terms.hessian
+            residuals.append(terms.residual)
         return Evaluation(cost, gradient, hessian, np.concatenate(residuals))
+
+    def evaluate_push(self, x: Float64Array, push: int) -> PushTerms | None:
+        """What one push adds to `evaluate`; None where its simulation fails."""
+        return self._push_terms(self.parameters.body(x[: self.parameters.size]), x, push)
+
+    def _push_terms(self, body: tuple[BodyParameters, float, Float64Array], x: Float64Array, push: int) -> PushTerms | None:
+        parameters, pusher_friction, d_body = body
+        motion = self._simulate_push(parameters, pusher_friction, x, push, jacobian=True)
+        if motion.status is SolveStatus.SIMULATION_FAILED:
+            return None
+        residual = self.residual(motion, push)
+        cost, weight = self.weigh(residual)
+        whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
+        # Columns: the body chained to z, then the first pose (scaled).
+        own = whitened[:, :, :3] @ self.first_scale[push]
+        shared = whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]
+        jacobian = np.concatenate([shared, own], axis=2).reshape(residual.size, -1)
+        weighted = jacobian * np.repeat(weight, 3)[:, None]
+        return PushTerms(cost, weighted.T @ residual.ravel(), weighted.T @ jacobian, residual)

@@ -134,7 +134,7 @@ def learning_curve(
     Returns:
         Mean cell error of the held-out pushes after 1, 2, ... pushes [m], shape (n_pushes,); NaN where one of them could not be simulated.
     """
-    online = OnlineIdentifier(thing.shape, prior, noise=noise)
+    online = OnlineIdentifier(OnlineIdentifier.new(thing.shape, prior), noise=noise)
     errors = np.empty(n_pushes)
     for n in range(n_pushes):
         candidates = candidate_pushes(thing.shape, thing.pose, rng, n_candidates, push_settings)

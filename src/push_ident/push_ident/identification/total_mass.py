@@ -6,34 +6,37 @@ Poses tell the friction scale a little (through inertia), the prior tells both a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from push_ident.identification.parameters import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
-__all__ = ["with_measured_forces"]
+__all__ = ["log_force", "with_measured_forces"]
 
 _IDENTIFIABLE = 0.5  # total mass is identified when the data leave less than this share of the prior's deviation
 _MIN_FORCE_STD = 0.05  # of the logarithm, shared by all pushes: no force sensor and no friction model is better
 
 
-def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Float64Array) -> ModelPosterior:
+def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Float64Array, past: Sequence[float] = ()) -> ModelPosterior:
     """Condition a posterior on the wrenches of the pushes; as it was where there are none.
 
     Args:
         posterior: from the poses alone.
         problem: pushes it rests on.
         x: unknowns of the problem at the posterior's mean, for the first poses, shape (problem.size,).
+        past: `log_force` of pushes that are not in the problem.
     """
     model = posterior.parameters.model(posterior.z)
-    ratios = [r for push in range(len(problem.records)) if (r := _force_ratio(model, problem, x, push))]
-    if not ratios:
+    forces = [f for push in range(len(problem.records)) if (f := log_force(model, problem, x, push)) is not None]
+    if not forces and not len(past):
         return posterior
-    logs = np.log(ratios)
+    logs = np.array([*past, *forces]) - _log_scale(model, posterior.prior)
     measured = float(np.median(logs))
     # The sensor's scale is off by the same in every push; the rest averages out.
     variance = _MIN_FORCE_STD**2 + float(np.var(logs)) / len(logs)
@@ -56,6 +59,28 @@ def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Floa
         total_mass=Estimate(value, value * float(np.sqrt(log_variance))),
         total_mass_identifiable=bool(mass_variance == 0 or log_variance < (_IDENTIFIABLE * prior.total_mass_std) ** 2),
     )
+
+
+def log_force(model: ObjectModel, problem: FitProblem, x: Float64Array, push: int) -> float | None:
+    """Logarithm of how strong the friction of the object is over its nominal value, as the wrench of one push tells.
+
+    That is log(measured over simulated force), median over the time in contact, plus that of the model's own friction.
+
+    Args:
+        model: that the force is simulated with, of the nominal mass.
+        problem, x: for the push and its first pose.
+        push: index of the push.
+
+    Returns:
+        None where nothing was measured.
+    """
+    ratio = _force_ratio(model, problem, x, push)
+    return None if ratio is None else float(np.log(ratio)) + _log_scale(model, problem.parameters.prior)
+
+
+def _log_scale(model: ObjectModel, prior: Prior) -> float:
+    """Of the friction of the whole object over its nominal value."""
+    return float(np.log(model.mass @ model.friction / (prior.total_mass * prior.friction)))
 
 
 def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push: int) -> float | None:

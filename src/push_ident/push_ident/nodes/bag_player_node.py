@@ -27,7 +27,7 @@ from push_ident.nodes.run import run_node
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_RELIABLE: Final = QoSProfile(depth=1000)
+_RELIABLE: Final = QoSProfile(depth=5000)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
 _CLOCK_PERIOD_NS: Final = 10_000_000
 
@@ -35,7 +35,8 @@ PARAMETERS: Final = (
     Parameter("bag", "", "Bag to play: a folder or an .mcap or .db3 file", read_only=True),
     Parameter("rate", 1.0, "Speed of playing relative to real time; 0: as fast as it goes [-]", 0.0, 1000.0, read_only=True),
     Parameter("loop", False, "Start again at the end", read_only=True),
-    Parameter("wait", 5.0, "Longest wait for somebody to listen to object poses or depth before playing [s]", 0.0, 600.0, read_only=True),
+    Parameter("wait", 5.0, "Longest wait for `listeners` before playing [s]", 0.0, 600.0, read_only=True),
+    Parameter("listeners", 1, "Subscriptions to the poses of an object, or to depth, to wait for", 0, 100, read_only=True),
 )
 
 
@@ -97,13 +98,15 @@ class BagPlayerNode(Node):
     def _await_listeners(self) -> None:
         roles = (Role.POSE, Role.DEPTH)
         wanted = [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
-        deadline = time.monotonic() + self._settings["wait"]
-        while time.monotonic() < deadline and not self._stop.wait(0.05):
-            if any(p.get_subscription_count() for p in wanted):
-                # Whoever listens to poses has just begun to; its other subscriptions match within moments.
-                self._stop.wait(0.5)
+        expected, patience = self._settings["listeners"], self._settings["wait"]
+        deadline = time.monotonic() + patience
+        while (n := max((p.get_subscription_count() for p in wanted), default=expected)) < expected and time.monotonic() < deadline:
+            if self._stop.wait(0.05):
                 return
-        self.get_logger().warning(f"nobody listens to poses or depth after {self._settings['wait']:.0f} s; playing all the same")
+        # Whoever listens to poses has just begun to; its other subscriptions match within moments.
+        self._stop.wait(0.5)
+        if n < expected:
+            self.get_logger().warning(f"{n} of {expected} listen to poses or depth after {patience:.0f} s; playing all the same")
 
     def _play_once(self) -> int:
         rate = self._settings["rate"]

@@ -13,6 +13,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from push_ident.errors import InputError
 from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     object_frame,
@@ -23,20 +24,25 @@ from push_ident.nodes.convert import (
 )
 from push_ident.types import PusherPath, SolveStatus
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+from push_ident_msgs.msg import PushScore as PushScoreMsg
 
 __all__ = [
     "cloud_to_msg",
     "map_status",
     "map_to_msg",
+    "path_to_msg",
     "prediction_path_to_msg",
     "prediction_to_msg",
     "pusher_path_from_msg",
+    "score_to_msg",
 ]
 
 _STATUS = {
     SolveStatus.CONVERGED: MassFrictionMap.STATUS_OK,
     SolveStatus.MAX_ITERATIONS: MassFrictionMap.STATUS_NOT_CONVERGED,
+    SolveStatus.BUDGET_SPENT: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.STALLED: MassFrictionMap.STATUS_NOT_CONVERGED,
+    SolveStatus.POOR_FIT: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.SIMULATION_FAILED: MassFrictionMap.STATUS_FAILED,
     SolveStatus.NO_CONTACT: MassFrictionMap.STATUS_PRIOR,
 }
@@ -114,6 +120,42 @@ def prediction_path_to_msg(msg: PushPrediction) -> Path:
         stamped.header.stamp = stamp_to_msg(start + since.sec + 1e-9 * since.nanosec)
         path.poses.append(stamped)
     return path
+
+
+def path_to_msg(pusher: PusherPath) -> Path:
+    """Path of the tool that makes a push, stamped from 0 (a plan has no date)."""
+    path = Path()
+    path.header.frame_id = TABLE_FRAME
+    for time, (x, y) in zip(pusher.time, pusher.position, strict=True):
+        pose = PoseStamped()
+        pose.header.frame_id = TABLE_FRAME
+        pose.header.stamp = stamp_to_msg(float(time - pusher.time[0]))
+        pose.pose.position.x, pose.pose.position.y = float(x), float(y)
+        pose.pose.orientation.w = 1.0
+        path.poses.append(pose)
+    return path
+
+
+def score_to_msg(score: PushScore, summary: ScoreSummary, object_id: str, stamp: float) -> PushScoreMsg:
+    """The score of one push, and the running record of its object."""
+    msg = PushScoreMsg(
+        object_id=object_id,
+        number=int(score.number),
+        source=score.source,
+        error=float(score.error),
+        expected=float(score.expected),
+        distance2=float(score.distance2),
+        within_ninety=bool(score.within_ninety),
+        uniform=float(score.uniform),
+        n=int(summary.n),
+        mean_error=float(summary.mean_error),
+        mean_expected=float(summary.mean_expected),
+        mean_uniform=float(summary.mean_uniform),
+        share_within_ninety=float(summary.share_within_ninety),
+    )
+    msg.header.stamp = stamp_to_msg(stamp)
+    msg.header.frame_id = TABLE_FRAME
+    return msg
 
 
 def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:

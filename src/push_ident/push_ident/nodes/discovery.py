@@ -34,6 +34,10 @@ class ObjectTopics:
         """Every object found so far, sorted."""
         return tuple(sorted(self._ids))
 
+    def destroy(self) -> None:
+        """Stop watching."""
+        self._timer.destroy()
+
     def poll(self) -> None:
         """Look now rather than at the next second."""
         for topic, types in self._node.get_topic_names_and_types():

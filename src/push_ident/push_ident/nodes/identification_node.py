@@ -9,60 +9,48 @@ from collections import Counter, deque
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
-from nav_msgs.msg import Path as PathMsg
 from numpy.linalg import LinAlgError
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from rclpy.publisher import Publisher
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import InputError, PushIdentError
+from push_ident.geometry.se2 import transform_points
 from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.observation import observe_push
-from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import predict
-from push_ident.nodes.convert import (
-    cylinder_radius_from_msg,
-    force_from_msg,
-    planar_pose_from_msg,
-    position_from_msg,
-    shape_from_msgs,
-    stamp_to_msg,
-)
-from push_ident.nodes.convert_model import (
-    cloud_to_msg,
-    map_status,
-    map_to_msg,
-    prediction_path_to_msg,
-    prediction_to_msg,
-    pusher_path_from_msg,
-)
+from push_ident.identification.scoring import summarise_scores
+from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.solvers import SOLVERS
+from push_ident.nodes.convert import cylinder_radius_from_msg, force_from_msg, planar_pose_from_msg, position_from_msg, shape_from_msgs
+from push_ident.nodes.convert_model import pusher_path_from_msg
 from push_ident.nodes.discovery import ObjectTopics
+from push_ident.nodes.identification_output import ObjectOutput
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.assembly import PushAssembler
-from push_ident.types import PushRecord
-from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+from push_ident.pushing.push import PushSettings
+from push_ident.types import Float64Array, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
 __all__ = ["PARAMETERS", "IdentificationNode", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_RELIABLE: Final = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_AVAILABLE)
+_RELIABLE: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _SILENCE: Final = 2.0
 """Wall time without a message after which a push counts as finished [s]: the source has gone."""
 _HIDDEN: Final = 10.0
 """The same where no object was seen since the push [s]: the arm may still be in the way."""
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
+_N_LATENCIES: Final = 2000
 
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
@@ -70,81 +58,169 @@ PARAMETERS: Final = (
     Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),
     Parameter("pusher_friction", 0.3, "Nominal friction coefficient of the pusher [-]", 0.001, 10.0, read_only=True),
     Parameter("push_gap", 0.5, "Pause of the pusher that ends a push [s]", 0.05, 10.0, read_only=True),
-    Parameter("update_period", 0.5, "Shortest time between two updates during a push [s]", 0.02, 10.0),
+    Parameter("method", "gauss_newton", "Solver of the maps", read_only=True, choices=tuple(SOLVERS)),
+    Parameter("window", 8, "Latest pushes that are simulated again at every solve; older ones are summed up", 1, 100, read_only=True),
+    Parameter("max_solve_time", 10.0, "Of the solve after a push [s]", 0.05, 600.0, read_only=True),
+    Parameter("max_frame_time", 0.02, "Of the update at a frame, for methods other than gauss_newton [s]", 0.001, 1.0, read_only=True),
+    Parameter("update_period", 0.0, "Shortest time between two updates during a push [s]; 0: at every frame", 0.0, 10.0),
+    Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
+    Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
+    Parameter("suggest_candidates", 24, "Pushes to choose the next one from; 0: suggest none", 0, 500),
+    Parameter("state_directory", "", "Where the state of each object is kept through restarts; empty: nowhere", read_only=True),
+    Parameter("autostart", True, "Configure and activate at start, without a lifecycle manager", read_only=True),
 )
 
 
-class IdentificationNode(Node):
-    """Collects, hands pushes to a worker thread that solves, and publishes what it finds."""
+class IdentificationNode(LifecycleNode):
+    """Collects, hands pushes to a worker thread that solves, and publishes what it finds.
+
+    Configured, it has its topics and services and the worker; only active, it takes messages in. Deactivated, it keeps what it knows;
+    cleaned up, it forgets all that is not in `state_directory`.
+    """
 
     def __init__(self) -> None:
         super().__init__("identification_node")
         self._settings = Parameters(self, PARAMETERS)
-        self._prior = Prior(
-            total_mass=self._settings["total_mass"],
-            total_mass_std=0.0 if self._settings["total_mass_known"] else Prior().total_mass_std,
-            friction=self._settings["friction"],
-            pusher_friction=self._settings["pusher_friction"],
-        )
-        self._lock = threading.RLock()  # of what callbacks collect
-        self._solving = threading.Lock()  # of changes of an identifier; reading its posterior needs none
-        self._assembler = PushAssembler(self._settings["push_gap"])
-        self._identifiers: dict[str, OnlineIdentifier] = {}
-        self._sources: dict[str, list[str]] = {}
-        self._latest: dict[str, tuple[float, Any, Any]] = {}
-        self._cells: dict[str, OccupancyGrid] = {}
-        self._outlines: dict[str, PolygonStamped] = {}
-        self._outputs: dict[str, tuple[Publisher, ...]] = {}
-        self._radius = 0.0
-        self._counts: Counter[str] = Counter()
-        self._last_error = ""
-        self._solve_time = 0.0
-        self._received = time.monotonic()
-        self._flushed = True
+        self._configured: _Identification | None = None
+        if self._settings["autostart"]:
+            self.trigger_configure()
+            self.trigger_activate()
 
-        self._wake = threading.Condition()
-        self._finished: deque[list[PushRecord]] = deque()
-        self._peek_due = False
-        self._closing = False
-        self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make topics, services and the worker. Raises nothing: an impossible folder is a FAILURE with a log line."""
+        try:
+            self._configured = _Identification(self, self._settings)
+        except PushIdentError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
 
-        self.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _RELIABLE)
-        self.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
-        self.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, qos_profile_sensor_data)
-        self.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _RELIABLE)
-        self._topics = ObjectTopics(self, self._on_new_object)
-        self.create_service(PredictPush, "predict_push", self._predict_push)
-        self.create_service(SaveModel, "save_model", self._save_model)
-        self.create_service(LoadModel, "load_model", self._load_model)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # On the wall clock: these must run when simulated time stands still.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._report, clock=wall)
-        self.create_timer(0.1, self._collect, clock=wall)
-        self._worker.start()
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take messages in."""
+        assert self._configured is not None
+        self._configured.active = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take no more messages in; a push under way is let go."""
+        assert self._configured is not None
+        self._configured.pause()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Withdraw topics and services, stop the worker."""
+        self.close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """As `on_cleanup`."""
+        self.close()
+        return TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
         """Stop the worker; the solve under way is let go."""
+        if self._configured is not None:
+            self._configured.close()
+            self._configured = None
+
+
+class _Identification:
+    """What a configured node has."""
+
+    def __init__(self, node: IdentificationNode, settings: Parameters) -> None:
+        self.active = False
+        self._node, self._settings = node, settings
+        folder = Path(settings["state_directory"]).expanduser() if settings["state_directory"] else None
+        self._options = SessionOptions(
+            prior=Prior(
+                total_mass=settings["total_mass"],
+                total_mass_std=0.0 if settings["total_mass_known"] else Prior().total_mass_std,
+                friction=settings["friction"],
+                pusher_friction=settings["pusher_friction"],
+            ),
+            method=settings["method"],
+            window=settings["window"],
+            max_seconds=settings["max_solve_time"],
+            frame_seconds=settings["max_frame_time"],
+            folder=folder,
+        )
+        self._lock = threading.RLock()  # of what callbacks collect
+        self._solving = threading.Lock()  # of changes of a session; reading its posterior needs none
+        self._assembler = PushAssembler(settings["push_gap"])
+        self._sessions: dict[str, ObjectSession] = {}
+        self._outputs: dict[str, ObjectOutput] = {}
+        self._latest: dict[str, tuple[float, Float64Array, Float64Array]] = {}
+        self._cells: dict[str, OccupancyGrid] = {}
+        self._outlines: dict[str, PolygonStamped] = {}
+        self._radius = 0.0
+        self._run = 1
+        self._counts: Counter[str] = Counter()
+        self._last_error = ""
+        self._solve_time = 0.0
+        self._latencies: deque[float] = deque(maxlen=_N_LATENCIES)
+        self._received = time.monotonic()
+        self._flushed = True
+        self._updated: dict[str, float] = {}
+        self._predicted: dict[str, float] = {}
+
+        self._wake = threading.Condition()
+        self._finished: deque[list[PushRecord]] = deque()
+        self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
+        self._suggest_for: set[str] = set()
+        self._closing = False
+        self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
+
+        self._entities: list[Any] = [
+            node.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _RELIABLE),
+            node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED),
+            node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, qos_profile_sensor_data),
+            node.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _RELIABLE),
+            node.create_service(PredictPush, "predict_push", self._predict_push),
+            node.create_service(SaveModel, "save_model", self._save_model),
+            node.create_service(LoadModel, "load_model", self._load_model),
+        ]
+        self._topics = ObjectTopics(node, self._on_new_object)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # On the wall clock: these must run when simulated time stands still.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._entities += [
+            node.create_timer(1.0, self._report, clock=wall),
+            node.create_timer(0.1, self._collect, clock=wall),
+            self._diagnostics,
+        ]
+        self._worker.start()
+
+    def pause(self) -> None:
+        """Take no more messages in."""
+        with self._lock:
+            self.active = False
+            self._assembler.reset()
+
+    def close(self) -> None:
+        """Stop the worker, withdraw topics and services."""
+        self.pause()
         with self._wake:
             self._closing = True
             self._wake.notify()
         self._worker.join(timeout=1.0)
+        self._topics.destroy()
+        for output in self._outputs.values():
+            output.destroy(self._node)
+        for entity in self._entities:
+            entity.destroy()
 
     # ---- what comes in
 
     def _on_new_object(self, object_id: str) -> None:
-        prefix = f"objects/{object_id}"
-        self.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape(object_id, cells=m), _LATCHED)
-        self.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape(object_id, outline=m), _LATCHED)
-        self.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _RELIABLE)
+        node, prefix = self._node, f"objects/{object_id}"
         with self._lock:
-            self._outputs[object_id] = (
-                self.create_publisher(MassFrictionMap, f"{prefix}/mass_friction_map", _LATCHED),
-                self.create_publisher(PointCloud2, f"{prefix}/mass_friction_cloud", _LATCHED),
-                self.create_publisher(PushPrediction, f"{prefix}/prediction", _LATCHED),
-                self.create_publisher(PathMsg, f"{prefix}/prediction_path", _LATCHED),
-            )
-        self.get_logger().info(f"object {object_id} found")
+            self._outputs[object_id] = ObjectOutput(node, object_id)
+        self._entities += [
+            node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape(object_id, cells=m), _LATCHED),
+            node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape(object_id, outline=m), _LATCHED),
+            node.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _RELIABLE),
+        ]
+        node.get_logger().info(f"object {object_id} found")
 
     def _on_shape(self, object_id: str, *, cells: OccupancyGrid | None = None, outline: PolygonStamped | None = None) -> None:
         with self._lock:
@@ -156,33 +232,53 @@ class IdentificationNode(Node):
                 return
             try:
                 shape = shape_from_msgs(self._cells[object_id], self._outlines.get(object_id))
-            except InputError as error:
-                self._refuse("shapes", str(error))
+                known = self._sessions.get(object_id)
+                if known is None:
+                    self._sessions[object_id] = self._new_session(ObjectSession(object_id, shape, self._options))
+                elif not known.shape.is_same_object(shape):
+                    self._node.get_logger().warning(f"object {object_id} is another one now: it begins anew, what was known is put aside")
+                    self._counts["objects replaced"] += 1
+                    self._sessions[object_id] = self._new_session(known.replaced_by(shape))
+            except PushIdentError as error:
+                self._refuse("shapes", f"objects/{object_id}/cells: {error}")
                 return
-            known = self._identifiers.get(object_id)
-            if known is None or len(known.posterior.parameters.shape.cells) != len(shape.cells):
-                self._identifiers[object_id] = OnlineIdentifier(shape, self._prior)
-                self._sources[object_id] = []
             self._assembler.set_shape(object_id, shape)
             self._counts["shapes"] += 1
 
+    def _new_session(self, session: ObjectSession) -> ObjectSession:
+        if session.restored:
+            self._node.get_logger().info(f"object {session.object_id}: goes on from {session.n_pushes} pushes in {session.file}")
+            self._publish_map(session, 0.0, session.n_pushes)
+        return session
+
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
+        if not self.active:
+            return
         try:
             stamp, pose, covariance = planar_pose_from_msg(msg)
         except InputError as error:
-            self._refuse("poses", str(error))
+            self._refuse("poses", f"objects/{object_id}/pose: {error}")
             return
         with self._lock:
             self._arrived(stamp)
             self._assembler.add_pose(object_id, stamp, pose, covariance)
             self._latest[object_id] = (stamp, pose, covariance)
             self._counts["poses"] += 1
+            pushing = self._assembler.is_under_way and object_id in self._sessions
+        if pushing:
+            with self._wake:
+                # A frame that the worker had no time for is not lost: the next update sees it too.
+                self._counts["frames taken together"] += object_id in self._frames
+                self._frames.setdefault(object_id, time.monotonic())
+                self._wake.notify()
 
     def _on_pusher(self, msg: PoseStamped) -> None:
+        if not self.active:
+            return
         try:
             stamp, position = position_from_msg(msg)
         except InputError as error:
-            self._refuse("pusher samples", str(error))
+            self._refuse("pusher samples", f"pusher/pose: {error}")
             return
         with self._lock:
             self._arrived(stamp)
@@ -193,29 +289,34 @@ class IdentificationNode(Node):
         try:
             self._radius = cylinder_radius_from_msg(msg)
         except InputError as error:
-            self._refuse("pusher shapes", str(error))
+            self._refuse("pusher shapes", f"pusher/shape: {error}")
             return
         with self._lock:
             self._assembler.set_radius(self._radius)
 
     def _on_wrench(self, msg: WrenchStamped) -> None:
+        if not self.active:
+            return
         try:
             stamp, force = force_from_msg(msg)
         except InputError as error:
-            self._refuse("wrenches", str(error))
+            self._refuse("wrenches", f"pusher/wrench: {error}")
             return
         with self._lock:
             self._assembler.add_wrench(stamp, force)
 
     def _on_push_record(self, msg: PushRecordMsg) -> None:
+        if not self.active:
+            return
         with self._lock:
             self._assembler.end_push()
             self._counts["push records"] += 1
 
     def _arrived(self, stamp: float) -> None:
         if stamp < self._assembler.now - _JUMP_BACK:
-            self.get_logger().warning(
-                f"time went back from {self._assembler.now:.2f} s to {stamp:.2f} s; buffered data dropped, models kept"
+            self._run += 1
+            self._node.get_logger().warning(
+                f"time went back from {self._assembler.now:.2f} s to {stamp:.2f} s: run {self._run}; buffered data dropped, models kept"
             )
             self._assembler.reset()
             self._counts["time jumps"] += 1
@@ -225,119 +326,160 @@ class IdentificationNode(Node):
     def _refuse(self, what: str, why: str) -> None:
         self._counts[f"{what} refused"] += 1
         self._last_error = why
-        self.get_logger().warning(why, throttle_duration_sec=5.0)
+        self._node.get_logger().warning(why, throttle_duration_sec=5.0)
 
     # ---- the worker
 
     def _collect(self) -> None:
-        """Hand complete pushes, and the push under way, to the worker."""
+        """Hand complete pushes to the worker."""
         with self._lock:
             patience = _HIDDEN if self._assembler.is_awaiting else _SILENCE
             silent = not self._flushed and time.monotonic() - self._received > patience
             pushes = self._assembler.finished(flush=silent)
             self._flushed = self._flushed or silent
-        with self._wake:
-            self._finished.extend(pushes)
-            self._peek_due = True
-            self._wake.notify()
+        if pushes:
+            with self._wake:
+                self._finished.extend(pushes)
+                self._wake.notify()
 
     def _work(self) -> None:
         compile_kernels()
-        peeked = 0.0
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closing or self._finished or self._peek_due)
+                self._wake.wait_for(lambda: self._closing or self._finished or self._frames or self._suggest_for)
                 if self._closing:
                     return
                 push = self._finished.popleft() if self._finished else None
-                self._peek_due = False
-            if push is not None:
-                if not push:
-                    self._refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden, or perception down?")
-                for finished in push:
-                    self._solve(finished, finished=True)
-            elif time.monotonic() - peeked > self._settings["update_period"]:
-                peeked = time.monotonic()
-                with self._lock:
-                    partial = [record for object_id in self._identifiers if (record := self._assembler.partial(object_id)) is not None]
-                for record in partial:
-                    self._solve(record, finished=False)
+                frames: dict[str, float] = {}
+                suggest = None
+                if push is None and self._frames:
+                    frames, self._frames = self._frames, {}
+                elif push is None:
+                    suggest = self._suggest_for.pop()
+            try:
+                if push is not None:
+                    self._finish(push)
+                elif suggest is not None:
+                    self._suggest(suggest)
+                for object_id, received in frames.items():
+                    self._update(object_id, received)
+            except (PushIdentError, ArithmeticError, LinAlgError) as error:
+                self._refuse("pushes", f"{type(error).__name__}: {error}")
 
-    def _solve(self, record: PushRecord, *, finished: bool) -> None:
-        if not observe_push(record).touched:
-            self._counts["pushes without contact"] += int(finished)
-            return
-        identifier = self._identifiers[record.object_id]
-        started = time.perf_counter()
-        try:
-            with self._solving:
-                result = identifier.add(record) if finished else identifier.peek(record)
-        except (PushIdentError, ArithmeticError, LinAlgError) as error:
-            self._refuse("pushes", f"{record.source}: {error}")
-            return
-        self._solve_time = time.perf_counter() - started
-        self._counts["pushes" if finished else "updates during a push"] += 1
-        if finished:
-            self._sources[record.object_id].append(record.source)
-            self.get_logger().info(
-                f"object {record.object_id}: push {identifier.n_pushes}, {result.status.name.lower()}, {1e3 * self._solve_time:.0f} ms"
+    def _finish(self, push: list[PushRecord]) -> None:
+        """Learn from a finished push."""
+        if not push:
+            self._refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden, or perception down?")
+        for record in push:
+            session = self._sessions[record.object_id]
+            known_again = session.n_known_again
+            started = time.perf_counter()
+            try:
+                with self._solving:
+                    score = session.finish(record)
+            except (PushIdentError, ArithmeticError, LinAlgError) as error:
+                self._refuse("pushes", f"object {record.object_id}, {record.source}: {error}")
+                continue
+            self._solve_time = time.perf_counter() - started
+            if score is None:
+                self._counts["pushes known already" if session.n_known_again > known_again else "pushes without contact"] += 1
+                continue
+            self._counts["pushes"] += 1
+            stamp = float(record.poses.time[-1])
+            self._publish_map(session, stamp, session.n_pushes)
+            self._outputs[record.object_id].publish_score(score, summarise_scores(session.scores), stamp)
+            self._node.get_logger().info(
+                f"object {record.object_id}: push {session.n_pushes}, {session.status.name.lower() if session.status else ''}, "
+                f"{1e3 * self._solve_time:.0f} ms; predicted to {1e3 * score.error:.1f} mm, expected {1e3 * score.expected:.1f} mm"
             )
-        n_pushes = identifier.n_pushes + (0 if finished else 1)
-        self._publish_map(record.object_id, float(record.poses.time[-1]), n_pushes)
+            if self._settings["suggest_candidates"]:
+                self._suggest_for.add(record.object_id)
 
-    def _publish_map(self, object_id: str, stamp: float, n_pushes: int) -> None:
-        identifier = self._identifiers[object_id]
-        status = identifier.result.status if identifier.result else None
-        msg = map_to_msg(identifier.posterior, object_id, stamp_to_msg(stamp), status, n_pushes)
-        maps, clouds, *_ = self._outputs[object_id]
-        maps.publish(msg)
-        clouds.publish(cloud_to_msg(msg))
+    def _update(self, object_id: str, received: float) -> None:
+        """Learn from the frames of the push under way."""
+        now = time.monotonic()
+        if now - self._updated.get(object_id, -np.inf) < self._settings["update_period"]:
+            return
+        with self._lock:
+            partial = self._assembler.partial(object_id)
+        session = self._sessions.get(object_id)
+        if partial is None or session is None:
+            return
+        self._updated[object_id] = now
+        with self._solving:
+            update = session.update(partial)
+        if update is None:
+            return
+        self._publish_map(session, float(partial.poses.time[-1]), session.n_pushes + 1)
+        self._latencies.append(time.monotonic() - received)
+        self._counts["updates during a push"] += 1
+        period = self._settings["prediction_period"]
+        if period and now - self._predicted.get(object_id, -np.inf) >= period:
+            self._predicted[object_id] = now
+            prediction = session.predict_under_way(partial, self._settings["prediction_horizon"])
+            self._outputs[object_id].publish_prediction(prediction, session.status, session.n_pushes + 1)
+
+    def _suggest(self, object_id: str) -> None:
+        """Publish the push to make next."""
+        with self._lock:
+            session, seen = self._sessions[object_id], self._latest.get(object_id)
+            others = [
+                transform_points(pose, self._sessions[other].shape.outline)
+                for other, (_, pose, _) in self._latest.items()
+                if other != object_id and other in self._sessions
+            ]
+        if seen is None or not self._radius:
+            return
+        settings = PushSettings(pusher_radius=self._radius)
+        suggestion = session.suggest(seen[1], settings, others, n_candidates=self._settings["suggest_candidates"])
+        if suggestion is not None:
+            self._outputs[object_id].publish_next_push(*suggestion, session.status)
+            self._counts["pushes suggested"] += 1
+
+    def _publish_map(self, session: ObjectSession, stamp: float, n_pushes: int) -> None:
+        latest = self._latest.get(session.object_id)
+        self._outputs[session.object_id].publish_map(session.posterior, stamp, session.status, n_pushes, latest[1] if latest else None)
 
     # ---- services
 
-    def _chosen(self, object_id: str) -> str:
-        known = sorted(self._identifiers)
+    def _chosen(self, object_id: str) -> ObjectSession:
+        known = sorted(self._sessions)
         if not object_id and len(known) == 1:
-            return known[0]
-        if object_id in self._identifiers:
-            return object_id
+            return self._sessions[known[0]]
+        if object_id in self._sessions:
+            return self._sessions[object_id]
         raise InputError(f"There is no object `{object_id}`; known: {', '.join(known) or 'none, is perception running?'}.")
 
     def _predict_push(self, request: PredictPush.Request, response: PredictPush.Response) -> PredictPush.Response:
         try:
             with self._lock:
-                object_id = self._chosen(request.object_id)
-                identifier = self._identifiers[object_id]
+                session = self._chosen(request.object_id)
                 covariance = None
                 if request.object_pose.header.frame_id:
                     yawed = PoseWithCovarianceStamped(header=request.object_pose.header)
                     yawed.pose.pose = request.object_pose.pose
                     yawed.pose.covariance = [1e-6 if i % 7 == 0 else 0.0 for i in range(36)]
                     pose = planar_pose_from_msg(yawed)[1]
-                elif object_id in self._latest:
-                    _, pose, covariance = self._latest[object_id]
+                elif session.object_id in self._latest:
+                    _, pose, covariance = self._latest[session.object_id]
                 else:
-                    raise InputError(f"No pose of object `{object_id}` was seen yet; give `object_pose`.")
+                    raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
                 path = pusher_path_from_msg(request.pusher_path, self._radius)
-                prediction = predict(identifier.posterior, path, pose, path.time, first_covariance=covariance)
-                status = identifier.result.status if identifier.result else None
+            prediction = predict(session.posterior, path, pose, path.time, first_covariance=covariance)
         except PushIdentError as error:
             response.success, response.message = False, str(error)
             return response
-        response.prediction = prediction_to_msg(prediction, object_id, map_status(status))
+        response.prediction = self._outputs[session.object_id].publish_prediction(prediction, session.status, 0)
         response.success, response.message = True, prediction.status.value
-        *_, predictions, paths = self._outputs[object_id]
-        predictions.publish(response.prediction)
-        paths.publish(prediction_path_to_msg(response.prediction))
         return response
 
     def _save_model(self, request: SaveModel.Request, response: SaveModel.Response) -> SaveModel.Response:
         try:
             with self._lock:
-                object_id = self._chosen(request.object_id)
+                session = self._chosen(request.object_id)
                 path = Path(request.path)
-                save_model(path, self._identifiers[object_id].posterior, object_id=object_id, sources=self._sources[object_id])
-            response.success, response.message = True, f"object {object_id} written to {path}"
+                save_model(path, session.posterior, object_id=session.object_id, sources=session.sources)
+            response.success, response.message = True, f"object {session.object_id} written to {path}"
         except PushIdentError as error:
             response.success, response.message = False, str(error)
         return response
@@ -346,16 +488,11 @@ class IdentificationNode(Node):
         try:
             in_file, posterior = load_model(Path(request.path))
             with self._lock:
-                object_id = request.object_id or in_file
-                if object_id not in self._outputs:
-                    raise InputError(f"There is no object `{object_id}`; known: {', '.join(sorted(self._outputs)) or 'none'}.")
-                shape = posterior.parameters.shape
-                identifier = self._identifiers.setdefault(object_id, OnlineIdentifier(shape, self._prior))
-                self._sources[object_id] = [request.path]
+                session = self._chosen(request.object_id or in_file)
             with self._solving:
-                identifier.adopt(posterior)
-            self._publish_map(object_id, max(self._assembler.now, 0.0), 0)
-            response.success, response.message = True, f"object {object_id} taken from {request.path}"
+                session.adopt(posterior, request.path)
+            self._publish_map(session, max(self._assembler.now, 0.0), 0)
+            response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
         except PushIdentError as error:
             response.success, response.message = False, str(error)
         return response
@@ -365,8 +502,10 @@ class IdentificationNode(Node):
     def _report(self) -> None:
         with self._lock:
             counts = dict(self._counts)
-            objects = {object_id: i.n_pushes for object_id, i in self._identifiers.items()}
-        if not self._topics.ids:
+            objects = {object_id: session.n_pushes for object_id, session in self._sessions.items()}
+        if not self.active:
+            level, text = DiagnosticStatus.WARN, "inactive: nothing is taken in; activate the node"
+        elif not self._topics.ids:
             level, text = DiagnosticStatus.WARN, "no objects/<id>/pose is published; is perception (or a bag player) running?"
         elif not objects:
             level, text = DiagnosticStatus.WARN, "poses arrive but no objects/<id>/cells; the publisher must keep them (transient local)"
@@ -374,11 +513,19 @@ class IdentificationNode(Node):
             level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
         else:
             level, text = DiagnosticStatus.OK, f"pushes by object: {objects}"
-        status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
-        values = {**counts, "last solve [s]": f"{self._solve_time:.3f}", "last error": self._last_error or "none"}
+        status = DiagnosticStatus(level=level, name=self._node.get_fully_qualified_name(), message=text, hardware_id="push_ident")
+        values = {**counts, "run": self._run, "last solve [s]": f"{self._solve_time:.3f}", "last error": self._last_error or "none"}
+        for object_id, session in self._sessions.items():
+            record = summarise_scores(session.scores)
+            if record.n:
+                values[f"{object_id}: predicted before, mean error [m]"] = f"{record.mean_error:.5f}"
+                values[f"{object_id}: within the 90 % region"] = f"{record.share_within_ninety:.2f} of {record.n}"
+        if self._latencies:
+            median, late = np.quantile(list(self._latencies), [0.5, 0.99])
+            values["update latency, median [s]"], values["update latency, 99 % [s]"] = f"{median:.4f}", f"{late:.4f}"
         status.values = [KeyValue(key=str(k), value=str(v)) for k, v in values.items()]
         msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
+        msg.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(msg)
 
 

@@ -35,8 +35,9 @@ def fast_gradient(problem: FitProblem, x0: Float64Array, rng: np.random.Generato
     parameters, meter = problem.parameters, problem.meter
     start = parameters.model(x0[: parameters.size])
     mass = start.mass.copy()
-    # "Initialize mu_f randomly"
-    force = start.friction * start.mass * GRAVITY * rng.uniform(0.5, 1.5, len(mass))
+    force = start.friction * start.mass * GRAVITY
+    if not np.any(x0):
+        force = force * rng.uniform(0.5, 1.5, len(mass))  # "Initialize mu_f randomly"; an earlier result is gone on from as it is
     mean_mass, mean_force = float(mass.mean()), float(force.mean())
     best, best_force, best_mass, waited, rate = np.array(x0), force, mass, 0, _RATE
     while True:

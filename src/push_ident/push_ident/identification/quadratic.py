@@ -1,0 +1,49 @@
+"""A cost that is a quadratic in the unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.types import Float64Array
+
+__all__ = ["Quadratic"]
+
+
+@dataclass(frozen=True, slots=True)
+class Quadratic:
+    """1/2 (z - point)' H (z - point) + gradient' (z - point)."""
+
+    point: Float64Array
+    """Shape (n,)."""
+    gradient: Float64Array
+    """At the point, shape (n,)."""
+    hessian: Float64Array
+    """Shape (n, n)."""
+
+    @classmethod
+    def zero(cls, n: int) -> Quadratic:
+        """Nothing known of `n` unknowns."""
+        return cls(np.zeros(n), np.zeros(n), np.zeros((n, n)))
+
+    @classmethod
+    def beyond_unit_normal(cls, mean: Float64Array, covariance: Float64Array) -> Quadratic:
+        """What turns a unit normal prior into a normal one of `mean`, shape (n,), and `covariance`, shape (n, n)."""
+        return cls(mean, -mean, np.linalg.inv(covariance) - np.eye(len(mean)))
+
+    def scaled(self, unit: Float64Array) -> Quadratic:
+        """The same cost of y with z = unit * y, shape (n,)."""
+        return Quadratic(self.point / unit, unit * self.gradient, self.hessian * np.outer(unit, unit))
+
+    def slope(self, z: Float64Array) -> Float64Array:
+        """Gradient at `z`, shape (n,)."""
+        return np.asarray(self.gradient + self.hessian @ (z - self.point))
+
+    def __call__(self, z: Float64Array) -> float:
+        away = z - self.point
+        return float(self.gradient @ away + 0.5 * away @ self.hessian @ away)
+
+    def __add__(self, other: Quadratic) -> Quadratic:
+        """Up to a constant; around the point of `other`."""
+        return Quadratic(other.point, self.slope(other.point) + other.gradient, self.hessian + other.hessian)

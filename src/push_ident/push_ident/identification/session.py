@@ -1,0 +1,233 @@
+"""One object while it is being pushed: estimate, predictions, their scores, and the file that survives a kill."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from push_ident.errors import InputError, PlanningError
+from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.observation import NoiseModel, observe_push
+from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
+from push_ident.identification.parameters import Prior
+from push_ident.identification.prediction import Prediction, predict
+from push_ident.identification.result import ModelPosterior
+from push_ident.identification.scoring import PushScore, score_push
+from push_ident.identification.state_file import load_state, save_state
+from push_ident.pushing.push import PushSettings
+from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
+
+__all__ = ["ObjectSession", "SessionOptions"]
+
+_SAMPLES_UNDER_WAY = 12
+"""Models drawn for a prediction in the middle of a push: it is made again a moment later."""
+_LATEST = 0.1
+"""The pusher is taken to go on as over the last so many seconds [s]."""
+_N_REFERENCES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOptions:
+    """How objects are identified online."""
+
+    prior: Prior = field(default_factory=Prior)
+    method: str = "gauss_newton"
+    window: int = 8
+    """Pushes simulated again at every solve."""
+    max_seconds: float = 10.0
+    """Of the solve after a push [s]."""
+    frame_seconds: float = 0.02
+    """Of an update at a frame, for methods without a bound of their own [s]."""
+    noise: NoiseModel | None = None
+    folder: Path | None = None
+    """Where the state of each object is kept; None: nowhere."""
+
+
+class ObjectSession:
+    """Everything that is known of one object, kept on disk after every push.
+
+    Args:
+        object_id: names the file.
+        shape: of the object.
+        options: how it is identified.
+
+    Raises:
+        ModelFileError: a file of this object is there but cannot be used, or the state cannot be written.
+    """
+
+    def __init__(self, object_id: str, shape: ObjectShape, options: SessionOptions) -> None:
+        self.object_id = object_id
+        self.options = options
+        self.sources: list[str] = []
+        self.scores: list[PushScore] = []
+        self.n_known_again = 0
+        """Pushes that came a second time (a bag that is played in a loop, or again after a kill) and were left out."""
+        self._known: set[tuple[float, float, float]] = set()
+        state = OnlineIdentifier.new(shape, options.prior)
+        self.restored = False
+        """Whether the estimate goes on from a file."""
+        if self.file is not None and self.file.exists():
+            kept = load_state(self.file)
+            if kept.state.shape.is_same_object(shape):
+                state, self.restored = kept.state, True
+                self.sources, self.scores, self._known = list(kept.sources), list(kept.scores), set(kept.pushes)
+            else:
+                self._put_aside()
+        self.online = self._identifier(state)
+
+    @property
+    def file(self) -> Path | None:
+        """Of the state."""
+        return None if self.options.folder is None else self.options.folder / f"{self.object_id}.state.json"
+
+    @property
+    def shape(self) -> ObjectShape:
+        return self.online.state.shape
+
+    @property
+    def posterior(self) -> ModelPosterior:
+        """The latest estimate, in the middle of a push too."""
+        return self.online.posterior
+
+    @property
+    def status(self) -> SolveStatus | None:
+        """Of the solve after the last push; None before the first."""
+        return self.online.state.status
+
+    @property
+    def n_pushes(self) -> int:
+        """Finished pushes that the estimate rests on."""
+        return self.online.n_pushes
+
+    def knows(self, record: PushRecord) -> bool:
+        """Whether this push is part of the estimate already."""
+        return _key(record) in self._known
+
+    def update(self, partial: PushRecord) -> FrameUpdate | None:
+        """Estimate with the push under way; None where it does not touch the object yet, or is known already."""
+        if self.knows(partial) or not observe_push(partial, self.options.noise).touched:
+            return None
+        return self.online.update(partial)
+
+    def finish(self, record: PushRecord) -> PushScore | None:
+        """Score the prediction of a finished push, learn from it, and keep the state; None where there is nothing to learn.
+
+        Raises:
+            ModelFileError: the state cannot be written. The estimate is the new one all the same.
+        """
+        if self.knows(record):
+            self.n_known_again += 1
+            return None
+        if not observe_push(record, self.options.noise).touched:
+            return None
+        score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
+        self.online.add(record)
+        self._known.add(_key(record))
+        self.scores.append(score)
+        self.sources.append(record.source)
+        self.save()
+        return score
+
+    def adopt(self, posterior: ModelPosterior, source: str) -> None:
+        """Take over a model from elsewhere; further pushes add to it.
+
+        Raises:
+            InputError: it is the model of an object of another shape.
+        """
+        if not posterior.parameters.shape.is_same_object(self.shape):
+            raise InputError(
+                f"The model is of another object: {len(posterior.parameters.shape.cells)} cells, expected the outline and the cells of "
+                f"`{self.object_id}` with {len(self.shape.cells)}; load it for the object that it was made of."
+            )
+        self.online = self._identifier(OnlineIdentifier.known(posterior))
+        self.sources, self.scores = [source], []
+        self._known.clear()
+        self.save()
+
+    def save(self) -> None:
+        """Keep the state; the file on disk is whole at any moment."""
+        if self.file is not None:
+            save_state(
+                self.file, self.online.state, object_id=self.object_id, sources=self.sources, scores=self.scores, pushes=sorted(self._known)
+            )
+
+    def predict_under_way(self, partial: PushRecord, horizon: float) -> Prediction:
+        """Where the object will be while the pusher goes on as it does now, for `horizon` seconds."""
+        seen = observe_push(partial, self.options.noise)
+        path = _continued(partial.pusher, horizon)
+        now = float(partial.pusher.time[-1])
+        time = np.linspace(now, now + horizon, 11)
+        return predict(
+            self.posterior,
+            path,
+            seen.pose[0],
+            time,
+            first_covariance=seen.first_covariance,
+            noise=self.options.noise,
+            n_samples=_SAMPLES_UNDER_WAY,
+        )
+
+    def suggest(
+        self, pose: Float64Array, push_settings: PushSettings, obstacles: Sequence[Float64Array] = (), *, n_candidates: int = 24
+    ) -> tuple[PlannedPush, Prediction] | None:
+        """The push to make next, and what it will do; None where no safe push would tell anything.
+
+        Args:
+            pose: of the object now, table frame, shape (3,).
+            push_settings: limits and ranges of pushes.
+            obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
+            n_candidates: pushes to choose from.
+        """
+        rng = np.random.default_rng(self.n_pushes)
+        try:
+            candidates = candidate_pushes(self.shape, pose, rng, n_candidates, push_settings, obstacles)
+        except PlanningError:
+            return None
+        reference = reference_pushes(self.shape, rng, _N_REFERENCES, push_settings)
+        best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, noise=self.options.noise).best
+        if best is None:
+            return None
+        time = np.linspace(best.pusher.time[0], best.pusher.time[-1], 31)
+        return best, predict(self.posterior, best.pusher, best.pose_object_in_table, time, noise=self.options.noise)
+
+    def replaced_by(self, shape: ObjectShape) -> ObjectSession:
+        """Session of another object that took over the id; the state of this one is put aside on disk."""
+        self._put_aside()
+        return ObjectSession(self.object_id, shape, self.options)
+
+    def _put_aside(self) -> None:
+        if self.file is not None and self.file.exists():
+            n = 1
+            while (aside := self.file.with_name(f"{self.object_id}-before-{n}.state.json")).exists():
+                n += 1
+            self.file.replace(aside)
+
+    def _identifier(self, state: OnlineState) -> OnlineIdentifier:
+        options = self.options
+        return OnlineIdentifier(
+            state,
+            noise=options.noise,
+            method=options.method,
+            window=options.window,
+            max_seconds=options.max_seconds,
+            frame_seconds=options.frame_seconds,
+        )
+
+
+def _key(record: PushRecord) -> tuple[float, float, float]:
+    """What tells one push from another: when and where it began."""
+    time, (x, y) = record.pusher.time[0], record.pusher.position[0]
+    return round(float(time), 6), round(float(x), 6), round(float(y), 6)
+
+
+def _continued(pusher: PusherPath, horizon: float) -> PusherPath:
+    """The path so far, and on at the velocity of its last moments."""
+    end = float(pusher.time[-1])
+    since = max(float(pusher.time[0]), end - _LATEST)
+    start = np.array([np.interp(since, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
+    velocity = (pusher.position[-1] - start) / max(end - since, 1e-6)
+    time = np.append(pusher.time, end + horizon)
+    return PusherPath(time, np.vstack([pusher.position, pusher.position[-1] + horizon * velocity]), pusher.radius)

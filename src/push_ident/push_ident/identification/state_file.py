@@ -1,0 +1,186 @@
+"""The state of an identification that goes on, as a file: JSON, checked on the way in, with every number to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.files import write_whole
+from push_ident.identification.model_file import ModelContent, model_content, posterior_of, prior_of, read_checked
+from push_ident.identification.online import OnlineState
+from push_ident.identification.quadratic import Quadratic
+from push_ident.identification.scoring import PushScore
+from push_ident.identification.summary import Summary
+from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
+
+__all__ = ["KeptState", "load_state", "save_state"]
+
+_FORMAT = "push_ident/state/1"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Push(_Part):
+    source: str
+    pose_time: list[float]
+    pose: list[tuple[float, float, float]]
+    pose_covariance: list[list[list[float]]]
+    pusher_time: list[float]
+    pusher: list[tuple[float, float]]
+    radius: float
+    polygon: list[tuple[float, float]] | None
+    yaw: list[float] | None
+    wrench_time: list[float] | None
+    force: list[tuple[float, float]] | None
+
+
+class _Past(_Part):
+    n_pushes: int
+    point: list[float]
+    gradient: list[float]
+    hessian: list[list[float]]
+    log_forces: list[float]
+
+
+class _Score(_Part):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants")
+
+    number: int
+    source: str
+    start: float
+    error: float
+    expected: float
+    distance2: float
+    uniform: float
+
+
+class _State(_Part):
+    format: str
+    model: ModelContent
+    prior: dict[str, float]
+    pushes: list[_Push]
+    past: _Past | None
+    starts: list[list[float]]
+    status: str | None
+    scores: list[_Score]
+    keys: list[tuple[float, float, float]]
+    """When and where each push that was ever taken in began [s, m, m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptState:
+    """What a state file holds."""
+
+    object_id: str
+    state: OnlineState
+    sources: tuple[str, ...]
+    """Bags and pushes that it rests on."""
+    scores: tuple[PushScore, ...]
+    pushes: tuple[tuple[float, float, float], ...]
+    """When and where each push that was ever taken in began [s, m, m]."""
+
+
+def save_state(
+    path: Path,
+    state: OnlineState,
+    *,
+    object_id: str,
+    sources: Sequence[str] = (),
+    scores: Sequence[PushScore] = (),
+    pushes: Sequence[tuple[float, float, float]] = (),
+) -> None:
+    """Write a state, and what `KeptState` has beside it; the file appears whole or not at all.
+
+    Raises ModelFileError where it cannot be written.
+    """
+    past = state.past
+    content = _State(
+        format=_FORMAT,
+        model=model_content(state.posterior, object_id, sources),
+        prior=asdict(state.prior),
+        pushes=[_push(record) for record in state.records],
+        past=None
+        if past is None
+        else _Past(
+            n_pushes=past.n_pushes,
+            point=past.cost.point.tolist(),
+            gradient=past.cost.gradient.tolist(),
+            hessian=past.cost.hessian.tolist(),
+            log_forces=past.log_forces.tolist(),
+        ),
+        starts=[x.tolist() for x in state.starts],
+        status=state.status.name if state.status else None,
+        scores=[_Score(**asdict(score)) for score in scores],
+        keys=list(pushes),
+    )
+    write_whole(path, content.model_dump_json(), "the state of the identification")
+
+
+def load_state(path: Path) -> KeptState:
+    """Read a state. Raises ModelFileError: no such file, or not one written by `save_state`."""
+    content = read_checked(path, _State, "a state of the identification", "remove it to begin anew")
+    if content.format != _FORMAT:
+        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to begin anew.")
+    posterior = posterior_of(content.model, path)
+    parameters, past = posterior.parameters, None
+    try:
+        if content.past:
+            point, gradient, hessian = (np.array(v) for v in (content.past.point, content.past.gradient, content.past.hessian))
+            if point.shape != gradient.shape or hessian.shape != (parameters.size, parameters.size) or point.shape != (parameters.size,):
+                raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {parameters.size}; the file is damaged.")
+            cost = Quadratic(point, gradient, hessian)
+            past = Summary(content.past.n_pushes, parameters.modes, cost, np.array(content.past.log_forces))
+        state = OnlineState(
+            shape=parameters.shape,
+            prior=prior_of(content.prior),
+            records=tuple(_record(push, content.model.object_id, parameters.shape) for push in content.pushes),
+            past=past,
+            starts=tuple(np.array(x) for x in content.starts),
+            posterior=posterior,
+            status=SolveStatus[content.status] if content.status else None,
+        )
+    except (InputError, KeyError, ValueError) as error:
+        raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to begin anew.") from None
+    scores = tuple(PushScore(**score.model_dump()) for score in content.scores)
+    return KeptState(content.model.object_id, state, tuple(content.model.sources), scores, tuple(content.keys))
+
+
+def _push(record: PushRecord) -> _Push:
+    poses, pusher, wrench = record.poses, record.pusher, record.wrench
+    return _Push(
+        source=record.source,
+        pose_time=poses.time.tolist(),
+        pose=poses.pose.tolist(),
+        pose_covariance=poses.covariance.tolist(),
+        pusher_time=pusher.time.tolist(),
+        pusher=pusher.position.tolist(),
+        radius=pusher.radius,
+        polygon=_listed(pusher.polygon),
+        yaw=_listed(pusher.yaw),
+        wrench_time=_listed(wrench.time if wrench else None),
+        force=_listed(wrench.force if wrench else None),
+    )
+
+
+def _listed(values: Float64Array | None) -> Any:
+    return None if values is None else values.tolist()
+
+
+def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
+    polygon, yaw = (None if v is None else np.array(v) for v in (push.polygon, push.yaw))
+    return PushRecord(
+        object_id=object_id,
+        shape=shape,
+        poses=PoseTrack(np.array(push.pose_time), np.array(push.pose), np.array(push.pose_covariance)),
+        pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw),
+        wrench=None if push.wrench_time is None else WrenchTrack(np.array(push.wrench_time), np.array(push.force)),
+        source=push.source,
+    )

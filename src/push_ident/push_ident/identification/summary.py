@@ -1,0 +1,67 @@
+"""What pushes say that are no longer simulated: a quadratic in the unknowns, and the forces that were measured.
+
+Around the point x* where a fit ended, the cost of a push is nearly
+
+    1/2 (z - z*)' H (z - z*) + g' (z - z*)
+
+with its own first pose minimised over (Schur complement). Such quadratics add up, so that any number of old pushes costs as much as none:
+the square-root filter of smoothing and mapping (Kaess et al., iSAM, IEEE Trans. Robotics 2008), with Hessians in place of roots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.identification.observation import NoiseModel
+from push_ident.identification.problem import FitProblem
+from push_ident.identification.quadratic import Quadratic
+from push_ident.identification.result import ModelPosterior
+from push_ident.identification.total_mass import log_force
+from push_ident.physics.simulation import SimulationSettings
+from push_ident.types import Float64Array, PushRecord
+
+__all__ = ["Summary", "summarise"]
+
+_POSE_STEPS = 2
+"""Newton steps that put the first pose of a push where it fits best."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Pushes of one object, summed up."""
+
+    n_pushes: int
+    modes: Float64Array
+    """Of the maps, see `MapParameters`, shape (n_cells, n_modes)."""
+    cost: Quadratic
+    """Of the unknowns, in units of the prior at full amplitude."""
+    log_forces: Float64Array
+    """Of each push with a wrench, see `total_mass.log_force`, shape (n,)."""
+
+    def __add__(self, other: Summary) -> Summary:
+        """Both; `other` is the later one, around whose fit the costs are taken."""
+        forces = np.concatenate([self.log_forces, other.log_forces])
+        return Summary(self.n_pushes + other.n_pushes, self.modes, self.cost + other.cost, forces)
+
+
+def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel | None, settings: SimulationSettings | None) -> Summary:
+    """Sum up one push around the mean of a posterior that rests on it; of a push that cannot be simulated, the summary says nothing."""
+    problem = FitProblem([record], posterior.parameters, noise=noise, settings=settings)
+    n_z, modes = posterior.parameters.size, posterior.parameters.modes
+    x = np.r_[posterior.z, np.zeros(3)]
+    for _ in range(_POSE_STEPS):
+        terms = problem.evaluate_push(x, 0)
+        if terms is None:
+            return Summary(1, modes, Quadratic.zero(n_z), np.array([]))
+        x[n_z:] -= np.linalg.solve(terms.hessian[n_z:, n_z:], terms.gradient[n_z:])
+    full = problem.evaluate_push(x, 0)
+    if full is None:
+        return Summary(1, modes, Quadratic.zero(n_z), np.array([]))
+    own, shared = full.hessian[n_z:, n_z:], full.hessian[:n_z, n_z:]
+    onto = np.linalg.solve(own, shared.T).T
+    hessian = full.hessian[:n_z, :n_z] - onto @ shared.T
+    gradient = full.gradient[:n_z] - onto @ full.gradient[n_z:]
+    force = log_force(posterior.parameters.model(posterior.z), problem, x, 0)
+    return Summary(1, modes, Quadratic(posterior.z, gradient, hessian), np.array([] if force is None else [force]))
