@@ -20,6 +20,7 @@ from push_ident.identification.model_file import save_model
 from push_ident.identification.parameters import Prior
 from push_ident.identification.picture import draw_knowledge, draw_maps
 from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.report import Provenance, PushErrors, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.solvers import SOLVERS
 from push_ident.types import Float64Array, PushRecord, SolveStatus
@@ -99,11 +100,17 @@ def identify_command(
         known = identifiability(result.posterior)
         draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
         draw_knowledge(out / "knowledge.png", result.posterior, known, title=f"What {len(chosen)} pushes could tell")
-        console.print(
-            f"written: {out / 'model.json'}, {out / 'map.png'}, {out / 'knowledge.png'}, {out / 'result.json'}",
-            highlight=False,
-            soft_wrap=True,
+        others = [i for i in range(len(loaded.records)) if i not in chosen]
+        write_report(
+            out / "report.html",
+            result,
+            _push_errors(result, loaded.records, chosen),
+            _push_errors(result, loaded.records, others),
+            Provenance(loaded.object_id, tuple(loaded.records[i].source for i in chosen), tuple(loaded.notes)),
+            loaded.records[0].pusher.radius,
         )
+        files = ("report.html", "model.json", "map.png", "knowledge.png", "result.json")
+        console.print(f"written: {', '.join(str(out / name) for name in files)}", highlight=False, soft_wrap=True)
     if result.status in FAILED:
         warn(f"push-ident: {result.status.value}")
         raise typer.Exit(1)
@@ -147,8 +154,8 @@ def result_json(result: Identification, loaded: LoadedPushes, train: list[int]) 
         "n_cells": len(model.mass),
         "n_simulations": result.n_simulations,
         "time_s": result.time_s,
-        "train": _errors(result, loaded.records, train),
-        "test": _errors(result, loaded.records, test),
+        "train": _errors(_push_errors(result, loaded.records, train)),
+        "test": _errors(_push_errors(result, loaded.records, test)),
         "map": {
             "x": x.tolist(),
             "y": y.tolist(),
@@ -191,14 +198,16 @@ def knowledge_json(known: Identifiability) -> dict[str, Any]:
     }
 
 
-def _errors(result: Identification, records: list[PushRecord], pushes: list[int]) -> dict[str, Any]:
+def _push_errors(result: Identification, records: list[PushRecord], pushes: list[int]) -> PushErrors:
     chosen = [records[i] for i in pushes]
-    per_model = {
-        name: held_out_errors(model, chosen)
-        for name, model in (("uniform", result.uniform), ("scalar", result.scalar), ("identified", result.model))
-    }
-    mean = {f"{name}_m": float(np.mean(errors)) if len(errors) else float("nan") for name, errors in per_model.items()}
-    return {"pushes": pushes, **mean, "per_push_m": per_model["identified"].tolist()}
+    uniform, scalar, identified = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar, result.model))
+    return PushErrors(tuple(pushes), uniform, scalar, identified)
+
+
+def _errors(errors: PushErrors) -> dict[str, Any]:
+    per_model = {"uniform": errors.uniform, "scalar": errors.scalar, "identified": errors.identified}
+    mean = {f"{name}_m": float(np.mean(values)) if len(values) else float("nan") for name, values in per_model.items()}
+    return {"pushes": list(errors.pushes), **mean, "per_push_m": errors.identified.tolist()}
 
 
 def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes) -> None:

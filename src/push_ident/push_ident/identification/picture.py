@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.collections import PatchCollection
     from matplotlib.figure import Figure
 
-__all__ = ["draw_knowledge", "draw_maps", "draw_panels"]
+__all__ = ["draw_cells", "draw_knowledge", "draw_maps", "draw_panels"]
 
 
 def draw_maps(path: Path, posterior: ModelPosterior, *, title: str = "") -> None:
@@ -59,7 +59,7 @@ def draw_knowledge(path: Path, posterior: ModelPosterior, known: Identifiability
     for ax, combination in zip(axes, best, strict=True):
         change = combination.log_mass + combination.log_friction
         limit = float(np.abs(change).max()) or 1.0
-        patches = _cells(ax, shape, change, "coolwarm", (-limit, limit))
+        patches = draw_cells(ax, shape, change, "coolwarm", (-limit, limit))
         ax.set_title(f"{100 * combination.share_left:.0f} % of the deviation left", fontsize=10)
         bottom.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
@@ -84,7 +84,7 @@ def draw_panels(
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, (name, shape, values) in zip(axes, panels, strict=True):
         same = np.concatenate([v for n, _, v in panels if n == name])
-        patches = _cells(ax, shape, values, "viridis", (min(0.0, float(same.min())), float(same.max())))
+        patches = draw_cells(ax, shape, values, "viridis", (min(0.0, float(same.min())), float(same.max())))
         if centre is not None:
             ax.plot(*centre.centre_of_friction, marker="+", color="red", markersize=9)
         ax.set_title(name, fontsize=10)
@@ -94,7 +94,7 @@ def draw_panels(
     _save(figure, path)
 
 
-def _cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str, limits: tuple[float, float]) -> PatchCollection:
+def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str, limits: tuple[float, float]) -> PatchCollection:
     """Colour the cells of an object by `values`, shape (n_cells,), inside its outline."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Polygon, Rectangle

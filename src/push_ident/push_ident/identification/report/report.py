@@ -1,0 +1,164 @@
+"""What was identified, on one page that an engineer can read from the top and stop at any line."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from push_ident import __version__
+from push_ident.errors import InputError, PlanningError
+from push_ident.identification.identifiability import Identifiability, identifiability
+from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push
+from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.pages.page import svg, write_page
+from push_ident.pushing.push import PushSettings
+from push_ident.types import Float64Array, SolveStatus
+
+__all__ = ["Provenance", "PushErrors", "write_report"]
+
+_CANDIDATES = 40
+_REFERENCES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class PushErrors:
+    """Cell errors of some pushes, see `held_out_errors`."""
+
+    pushes: tuple[int, ...]
+    """Their numbers."""
+    uniform: Float64Array
+    """Of equal cells with nominal values [m], shape (n,)."""
+    scalar: Float64Array
+    """Of equal cells with fitted scalars [m], shape (n,)."""
+    identified: Float64Array
+    """[m], shape (n,)"""
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where the data come from."""
+
+    object_id: str
+    sources: tuple[str, ...]
+    """A line each push learned from."""
+    notes: tuple[str, ...] = ()
+    """What was missing, dropped or assumed."""
+
+
+def write_report(
+    path: Path, result: Identification, train: PushErrors, test: PushErrors, provenance: Provenance, pusher_radius: float
+) -> None:
+    """Write the page.
+
+    Args:
+        path: HTML file to write.
+        result: of the identification.
+        train: errors of the pushes learned from.
+        test: errors of the others; may be empty.
+        provenance: where the data come from.
+        pusher_radius: of the pusher that would make the next push [m].
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    posterior = result.posterior
+    known = identifiability(posterior)
+    context = {
+        "title": f"Object {provenance.object_id}: mass and friction",
+        "headline": _headline(result, train, test, known),
+        "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not trust these maps as they are: {result.status.value}.",
+        "maps": svg(draw_maps(posterior)),
+        "errors": svg(draw_errors(train, test)),
+        "error_rows": [_error_row("pushes learned from", train), _error_row("pushes held out", test)],
+        "held_out": bool(test.pushes),
+        "quantities": [_quantity(q.name, q.unit, q.value, q.std, q.prior_std, q.knowledge.value) for q in known.quantities],
+        "n_combinations": len(known.combinations),
+        "n_pinned": known.n_pinned,
+        "n_open": known.n_open,
+        "next_push": _next_push(posterior, pusher_radius),
+        "provenance": _provenance(result, provenance),
+    }
+    write_page(path, __package__ or "", "report.html.j2", context)
+
+
+def _headline(result: Identification, train: PushErrors, test: PushErrors, known: Identifiability) -> str:
+    posterior = result.posterior
+    centre = posterior.model.centre_of_friction
+    spread = {q.name: q.std for q in known.quantities}
+    place = (
+        f"its friction is centred at ({1e3 * centre[0]:.0f} ± {1e3 * spread['centre of friction x']:.0f}, "
+        f"{1e3 * centre[1]:.0f} ± {1e3 * spread['centre of friction y']:.0f}) mm of its frame"
+    )
+    mass = posterior.total_mass
+    weight = (
+        f"it weighs {mass.value:.2f} ± {mass.std:.2f} kg"
+        if posterior.total_mass_identifiable
+        else "its weight cannot be told from poses alone (a wrench, or a scale, would)"
+    )
+    n = len(train.pushes)
+    learned = f"From {n} push{'es' if n != 1 else ''}: {place}; {weight}."
+    if not test.pushes:
+        return learned
+    better = f"The maps predict {len(test.pushes)} pushes that they never saw to {1e3 * np.nanmean(test.identified):.1f} mm"
+    return f"{learned} {better}, equal cells with nominal values to {1e3 * np.nanmean(test.uniform):.1f} mm."
+
+
+def _error_row(name: str, errors: PushErrors) -> dict[str, Any]:
+    means = {n: float(np.nanmean(v)) if len(v) else float("nan") for n, v in (("uniform", errors.uniform), ("scalar", errors.scalar))}
+    identified = float(np.nanmean(errors.identified)) if len(errors.identified) else float("nan")
+    return {"name": name, "n": len(errors.pushes), **means, "identified": identified}
+
+
+def _quantity(name: str, unit: str, value: float, std: float, before: float, verdict: str) -> dict[str, str]:
+    scale, shown, digits = (1e3, " mm", 1) if unit == "m" else (1.0, f" {unit}" if unit else "", 3)
+    return {
+        "name": name,
+        "value": f"{scale * value:.{digits}f} ± {scale * std:.{digits}f}{shown}",
+        "before": f"{scale * before:.{digits}f}{shown}",
+        "verdict": verdict,
+    }
+
+
+def _next_push(posterior: ModelPosterior, pusher_radius: float) -> dict[str, Any] | None:
+    rng = np.random.default_rng(0)
+    # Where the object will lie is not known here: pushes are chosen in its own frame, with room around it.
+    settings = PushSettings(pusher_radius=pusher_radius, workspace=(-10.0, 10.0, -10.0, 10.0))
+    shape = posterior.parameters.shape
+    try:
+        candidates = candidate_pushes(shape, np.zeros(3), rng, _CANDIDATES, settings)
+        ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, _REFERENCES, settings), rng=rng)
+    except (PlanningError, InputError):
+        return None
+    best: PlannedPush | None = ranked.best
+    if best is None or best.plan is None:
+        return None
+    plan = best.plan
+    return {
+        "figure": svg(draw_push(posterior, plan, pusher_radius)),
+        "x": float(plan.contact_point[0]),
+        "y": float(plan.contact_point[1]),
+        "heading": float(np.degrees(plan.direction)),
+        "distance": plan.distance,
+        "speed": plan.speed,
+        "n": _CANDIDATES,
+        "before": ranked.error_before,
+        "after": ranked.values[0].error_after,
+    }
+
+
+def _provenance(result: Identification, provenance: Provenance) -> list[tuple[str, str]]:
+    prior = ", ".join(f"{name} {value:g}" for name, value in asdict(result.posterior.prior).items())
+    rows: list[tuple[str, str]] = [("push", source) for source in provenance.sources]
+    rows += [("note", note) for note in provenance.notes]
+    return [
+        *rows,
+        ("solver", f"{result.method}: {result.status.name.lower()}, {result.n_simulations} simulations, {result.time_s:.2f} s"),
+        ("squared residual per degree of freedom", f"{result.misfit:.2f} (1: as the noise that the poses state)"),
+        ("prior", prior),
+        ("version", f"push_ident {__version__}, Python {platform.python_version()}"),
+    ]

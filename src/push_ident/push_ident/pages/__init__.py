@@ -1,0 +1,1 @@
+"""One-page HTML reports: one look, one file, nothing loaded from elsewhere."""

@@ -1,0 +1,64 @@
+"""Render a report as one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from push_ident.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["svg", "write_page"]
+
+
+def svg(figure: Figure) -> str:
+    """A figure as an SVG element, to stand in a page. Labels stay text: they can be searched and read aloud."""
+    import matplotlib
+
+    buffer = io.StringIO()
+    # A fixed salt: the same report twice is the same file.
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "push_ident"}):
+        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def write_page(path: Path, package: str, template: str, context: Mapping[str, Any]) -> None:
+    """Fill a template and write the page.
+
+    Args:
+        path: HTML file to write.
+        package: that the template lies in.
+        template: its name; it may extend `page.html.j2`, the common look.
+        context: what the template names.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
+    from markupsafe import Markup
+
+    def load(name: str) -> str:
+        where = files(__package__ if name == "page.html.j2" else package)
+        return where.joinpath(name).read_text(encoding="utf-8")
+
+    environment = Environment(
+        loader=FunctionLoader(load),
+        autoescape=select_autoescape(default=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["mm"] = lambda metres, digits=1: "–" if metres is None or metres != metres else f"{1e3 * metres:.{digits}f} mm"
+    environment.filters["figure"] = lambda text: Markup(text)
+    page = environment.get_template(template).render(**context)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"Cannot write the report {path}: {error.strerror}; choose a place that can be written to.") from None
