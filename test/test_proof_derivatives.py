@@ -78,16 +78,17 @@ def compare(case: Case, mode: str) -> tuple[set[str], Float64Array, Float64Array
         estimate, uncertain = ridders(poses, first, one_sided=one_sided)
         size = max(float(np.abs(exact).max()), 0.01 * way if column < 8 else 0.0, 1e-9)
         errors[column] = np.abs(exact - estimate).max() / size
-        doubts[column] = np.inf if switched else uncertain / size
+        # Differences that vanish in the rounding of the poses agree with each other, and prove nothing.
+        doubts[column] = np.inf if switched else max(uncertain, np.spacing(np.abs(motion.pose).max()) / first) / size
     return kinds, errors, doubts
 
 
 @pytest.mark.parametrize("mode", ENGINES)
 def test_every_column_of_the_jacobian_equals_differences_to_six_digits(mode: str) -> None:
-    # Differences that straddle a switch of the contact, or of a cell of the pyramid, prove nothing; they are few, and counted. Where a
-    # cell of the pyramid sticks, its stiffness of some 1e10 N s/m beside the inertia costs ten of sixteen digits.
+    # Differences that straddle a switch of the contact, or of a cell of the pyramid, prove nothing; they are few, and counted.
     compared: Counter[str] = Counter()
     doubtful = total = 0
+    # Apart from the others: cells of the pyramid that stick, whose stiffness is some 1e10 times the inertia.
     worst = {False: 0.0, True: 0.0}
     for seed in fixed_seeds(16):
         case = random_case(seed, 9 + seed % 7, seed % 2 == 1, 5)
@@ -101,10 +102,10 @@ def test_every_column_of_the_jacobian_equals_differences_to_six_digits(mode: str
     print(
         f"{mode}: {total - doubtful} of {total} columns, error {worst[False]:.1e}, where a cell sticks {worst[True]:.1e}, {dict(compared)}"
     )
-    assert worst[False] <= 1e-6
-    assert worst[True] <= 1e-5
+    assert max(worst.values()) <= 1e-6
     assert doubtful <= 0.15 * total
     assert all(compared[kind] >= 20 for kind in CLASSES if (kind, mode) != ("separating", "quasi-static")), compared
+    assert mode != "pyramid" or compared["a cell sticks"] >= 100, compared
 
 
 @pytest.mark.parametrize("mode", ENGINES)

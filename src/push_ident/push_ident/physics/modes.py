@@ -58,7 +58,7 @@ class ModeScratch(NamedTuple):
     row: NDArray[np.int64]
     """Rows of the contacts that make C, shape (MAX_CONTACTS + 1,)."""
     matrix: Float64Array
-    """[H -P'; C 0], shape (7, 7)."""
+    """[H -P'; C 0], and room for three conditions more, shape (10, 10)."""
     right: Float64Array
     """Shape (7, 1)."""
 
@@ -66,7 +66,7 @@ class ModeScratch(NamedTuple):
 def new_mode_scratch() -> ModeScratch:
     """Scratch space of `solve_modes`."""
     n = MAX_CONTACTS + 1
-    return ModeScratch(np.zeros(n, dtype=np.int64), np.zeros((3 + n, 3 + n)), np.zeros((3 + n, 1)))
+    return ModeScratch(np.zeros(n, dtype=np.int64), np.zeros((6 + n, 6 + n)), np.zeros((3 + n, 1)))
 
 
 @kernel

@@ -31,6 +31,8 @@ __all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_frictio
 
 FINAL_NU = 1e-13
 """Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
+_STUCK = 1e3
+"""A diagonal whose stiffness is more than this multiple of the object's mass counts as stuck: by its derivative only."""
 _MAX_ITERATIONS = 200
 _TOLERANCE = 1e-11
 # A difference between w1 - w2 and the velocity that is no more than the rounding of the latter [m/s]: it is left alone, so that the
@@ -224,11 +226,25 @@ def pyramid_step(
     return NO_MODE, iterations
 
 
+@kernel
+def _add_condition(row: Float64Array, stuck: Float64Array) -> None:
+    """Rotate one more row, shape (4,), into the triangle [R s], shape (3, 4): R' R and R' s grow by its products (Givens)."""
+    for j in range(3):
+        if row[j] == 0.0:
+            continue
+        length = math.hypot(stuck[j, j], row[j])
+        c, s = stuck[j, j] / length, row[j] / length
+        for k in range(j, 4):
+            above, below = stuck[j, k], row[k]
+            stuck[j, k], row[k] = c * above + s * below, c * below - s * above
+
+
 @fast_kernel
 def pyramid_friction(
     twist: Float64Array,
     arms: Float64Array,
     limit: Float64Array,
+    mass: float,
     dt: float,
     cos: float,
     sin: float,
@@ -236,21 +252,65 @@ def pyramid_friction(
     impulse: Float64Array,
     stiffness: Float64Array,
     by_yaw: Float64Array,
+    stuck: Float64Array,
 ) -> None:
-    """Friction impulse at the solution of a step, its derivative by the twist, and that by the yaw at a given twist in object axes."""
-    _model(twist, arms, limit, dt, cos, sin, FINAL_NU, cells, impulse, stiffness)
-    by_yaw[:] = 0.0
+    """Friction impulse at the solution of a step and its derivatives, apart for the diagonals that slide and those that stick.
+
+    A diagonal that sticks is some 1e10 times as stiff as the `mass` [kg] of the object is inert: added to the inertia it would leave six of
+    sixteen digits of that. So it goes into rows of its own, which `sensitivity.py` treats like those of a contact.
+
+    Args:
+        impulse: filled, shape (3,).
+        stiffness: filled with the derivative of `impulse` by the twist, of the diagonals that slide, shape (3, 3).
+        by_yaw: filled with that by the yaw at a given twist in object axes, likewise; and of all diagonals as their axes turn, shape (3,).
+        stuck: filled with [R s]: of the diagonals that stick, R' R is the derivative by the twist and R' s that by the yaw, shape (3, 4).
+
+    The other arguments are those of `pyramid_step`.
+    """
+    impulse[:], stiffness[:], by_yaw[:], stuck[:] = 0.0, 0.0, 0.0, 0.0
+    x, y = arms[0], arms[1]
+    softest = _STUCK * mass
+    row = np.empty(4)
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
         # The diagonal turns by -dyaw as seen from the object.
         ex, ey = dy, -dx
         w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
-        for i in range(arms.shape[1]):
-            rx, ry = arms[0, i], arms[1, i]
+        sum_p = torque_p = torque_e = sum_k = first_k = second_k = sum_t = first_t = 0.0
+        n_stuck = 0
+        for i in range(limit.shape[0]):
+            r, turned = x[i] * dy - y[i] * dx, x[i] * ey - y[i] * ex
             c = 0.5 * dt * limit[i]
             p = 0.5 * c * (z2[i] - z1[i])
-            dt_dyaw = ex * (twist[0] - twist[2] * ry) + ey * (twist[1] + twist[2] * rx)
-            dp = c * dt_dyaw / (w1[i] / z1[i] + w2[i] / z2[i])
-            by_yaw[0] += p * ex + dp * dx
-            by_yaw[1] += p * ey + dp * dy
-            by_yaw[2] += p * (rx * ey - ry * ex) + dp * (rx * dy - ry * dx)
+            k = c / (w1[i] / z1[i] + w2[i] / z2[i])
+            n_stuck += 1 if k > softest else 0
+            k = 0.0 if k > softest else k
+            t = ex * twist[0] + ey * twist[1] + turned * twist[2]
+            sum_p += p
+            torque_p += r * p
+            torque_e += turned * p
+            sum_k += k
+            first_k += k * r
+            second_k += k * r * r
+            sum_t += k * t
+            first_t += k * r * t
+        impulse[0] += dx * sum_p
+        impulse[1] += dy * sum_p
+        impulse[2] += torque_p
+        stiffness[0, 0] += dx * dx * sum_k
+        stiffness[0, 1] += dx * dy * sum_k
+        stiffness[1, 1] += dy * dy * sum_k
+        stiffness[0, 2] += dx * first_k
+        stiffness[1, 2] += dy * first_k
+        stiffness[2, 2] += second_k
+        by_yaw[0] += ex * sum_p + dx * sum_t
+        by_yaw[1] += ey * sum_p + dy * sum_t
+        by_yaw[2] += torque_e + first_t
+        for i in range(limit.shape[0] if n_stuck else 0):
+            k = 0.5 * dt * limit[i] / (w1[i] / z1[i] + w2[i] / z2[i])
+            if k > softest:
+                root = math.sqrt(k)
+                row[0], row[1], row[2] = root * dx, root * dy, root * (x[i] * dy - y[i] * dx)
+                row[3] = root * (ex * (twist[0] - twist[2] * y[i]) + ey * (twist[1] + twist[2] * x[i]))
+                _add_condition(row, stuck)
+    stiffness[1, 0], stiffness[2, 0], stiffness[2, 1] = stiffness[0, 1], stiffness[0, 2], stiffness[1, 2]

@@ -181,7 +181,7 @@ def rollout(
     force[:] = 0.0
     impulse = np.zeros(MAX_CONTACTS + 1)
     twist, seen, velocity = np.zeros(3), np.zeros(2), np.zeros(2)
-    friction, by_yaw, stiffness = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
     n_steps, n_frames = push.pusher.shape[0] - 1, frame_step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
@@ -222,14 +222,16 @@ def rollout(
                 event = CAME_TO_REST
             if derive:
                 if numerics.diamond:
-                    pyramid_friction(twist, arms, limit, dt, cos, sin, scratch.cells, friction, stiffness, by_yaw)
+                    pyramid_friction(
+                        twist, arms, limit, inertia[0], dt, cos, sin, scratch.cells, friction, stiffness, by_yaw, stuck
+                    )  # fmt: skip
                 else:
                     support_friction(twist, arms, limit, eps, True, friction, stiffness)
                     for i in range(3):
                         friction[i] *= dt
                         for j in range(3):
                             stiffness[i, j] *= dt
-                balance = StepBalance(twist, scratch.step.old, impulse, inertia, friction, stiffness, by_yaw)
+                balance = StepBalance(twist, scratch.step.old, impulse, inertia, friction, stiffness, by_yaw, stuck)
                 if not step_sensitivity(
                     balance, rows, contacts, n_contacts, code, mu, centre, seen, velocity, spin, cos, sin, dt,
                     scratch.step.mode, tape.block[n],

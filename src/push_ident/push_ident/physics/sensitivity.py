@@ -3,7 +3,8 @@
 The derivative is that of the discrete motion itself: each step's optimality conditions are differentiated at their solution
 (implicit function theorem) and chained. Sliding contact makes that linear system unsymmetric: the impulse acts along
 N + drag T while the constraint is N alone. Forward it must be solved as it stands, not with its transpose; the adjoint
-applies the transpose of the solved blocks.
+applies the transpose of the solved blocks. Cells of the pyramid that stick are stiff beyond what sixteen digits hold beside the inertia;
+they enter as up to three conditions more.
 
 The state is s = (centre of mass x, y, yaw; velocity x, y, yaw rate), table axes. With v = R(yaw) u for the linear part,
 
@@ -14,6 +15,7 @@ where the 3 x 14 block [A B C] of a step is all that a rollout must keep.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -98,14 +100,40 @@ class StepBalance(NamedTuple):
     friction: Float64Array
     """Impulse of the support friction, dt sum_i f_i J_i' phi_i [N s, N s, N m s], shape (3,)."""
     stiffness: Float64Array
-    """Its derivative with respect to the twist, shape (3, 3)."""
+    """Its derivative with respect to the twist but for R' R, shape (3, 3)."""
     by_yaw: Float64Array
-    """Its derivative with respect to the yaw at a given twist in object axes: zero for the circular cone, shape (3,)."""
+    """Its derivative with respect to the yaw at a given twist in object axes but for R' s: zero for the circular cone, shape (3,)."""
+    stuck: Float64Array
+    """[R s] of the cells that stick, see `pyramid.pyramid_friction`: zero for the circular cone, shape (3, 4)."""
 
 
 def new_tape(n_steps: int) -> Tape:
     """Empty tape of a rollout."""
     return Tape(np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, _N_COLUMNS)), np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)))
+
+
+@kernel
+def _stuck_size(stuck: Float64Array, j: int) -> float:
+    """What row j of [R s] is divided by: its length, and 1 for a row of nothing but rounding."""
+    return 1.0 + math.sqrt(stuck[j, 0] ** 2 + stuck[j, 1] ** 2 + stuck[j, 2] ** 2)
+
+
+@kernel
+def _add_stuck(stuck: Float64Array, n: int, a: Float64Array) -> int:
+    """Give the system `a` of n unknowns those of the cells that stick, p = R du + s dyaw with R' p in the balance, each row scaled.
+
+    Returns the number of unknowns then.
+    """
+    if stuck[0, 0] == 0.0 and stuck[1, 1] == 0.0 and stuck[2, 2] == 0.0:
+        return n
+    a[:n, n : n + 3] = 0.0
+    a[n : n + 3, : n + 3] = 0.0
+    for j in range(3):
+        size = _stuck_size(stuck, j)
+        for i in range(3):
+            a[n + j, i] = a[i, n + j] = stuck[j, i] / size
+        a[n + j, n + j] = -1.0 / (size * size)
+    return n + 3
 
 
 @kernel
@@ -139,7 +167,8 @@ def step_sensitivity(
     for i in range(3):
         h[i, i] += inertia[i]
     n = mode_system(code, h, rows, mu, row, scratch.matrix)
-    b = np.zeros((3 + n, _N_COLUMNS))
+    size = _add_stuck(step.stuck, 3 + n, scratch.matrix)
+    b = np.zeros((size, _N_COLUMNS))
     for i in range(3):
         b[i, _IMPULSE + i] = 1.0
     d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
@@ -160,6 +189,8 @@ def step_sensitivity(
             b[1, column] -= inertia[1] * old[0]
             for i in range(3):
                 b[i, column] -= step.by_yaw[i]
+            for j in range(3 + n, size):
+                b[j, column] = -step.stuck[j - 3 - n, 3] / _stuck_size(step.stuck, j - 3 - n)
         elif column == _VELOCITY:
             b[0, column] += inertia[0] * cos
             b[1, column] -= inertia[1] * sin
@@ -179,6 +210,8 @@ def step_sensitivity(
             sx, sy = twist[2] * d_centre[1], -twist[2] * d_centre[0]
             for i in range(3):
                 b[i, column] -= stiffness[i, 0] * sx + stiffness[i, 1] * sy
+            for j in range(3 + n, size):
+                b[j, column] = -(scratch.matrix[j, 0] * sx + scratch.matrix[j, 1] * sy)
             b[2, column] += d_centre[0] * step.friction[1] - d_centre[1] * step.friction[0]
         elif column == _INERTIA:
             if inertia[2] > 0.0:
@@ -200,7 +233,7 @@ def step_sensitivity(
         for j in range(n):
             k = row[j]
             b[3 + j, column] = d_rows[k, BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
-    if not solve_small(scratch.matrix, b, 3 + n, _N_COLUMNS):
+    if not solve_small(scratch.matrix, b, size, _N_COLUMNS):
         return False
     block[:] = b[:3]
     return True
