@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -87,14 +87,15 @@ class EffectValues:
         return EffectValues(self.names, array)
 
 
-EffectsLike = EffectValues | Mapping[str, Mapping[str, float] | ArrayLike]
-"""Effects by name, each with its values in order or by name (those left out are nominal): {"table_tilt": {"x": 0.01}}."""
+EffectsLike = EffectValues | Mapping[str, Mapping[str, float] | ArrayLike] | Sequence[str]
+"""Effects by name, each with its values in order or by name (those left out are nominal): {"table_tilt": {"x": 0.01}}. Names alone
+stand for effects at their nominal values, which change nothing but have a derivative."""
 
 NO_EFFECTS = EffectValues((), np.zeros(0))
 
 
-def effect_values(effects: EffectsLike | Iterable[str] | None) -> EffectValues:
-    """Active effects from what a caller may write; of names alone, all values are nominal.
+def effect_values(effects: EffectsLike | None) -> EffectValues:
+    """Active effects from what a caller may write.
 
     Raises:
         InputError: an unknown effect or parameter, another number of values, or values out of their range.

@@ -303,7 +303,7 @@ def rollout(
                 )  # fmt: skip
             else:
                 code, used = step(
-                    twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, eps, forces, code, impulse, scratch.step
+                    twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, eps, code, impulse, scratch.step, forces
                 )
             iterations += used
             if code == NO_MODE:

@@ -184,8 +184,12 @@ def cell_gradient(
     return by_mass, by_limit * (mass * GRAVITY)
 
 
-def compile_kernels() -> None:
-    """Compile (or load from the cache) all kernels, so that the first push need not wait for it: seconds once, else a moment."""
+def compile_kernels(*, effects: bool = False) -> None:
+    """Compile (or load from the cache) all kernels, so that the first push need not wait for it: a minute once, else a moment.
+
+    Args:
+        effects: those for pushes with effects as well, which are another set.
+    """
     square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
     body = BodyParameters(0.1, np.zeros(2), 1e-5, np.array([0.3]))
@@ -194,6 +198,8 @@ def compile_kernels() -> None:
     simulate_body(*arguments, jacobian=True)
     _, pull_back = simulate_body_with_pullback(*arguments)
     pull_back(np.zeros((2, 3)))
+    if effects:
+        simulate_body(*arguments, effects=["pusher_lag"], jacobian=True)
 
 
 def simulate(

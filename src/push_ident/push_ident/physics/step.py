@@ -75,10 +75,10 @@ def step(
     mu: float,
     dt: float,
     eps: float,
-    table: TableForces | None,
     last_code: int,
     impulse: Float64Array,
     scratch: StepScratch,
+    table: TableForces | None = None,
 ) -> tuple[int, int]:
     """Advance `twist` by one step, in place.
 
@@ -93,10 +93,10 @@ def step(
         mu: friction coefficient of the pusher.
         dt: [s]
         eps: smoothing speed of the support friction [m/s].
-        table: what effects on the table add; None without effects.
         last_code: mode code of the step before; only a first guess.
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
         scratch: its space.
+        table: what effects on the table add; None without effects.
 
     Returns:
         The mode code and the number of iterations; the code is `NO_MODE` when the step did not converge.

@@ -23,6 +23,6 @@ EFFECT = Effect(
     ),
     acts=OnPoses(_see),
     signature="A contact offset that is fixed in the table. The first pose is displaced as well.",
-    rivals="tool_offset: exactly its opposite for the object; touch a known mark.",
+    rivals="tool_offset: with these sensors the same thing; touch a known mark.",
     source="Error of the camera's extrinsic calibration.",
 )

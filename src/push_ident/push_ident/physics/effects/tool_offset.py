@@ -23,6 +23,6 @@ EFFECT = Effect(
     ),
     acts=OnPusherPath(_move),
     signature="A contact offset that is fixed in the table.",
-    rivals="camera_translation: exactly its opposite for the object; touch a known mark.",
+    rivals="camera_translation: with these sensors the same thing; touch a known mark.",
     source="Error of the tool calibration (hand to tip) at one orientation of the tool.",
 )
