@@ -24,7 +24,6 @@ from push_ident.physics.simulation import (
     BodyParameters,
     Motion,
     SimulationSettings,
-    body_of_cells,
     loss_gradient,
     simulate,
     simulate_body,

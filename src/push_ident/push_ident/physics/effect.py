@@ -124,7 +124,7 @@ class EffectParameter:
 
 @dataclass(frozen=True, slots=True)
 class OnTable:
-    """Acts between table and cells. Each part is compiled; `p` holds the effect's values, `memory` its memory, both by place.
+    """Acts between table and cells. Each part is compiled; `p` starts with the effect's values, `memory` with its memory.
 
     All parts are evaluated from the state at the start of a step and held during it (a delay of one step, some 4 ms), which leaves
     the step the convex problem that it is.

@@ -23,7 +23,7 @@ from push_ident.physics.effect import (
     OnTimes,
 )
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.table import ActiveEffects
+from push_ident.physics.table import N_FIXED_INPUTS, ActiveEffects, Places
 from push_ident.types import Float64Array
 
 __all__ = [
@@ -196,38 +196,40 @@ def seen_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array,
     return value, by_pose, by_value
 
 
-def active_effects(effects: EffectValues, d_path: Float64Array, cell_size: float, order: float) -> ActiveEffects:
+def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cell_size: float, order: float) -> ActiveEffects:
     """The effects in the arrays of the kernels.
 
     Args:
         effects: which act.
         d_path: derivative of the path, as from `driven_path`.
+        arms: cell centres from the centre of mass [m], shape (2, n_cells).
         cell_size: edge of a cell [m].
         order: how many pushes went before.
     """
-    first = np.full(len(EFFECTS), -1, dtype=np.int64)
-    memory = np.full(len(EFFECTS), -1, dtype=np.int64)
+    first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
+    places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
     on_table, moves = np.zeros(len(effects), dtype=np.bool_), np.zeros(len(effects), dtype=np.bool_)
-    places = {name: place for place, name in enumerate(EFFECTS)}
+    names = list(EFFECTS)
     quantities = {"offset": -1, "restitution": -1}
     n_memory = 0
     rebound = -1
     for effect, own in _places(effects):
-        place, acts = places[effect.name], effect.acts
-        first[place] = own.start
+        place, acts = names.index(effect.name), effect.acts
+        places.values[place] = first_value + own.start
         on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
         if isinstance(acts, OnContact):
             quantities[acts.quantity] = own.start
             rebound = n_memory if acts.quantity == "restitution" else rebound
         if effect.memory is not None:
-            memory[place] = n_memory
+            places.memory[place] = N_FIXED_INPUTS + n_memory
             n_memory += effect.memory.size
+    x, y = arms
+    own_moment = cell_size**2 / 12
     table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
     return ActiveEffects(
         values=np.array(effects.values),
         on_table=on_table,
-        first=first,
-        memory=memory,
+        places=places,
         n_memory=n_memory,
         loads=any(acts.load is not None for acts in table),
         skews=any(acts.skew is not None for acts in table),
@@ -237,6 +239,12 @@ def active_effects(effects: EffectValues, d_path: Float64Array, cell_size: float
         rebound=rebound,
         moves=moves,
         d_path=d_path,
-        cell_moment=cell_size**2 / 12,
+        moments=(
+            float(x.mean()),
+            float(y.mean()),
+            float(np.mean(x * x) + own_moment),
+            float(np.mean(x * y)),
+            float(np.mean(y * y) + own_moment),
+        ),
         order=float(order),
     )

@@ -350,7 +350,7 @@ def rollout(
             state[2] += dt * twist[2]
             state[3], state[4], state[5] = vx, vy, twist[2]
         if effects is not None and effects.n_memory > 0:
-            update_memory(effects, centre, arms, dt, derive, memory, tape.memory[n] if derive else no_derivative, table)
+            update_memory(effects, centre, dt, derive, memory, tape.memory[n] if derive else no_derivative, table)
         if derive:
             tape.event[n] = event
             tape.heading[n, 0], tape.heading[n, 1] = cos, sin

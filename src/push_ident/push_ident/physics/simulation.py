@@ -443,23 +443,24 @@ def _run(
         path[:, axis] = np.interp(clock, pusher.time, pusher.position[:, axis])
     if pusher.yaw is not None:
         path[:, 2] = np.interp(clock, pusher.time, pusher.yaw)
+    centre = _owned(body.centre)
+    arms = _owned((shape.cells.centres - centre).T)
     active, seen_at = None, time
     if n_values > 0:
         path, d_path = driven_path(effects, settings.step, path)
-        active = active_effects(effects, d_path, float(shape.cells.size), order)
+        active = active_effects(effects, d_path, arms, float(shape.cells.size), order)
         seen_at, seen_at_by_value = seen_times(effects, time)
     at = np.clip((seen_at - start) / settings.step, 0.0, n_steps)
     frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
     frame_fraction = at - frame_step
     corners = np.zeros((1, 2)) if pusher.polygon is None else _owned(pusher.polygon)
-    centre = _owned(body.centre)
     push = Push(
         pose=pose0,
         pusher=path,
         corners=corners,
         radius=float(pusher.radius),
         outline=_owned(shape.outline),
-        arms=_owned((shape.cells.centres - centre).T),
+        arms=arms,
         limit=_owned(body.limit),
         centre=centre,
         inertia=np.array([body.mass, body.mass, body.inertia]),

@@ -5,7 +5,7 @@ Inputs are one array, real or complex, so that a complex step can turn any of th
     0-5   state: centre of mass x, y, yaw and their velocities, table axes
     6     mass
     7-8   centre of mass, object frame
-    9-    memory of the effects, then their values
+    9-    memory of the effects, then their values; behind them four that are not used
 
 As far as inputs act on a step, they are columns of its block too (`sensitivity.py`): the first nine of them from its state on, the
 rest behind those of the body.
@@ -33,19 +33,26 @@ __all__ = [
 N_FIXED_INPUTS = 9
 _MASS = 6
 _CENTRE = 7
+_PADDING = 4  # inputs behind the last, so that four numbers can be read from any place
+
+
+class Places(NamedTuple):
+    """Where each effect of `EFFECTS` finds its numbers among the inputs."""
+
+    values: NDArray[np.int64]
+    """Index of its first value, -1 where it is not active, shape (n_effects,)."""
+    memory: NDArray[np.int64]
+    """Index of the first number of its memory; 0 where it has none."""
 
 
 class ActiveEffects(NamedTuple):
-    """The effects that act in a rollout, in the arrays that the kernels take. Each effect has a place, that in `EFFECTS`."""
+    """The effects that act in a rollout, in the arrays that the kernels take."""
 
     values: Float64Array
     """Of all parameters of the active effects, shape (n_values,)."""
     on_table: BoolArray
     """Which values belong to effects that act on the table or have a memory, shape (n_values,)."""
-    first: NDArray[np.int64]
-    """Index of the first value of each effect, -1 where it is not active, shape (n_effects,)."""
-    memory: NDArray[np.int64]
-    """Index of the first number of its memory, -1 where it has none, shape (n_effects,)."""
+    places: Places
     n_memory: int
     loads: bool
     """Whether one changes the friction limits of the cells."""
@@ -61,8 +68,8 @@ class ActiveEffects(NamedTuple):
     """Which values move the pusher, shape (n_values,)."""
     d_path: Float64Array
     """Derivative of the pusher's path by the values, shape (n_values, n_steps + 1, 3)."""
-    cell_moment: float
-    """Second moment of a cell about an axis through its middle, per area [m^2]."""
+    moments: tuple[float, float, float, float, float]
+    """Mean of x, y, x x, x y, y y over the area of the cells [m, m^2], from the nominal centre of mass, object axes."""
     order: float
     """How many pushes went before this one."""
 
@@ -88,7 +95,7 @@ class TableScratch(NamedTuple):
 
 def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratch:
     """Scratch space of the effects; `n_cells` is 0 where none acts on the table."""
-    n_inputs = N_FIXED_INPUTS + n_memory + n_values
+    n_inputs = N_FIXED_INPUTS + n_memory + n_values + _PADDING
     return TableScratch(
         np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.ones(n_cells), np.zeros(n_cells),
         np.zeros(n_cells, dtype=np.complex128), np.zeros((3, n_cells)), np.zeros(5),
@@ -96,46 +103,59 @@ def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratc
     )  # fmt: skip
 
 
-# All effects of a kind, folded into one function each: a loop over functions would hide them from the compiler.
+# All effects of a kind, folded into one function each: a loop over functions would hide them from the compiler. Values and memory go
+# into an equation as four numbers from its place on, of which it takes the first few: arrays would cost more than the equation.
 
 
 @equation
-def _no_load(effects: ActiveEffects, values: Any, body: Body, cell: Cell, memory: Any) -> Any:
-    return body.mass * 0.0 + 1.0
+def _four(inputs: Any, at: int) -> Any:
+    return inputs[at], inputs[at + 1], inputs[at + 2], inputs[at + 3]
 
 
 @equation
-def _no_skew(effects: ActiveEffects, values: Any, body: Body) -> Any:
+def _cell_of(body: Body, rx: Any, ry: Any) -> Cell:
+    x, y = body.cos * rx - body.sin * ry, body.sin * rx + body.cos * ry
+    return Cell(body.x + x, body.y + y, body.vx - body.omega * y, body.vy + body.omega * x, rx, ry)
+
+
+@equation
+def _no_load(places: Places, inputs: Any, body: Body, arms: Float64Array, dx: Any, dy: Any, factor: Any) -> None:
+    factor[:] = 1.0
+
+
+@equation
+def _no_skew(places: Places, inputs: Any, body: Body) -> Any:
     return body.mass * 0.0, body.mass * 0.0
 
 
 @equation
-def _no_pull(effects: ActiveEffects, values: Any, body: Body) -> Any:
+def _no_pull(places: Places, inputs: Any, body: Body) -> Any:
     return body.mass * 0.0, body.mass * 0.0, body.mass * 0.0
 
 
 @equation
-def _no_memory(effects: ActiveEffects, values: Any, body: Body, dt: float, memory: Any, after: Any) -> None:
+def _no_memory(places: Places, inputs: Any, body: Body, dt: float, after: Any) -> None:
     after[:] = 0.0
 
 
 def _with_load(others: Equation, load: Equation, place: int) -> Equation:
     @equation
-    def loads(effects: ActiveEffects, values: Any, body: Body, cell: Cell, memory: Any) -> Any:
-        factor = others(effects, values, body, cell, memory)
-        if effects.first[place] >= 0:
-            factor = factor * load(values[effects.first[place] :], body, cell, memory[effects.memory[place] :])
-        return factor
+    def loads(places: Places, inputs: Any, body: Body, arms: Float64Array, dx: Any, dy: Any, factor: Any) -> None:
+        others(places, inputs, body, arms, dx, dy, factor)
+        if places.values[place] >= 0:
+            p, memory = _four(inputs, places.values[place]), _four(inputs, places.memory[place])
+            for i in range(arms.shape[1]):
+                factor[i] *= load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
 
     return loads
 
 
 def _with_skew(others: Equation, skew: Equation, place: int) -> Equation:
     @equation
-    def skews(effects: ActiveEffects, values: Any, body: Body) -> Any:
-        a, b = others(effects, values, body)
-        if effects.first[place] >= 0:
-            more_a, more_b = skew(values[effects.first[place] :], body)
+    def skews(places: Places, inputs: Any, body: Body) -> Any:
+        a, b = others(places, inputs, body)
+        if places.values[place] >= 0:
+            more_a, more_b = skew(_four(inputs, places.values[place]), body)
             a, b = a + more_a, b + more_b
         return a, b
 
@@ -144,10 +164,10 @@ def _with_skew(others: Equation, skew: Equation, place: int) -> Equation:
 
 def _with_pull(others: Equation, pull: Equation, place: int) -> Equation:
     @equation
-    def pulls(effects: ActiveEffects, values: Any, body: Body) -> Any:
-        fx, fy, torque = others(effects, values, body)
-        if effects.first[place] >= 0:
-            more_x, more_y, more_torque = pull(values[effects.first[place] :], body)
+    def pulls(places: Places, inputs: Any, body: Body) -> Any:
+        fx, fy, torque = others(places, inputs, body)
+        if places.values[place] >= 0:
+            more_x, more_y, more_torque = pull(_four(inputs, places.values[place]), body)
             fx, fy, torque = fx + more_x, fy + more_y, torque + more_torque
         return fx, fy, torque
 
@@ -156,11 +176,11 @@ def _with_pull(others: Equation, pull: Equation, place: int) -> Equation:
 
 def _with_memory(others: Equation, remember: Equation, place: int) -> Equation:
     @equation
-    def memories(effects: ActiveEffects, values: Any, body: Body, dt: float, memory: Any, after: Any) -> None:
-        others(effects, values, body, dt, memory, after)
-        if effects.first[place] >= 0:
-            at = effects.memory[place]
-            remember(values[effects.first[place] :], body, dt, memory[at:], after[at:])
+    def memories(places: Places, inputs: Any, body: Body, dt: float, after: Any) -> None:
+        others(places, inputs, body, dt, after)
+        if places.values[place] >= 0:
+            at = places.memory[place]
+            remember(_four(inputs, places.values[place]), body, dt, _four(inputs, at), after[at - N_FIXED_INPUTS :])
 
     return memories
 
@@ -185,30 +205,21 @@ def fill_inputs(state: Float64Array, mass: float, centre: Float64Array, memory: 
     inputs[_MASS] = mass
     inputs[_CENTRE : _CENTRE + 2] = centre
     inputs[N_FIXED_INPUTS : N_FIXED_INPUTS + memory.shape[0]] = memory
-    inputs[N_FIXED_INPUTS + memory.shape[0] :] = values
+    first = N_FIXED_INPUTS + memory.shape[0]
+    inputs[first : first + values.shape[0]] = values
 
 
 @equation
-def _body_of(effects: ActiveEffects, inputs: Any, centre: Float64Array, arms: Float64Array) -> Any:
-    """The object as equations see it, and by how much the centre of mass is off `centre`, from which the `arms` run."""
+def _body_of(effects: ActiveEffects, inputs: Any, centre: Float64Array) -> Any:
+    """The object as equations see it, and by how much its centre of mass is off the nominal one."""
     yaw = inputs[2].real
     turn = inputs[2] - yaw
     cos, sin = math.cos(yaw) - math.sin(yaw) * turn, math.sin(yaw) + math.cos(yaw) * turn
     dx, dy = inputs[_CENTRE] - centre[0], inputs[_CENTRE + 1] - centre[1]
-    x = y = sxy = 0.0
-    sxx = syy = effects.cell_moment
-    if effects.loads or effects.n_memory > 0:
-        share = 1.0 / arms.shape[1]
-        for i in range(arms.shape[1]):
-            rx, ry = arms[0, i], arms[1, i]
-            x += share * rx
-            y += share * ry
-            sxx += share * rx * rx
-            sxy += share * rx * ry
-            syy += share * ry * ry
+    x, y, xx, xy, yy = effects.moments
     body = Body(
         inputs[0], inputs[1], cos, sin, inputs[3], inputs[4], inputs[5], inputs[_MASS],
-        sxx - 2.0 * x * dx + dx * dx, sxy - x * dy - y * dx + dx * dy, syy - 2.0 * y * dy + dy * dy, effects.order,
+        xx - 2.0 * x * dx + dx * dx, xy - x * dy - y * dx + dx * dy, yy - 2.0 * y * dy + dy * dy, effects.order,
     )  # fmt: skip
     return body, dx, dy
 
@@ -224,35 +235,27 @@ def table_action(effects: ActiveEffects, inputs: Any, centre: Float64Array, arms
         factor: filled with the factor of the friction limit of each cell, shape (n_cells,), where an effect changes it.
         result: filled with the skew (a, b) and the pull (fx, fy, torque) [N, N, N m], object axes, shape (5,).
     """
-    n_memory = effects.n_memory
-    memory, values = inputs[N_FIXED_INPUTS : N_FIXED_INPUTS + n_memory], inputs[N_FIXED_INPUTS + n_memory :]
-    body, dx, dy = _body_of(effects, inputs, centre, arms)
-    cos, sin = body.cos, body.sin
+    body, dx, dy = _body_of(effects, inputs, centre)
     if effects.loads:
+        _loads(effects.places, inputs, body, arms, dx, dy, factor)
         for i in range(arms.shape[1]):
-            rx, ry = arms[0, i] - dx, arms[1, i] - dy
-            x, y = cos * rx - sin * ry, sin * rx + cos * ry
-            cell = Cell(body.x + x, body.y + y, body.vx - body.omega * y, body.vy + body.omega * x, rx, ry)
-            share = _loads(effects, values, body, cell, memory)
-            factor[i] = share if share.real > 0.0 else 0.0 * share
-    result[0], result[1] = _skews(effects, values, body)
-    fx, fy, torque = _pulls(effects, values, body)
-    result[2], result[3], result[4] = cos * fx + sin * fy, -sin * fx + cos * fy, torque
+            if factor[i].real < 0.0:
+                factor[i] = 0.0
+    result[0], result[1] = _skews(effects.places, inputs, body)
+    fx, fy, torque = _pulls(effects.places, inputs, body)
+    result[2], result[3], result[4] = body.cos * fx + body.sin * fy, body.cos * fy - body.sin * fx, torque
 
 
 @equation
-def _remember(effects: ActiveEffects, inputs: Any, centre: Float64Array, arms: Float64Array, dt: float, after: Any) -> None:
-    n_memory = effects.n_memory
-    body, _, _ = _body_of(effects, inputs, centre, arms)
-    memory, values = inputs[N_FIXED_INPUTS : N_FIXED_INPUTS + n_memory], inputs[N_FIXED_INPUTS + n_memory :]
-    _memories(effects, values, body, dt, memory, after)
+def _remember(effects: ActiveEffects, inputs: Any, centre: Float64Array, dt: float, after: Any) -> None:
+    body, _, _ = _body_of(effects, inputs, centre)
+    _memories(effects.places, inputs, body, dt, after)
 
 
 @kernel
 def update_memory(
     effects: ActiveEffects,
     centre: Float64Array,
-    arms: Float64Array,
     dt: float,
     derive: bool,
     memory: Float64Array,
@@ -263,13 +266,13 @@ def update_memory(
     inputs, turned, after = scratch.inputs, scratch.turned, scratch.d_memory
     if derive:
         turned[:] = inputs
-        for column in range(inputs.shape[0]):
+        for column in range(by_inputs.shape[1]):
             turned[column] += STEP_OF_INPUT * 1j
-            _remember(effects, turned, centre, arms, dt, after)
+            _remember(effects, turned, centre, dt, after)
             turned[column] = inputs[column]
             for i in range(memory.shape[0]):
                 by_inputs[i, column] = after[i].imag / STEP_OF_INPUT
-    _remember(effects, inputs, centre, arms, dt, memory)
+    _remember(effects, inputs, centre, dt, memory)
 
 
 @kernel
@@ -298,7 +301,7 @@ def table_sensitivity(
     """
     inputs, turned, factor, d_factor, force = scratch.inputs, scratch.turned, scratch.factor, scratch.d_factor, scratch.force
     n_values = effects.values.shape[0]
-    n_inputs = inputs.shape[0]
+    n_inputs = N_FIXED_INPUTS + effects.n_memory + n_values
     along_a, along_b = np.zeros(3), np.zeros(3)
     cell_friction(twist, arms, limit, skew, eps, force)
     if effects.skews:
