@@ -309,7 +309,7 @@ def build(ros: Ros) -> None:
 
 def compile_kernels() -> None:
     """Fill numba's cache, so that no node waits for the compiler at its first push."""
-    run([str(VENV_PYTHON), "-c", "from push_ident.physics.simulation import compile_kernels; compile_kernels()"])
+    run([str(VENV_PYTHON), "-c", "from push_ident.physics.simulation import compile_kernels; compile_kernels(effects=True)"])
 
 
 def package_xml(package: str) -> Path:

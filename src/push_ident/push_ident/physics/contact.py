@@ -4,11 +4,15 @@ The pusher is a convex polygon rounded by a radius; a single point rounded by a 
 corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. Up to three act at once: the
 nearest; its neighbours to the left and right on the same flat face (a line contact); the nearest on a face that looks elsewhere
 (a pusher in a concave corner). Cells play no part: a staircase of cells would turn every oblique face into a row of steps.
+
+The surface that is met may lie `offset` outside the outline: gaps are those of a pusher that is larger by it, and contact points
+move with the surface. An impact may be elastic, see `add_rebound`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +21,8 @@ from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
 from push_ident.types import Float64Array
 
 __all__ = [
-    "CONTACT_FIELDS", "MAX_DISC_CONTACTS", "RECOVERY_SPEED", "contact_rows", "contact_rows_seed", "count_inside", "find_contacts",
-    "max_candidates",
+    "CONTACT_FIELDS", "MAX_DISC_CONTACTS", "RECOVERY_SPEED", "ContactEffects", "Rebound", "add_rebound", "contact_rows",
+    "contact_rows_seed", "count_inside", "find_contacts", "max_candidates", "shift_surface",
 ]  # fmt: skip
 
 GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
@@ -41,6 +45,7 @@ _PARALLEL = 0.9  # cosine between normals above which two contacts belong to the
 _SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may fall behind the foremost one
 _APART = 1e-4  # contacts of a face nearer to each other than this repeat each other [m]
 _TINY = 1e-12
+_TOUCHES = 2e-5  # gap below which a contact that closed in the last step touches [m]
 
 
 @kernel
@@ -292,6 +297,53 @@ def contact_rows(
 
 
 @kernel
+def shift_surface(contacts: Float64Array, n_contacts: int, offset: float) -> None:
+    """Move the points of contacts that were found with a radius larger by `offset` to the surface [m]."""
+    for k in range(n_contacts):
+        contacts[k, POINT] += offset * contacts[k, NORMAL]
+        contacts[k, POINT + 1] += offset * contacts[k, NORMAL + 1]
+
+
+class Rebound(NamedTuple):
+    """What an elastic impact knows of the step before."""
+
+    acts: bool
+    """Whether a contact pressed in the last step."""
+    restitution: float
+    """0 (the two stay together) to 1."""
+    twist: Float64Array
+    """Of the centre of mass before the last step, object axes, shape (3,)."""
+
+
+class ContactEffects(NamedTuple):
+    """What effects do to the contacts of a step, and how much more of it per unit of one input."""
+
+    offset: float
+    """Of the surface from the outline [m]."""
+    rebound: Rebound
+    d_spin: float
+    """Of the pusher."""
+    d_offset: float
+    d_restitution: float
+    d_twist: Float64Array
+    """Of the twist of `Rebound`, shape (3,)."""
+
+
+@kernel
+def add_rebound(contact: Float64Array, k: int, rebound: Rebound, dt: float, rows: Float64Array) -> None:
+    """Newton's law of impact on contact k: in the step after one in which it pressed, it parts at `restitution` times the speed of meeting.
+
+    The step before has closed the gap as if nothing rebounded: an impact takes two steps, and however small the restitution, the motion
+    goes over into that without.
+    """
+    if rebound.acts and contact[GAP] <= _TOUCHES:
+        before = rebound.twist
+        pusher = rows[k, BOUND] + max(contact[GAP] / dt, -RECOVERY_SPEED)
+        meeting = pusher - rows[k, 0] * before[0] - rows[k, 1] * before[1] - rows[k, 2] * before[2]
+        rows[k, BOUND] += rebound.restitution * max(0.0, meeting)
+
+
+@kernel
 def contact_rows_seed(
     contact: Float64Array,
     k: int,
@@ -304,9 +356,13 @@ def contact_rows_seed(
     d_angle: float,
     d_centre: Float64Array,
     d_velocity: Float64Array,
+    effects: ContactEffects | None,
     d_rows: Float64Array,
 ) -> None:
-    """Derivative of `contact_rows` for a change of the pusher's centre, angle and velocity and of the centre of mass."""
+    """Derivative of `contact_rows` for a change of the pusher's centre, angle and velocity and of the centre of mass.
+
+    Where there are effects, also of what they add.
+    """
     nx, ny = contact[NORMAL], contact[NORMAL + 1]
     tx, ty = -ny, nx
     ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
@@ -319,14 +375,32 @@ def contact_rows_seed(
     slide = along if contact[KIND] == ON_EDGE else 0.0
     dnx, dny = turn * tx, turn * ty
     dtx, dty = -dny, dnx
-    dax, day = slide * tx - d_centre[0], slide * ty - d_centre[1]
-    dvx = d_velocity[0] - spin * (slide * ty - d_pusher[1])
-    dvy = d_velocity[1] + spin * (slide * tx - d_pusher[0])
+    d_point_x, d_point_y = slide * tx, slide * ty
+    d_gap = nx * d_tip_x + ny * d_tip_y
+    if effects is not None:
+        d_point_x += effects.offset * dnx + effects.d_offset * nx
+        d_point_y += effects.offset * dny + effects.d_offset * ny
+        d_gap -= effects.d_offset
+    dax, day = d_point_x - d_centre[0], d_point_y - d_centre[1]
+    dvx = d_velocity[0] - spin * (d_point_y - d_pusher[1])
+    dvy = d_velocity[1] + spin * (d_point_x - d_pusher[0])
+    if effects is not None:
+        dvx -= effects.d_spin * by
+        dvy += effects.d_spin * bx
     # An overlap that is taken back at the recovery speed is taken back at that speed whatever its depth.
-    d_gap = nx * d_tip_x + ny * d_tip_y if contact[GAP] > -RECOVERY_SPEED * dt else 0.0
+    if contact[GAP] <= -RECOVERY_SPEED * dt:
+        d_gap = 0.0
     d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
     d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
-    d_rows[k, BOUND] = -(dnx * vx + dny * vy + nx * dvx + ny * dvy) - d_gap / dt
+    d_bound = -(dnx * vx + dny * vy + nx * dvx + ny * dvy)
+    d_rows[k, BOUND] = d_bound - d_gap / dt
+    if effects is not None and effects.rebound.acts and contact[GAP] <= _TOUCHES:
+        before, d_before = effects.rebound.twist, effects.d_twist
+        meeting = nx * (before[0] - vx) + ny * (before[1] - vy) + (ax * ny - ay * nx) * before[2]
+        if meeting > 0.0:
+            d_meeting = d_bound + nx * d_before[0] + ny * d_before[1] + (ax * ny - ay * nx) * d_before[2]
+            d_meeting -= d_rows[k, 0] * before[0] + d_rows[k, 1] * before[1] + d_rows[k, 2] * before[2]
+            d_rows[k, BOUND] += effects.d_restitution * meeting + effects.rebound.restitution * d_meeting
     i = MAX_CONTACTS + k
     d_rows[i, 0], d_rows[i, 1] = dtx, dty
     d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx

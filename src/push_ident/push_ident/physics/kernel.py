@@ -1,7 +1,7 @@
 """How kernels are compiled, and kept on disk honestly.
 
 Numba files a compiled kernel under the content of its own source and does not notice that a kernel of another file, which it has
-compiled in, changed. Therefore any change of a source of this package drops all of its compiled kernels.
+compiled in, changed. Therefore any change of a source of this package, or of an effect, drops all of its compiled kernels.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _probe() -> int:
 
 
 def _drop_stale_kernels() -> None:
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
     folder = Path(_probe.stats.cache_path)
     stamp = folder / "kernels.sha256"

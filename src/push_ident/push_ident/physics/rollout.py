@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.contact import CONTACT_FIELDS, contact_rows, find_contacts, max_candidates
+from push_ident.physics.contact import CONTACT_FIELDS, Rebound, add_rebound, contact_rows, find_contacts, max_candidates, shift_surface
 from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, NO_MODE, tangent_row
 from push_ident.physics.pyramid import PyramidScratch, new_pyramid_scratch, pyramid_friction, pyramid_step
@@ -23,12 +23,23 @@ from push_ident.physics.sensitivity import (
     PARAM_MASS,
     PARAM_MU,
     PARAM_POSE,
+    EffectDrive,
     StepBalance,
     Tape,
+    new_effect_drive,
     step_sensitivity,
 )
-from push_ident.physics.step import StepScratch, new_step_scratch, step
-from push_ident.physics.support import support_friction
+from push_ident.physics.step import StepScratch, TableForces, new_step_scratch, step
+from push_ident.physics.support import add_skew, support_friction
+from push_ident.physics.table import (
+    ActiveEffects,
+    TableScratch,
+    fill_inputs,
+    new_table_scratch,
+    table_action,
+    table_sensitivity,
+    update_memory,
+)
 from push_ident.types import Float64Array
 
 __all__ = [
@@ -78,6 +89,14 @@ class Numerics(NamedTuple):
     """Without inertia."""
 
 
+class EffectScratch(NamedTuple):
+    """Space that effects work in."""
+
+    table: TableScratch
+    forces: TableForces
+    drive: EffectDrive
+
+
 class RolloutScratch(NamedTuple):
     """Space that a rollout works in."""
 
@@ -87,17 +106,28 @@ class RolloutScratch(NamedTuple):
     contacts: Float64Array
     found: Float64Array
     tips: Float64Array
+    effects: Any
+    """`EffectScratch`; None without effects."""
 
 
-def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int) -> RolloutScratch:
+def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int, effects: ActiveEffects | None, *, diamond: bool) -> RolloutScratch:
     """Scratch space of `rollout`."""
+    scratch = None
+    if effects is not None:
+        n_values, on_table = len(effects.values), bool(np.any(effects.on_table))
+        scratch = EffectScratch(
+            new_table_scratch(effects.n_memory, n_values, n_cells if on_table else 0),
+            TableForces(np.zeros(2), np.zeros(3)),
+            new_effect_drive(effects.n_memory, n_values),
+        )
     return RolloutScratch(
         new_step_scratch(),
-        new_pyramid_scratch(n_cells),
+        new_pyramid_scratch(n_cells if diamond else 0),
         np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)),
         np.zeros((MAX_CONTACTS, CONTACT_FIELDS)),
         np.zeros((max_candidates(n_corners, n_outline), CONTACT_FIELDS)),
         np.zeros((n_corners, 2)),
+        scratch,
     )
 
 
@@ -141,9 +171,48 @@ def _see_pusher(
 
 
 @kernel
+def _rebound(effects: ActiveEffects, memory: Float64Array, code: int, cos: float, sin: float, before: Float64Array) -> Rebound:
+    """What contacts know of the step before, whose mode was `code`; fills the twist `before` it."""
+    if effects.restitution < 0:
+        return Rebound(False, 0.0, before)
+    at = effects.rebound
+    before[0], before[1] = cos * memory[at] + sin * memory[at + 1], -sin * memory[at] + cos * memory[at + 1]
+    before[2] = memory[at + 2]
+    return Rebound(code >= 4, effects.values[effects.restitution], before)
+
+
+@kernel
+def _drive_contacts(effects: ActiveEffects, rebound: Rebound, n: int, dt: float, cos: float, sin: float, drive: EffectDrive) -> EffectDrive:
+    """What effects on the pusher and on the contact do in step n, for its derivative."""
+    m = effects.n_memory
+    for k in range(effects.values.shape[0]):
+        if effects.moves[k]:
+            now, then = effects.d_path[k, n], effects.d_path[k, n + 1]
+            vx, vy = (then[0] - now[0]) / dt, (then[1] - now[1]) / dt
+            drive.pusher[m + k, 0], drive.pusher[m + k, 1] = cos * now[0] + sin * now[1], -sin * now[0] + cos * now[1]
+            drive.velocity[m + k, 0], drive.velocity[m + k, 1] = cos * vx + sin * vy, -sin * vx + cos * vy
+            drive.angle[m + k], drive.spin[m + k] = now[2], (then[2] - now[2]) / dt
+    offset = 0.0
+    if effects.offset >= 0:
+        offset = effects.values[effects.offset]
+        drive.by_offset[m + effects.offset] = 1.0
+    if effects.restitution >= 0:
+        drive.restitution[m + effects.restitution] = 1.0
+        at = effects.rebound
+        drive.twist[at, 0], drive.twist[at, 1] = cos, -sin
+        drive.twist[at + 1, 0], drive.twist[at + 1, 1] = sin, cos
+        drive.twist[at + 2, 2] = 1.0
+    return EffectDrive(
+        offset, rebound, drive.pusher, drive.angle, drive.velocity, drive.spin, drive.by_offset, drive.restitution, drive.twist,
+        drive.seeds,
+    )  # fmt: skip
+
+
+@kernel
 def rollout(
     push: Push,
     numerics: Numerics,
+    effects: ActiveEffects | None,
     frame_step: NDArray[np.int64],
     frame_fraction: Float64Array,
     derive: bool,
@@ -157,6 +226,7 @@ def rollout(
     Args:
         push: the push.
         numerics: how.
+        effects: what acts beside the base model; None compiles to the base model alone, at its speed.
         frame_step, frame_fraction: frame j lies `fraction` of the way through step `frame_step[j]`; ascending.
         derive: whether to fill `tape`.
         poses: filled with the poses at the frames, shape (n_frames, 3), table frame.
@@ -182,6 +252,19 @@ def rollout(
     impulse = np.zeros(MAX_CONTACTS + 1)
     twist, seen, velocity = np.zeros(3), np.zeros(2), np.zeros(2)
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
+    radius, pulled = push.radius, False
+    forces: Any = None
+    drive: Any = None
+    if effects is not None:
+        table, forces, drive = scratch.effects.table, scratch.effects.forces, scratch.effects.drive
+        memory, before, no_derivative = np.zeros(effects.n_memory), np.zeros(3), np.zeros((0, 0))
+        acts_on_table = effects.loads or effects.skews or effects.pulls
+        offset = effects.values[effects.offset] if effects.offset >= 0 else 0.0
+        radius += offset
+        # What is pulled at does not idle; without inertia, friction holds it.
+        pulled = effects.pulls and not numerics.quasi_static
+        if effects.loads:
+            limit = table.limit
     n_steps, n_frames = push.pusher.shape[0] - 1, frame_step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
@@ -191,22 +274,37 @@ def rollout(
             frame += 1
 
         spin, speed = _see_pusher(push, n, dt, state, cos, sin, seen, velocity, tips)
-        n_contacts = find_contacts(tips, push.radius, push.outline, _REACH + speed * dt, scratch.found, contacts)
+        n_contacts = find_contacts(tips, radius, push.outline, _REACH + speed * dt, scratch.found, contacts)
+        if effects is not None:
+            shift_surface(contacts, n_contacts, offset)
+            fill_inputs(state, push.inertia[0], centre, memory, effects.values, table.inputs)
 
         coasts = not numerics.quasi_static and (state[3] != 0.0 or state[4] != 0.0 or state[5] != 0.0)
         untouched = n_contacts == 0 or (contacts[0, 0] >= -1e-9 and (speed == 0.0 or contacts[0, 0] > speed * dt))
-        event = IDLE if untouched and not coasts else MOVED
+        event = IDLE if untouched and not coasts and not pulled else MOVED
         if event != IDLE:
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
             for k in range(n_contacts):
                 contact_rows(contacts[k], k, centre, seen, velocity, spin, dt, contacts[0], rows)
+            if effects is not None:
+                rebound = _rebound(effects, memory, code, cos, sin, before)
+                for k in range(n_contacts):
+                    add_rebound(contacts[k], k, rebound, dt, rows)
+                if acts_on_table:
+                    table_action(effects, table.inputs, centre, arms, table.factor, table.result)
+                    forces.skew[:], forces.pull[:] = table.result[:2], table.result[2:]
+                if effects.loads:
+                    for i in range(limit.shape[0]):
+                        limit[i] = table.factor[i] * push.limit[i]
             if numerics.diamond:
                 code, used = pyramid_step(
                     twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, cos, sin, code, impulse,
                     scratch.step, scratch.cells,
                 )  # fmt: skip
             else:
-                code, used = step(twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, eps, code, impulse, scratch.step)
+                code, used = step(
+                    twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, eps, code, impulse, scratch.step, forces
+                )
             iterations += used
             if code == NO_MODE:
                 return n, iterations
@@ -227,14 +325,24 @@ def rollout(
                     )  # fmt: skip
                 else:
                     support_friction(twist, arms, limit, eps, True, friction, stiffness)
+                    if effects is not None and effects.skews:
+                        add_skew(twist, arms, limit, forces.skew, eps, True, friction, stiffness)
                     for i in range(3):
                         friction[i] *= dt
                         for j in range(3):
                             stiffness[i, j] *= dt
+                if effects is not None:
+                    drive = _drive_contacts(effects, rebound, n, dt, cos, sin, drive)
+                    if acts_on_table:
+                        table_sensitivity(effects, twist, centre, arms, push.limit, forces.skew, eps, dt, table, drive.seeds)
+                    if effects.loads:
+                        tape.factor[n] = table.factor
+                    if effects.skews:
+                        tape.skew[n] = forces.skew
                 balance = StepBalance(twist, scratch.step.old, impulse, inertia, friction, stiffness, by_yaw, stuck)
                 if not step_sensitivity(
                     balance, rows, contacts, n_contacts, code, mu, centre, seen, velocity, spin, cos, sin, dt,
-                    scratch.step.mode, tape.block[n],
+                    drive, scratch.step.mode, tape.block[n],
                 ):  # fmt: skip
                     return n, iterations
                 tape.twist[n] = twist
@@ -243,6 +351,8 @@ def rollout(
             state[1] += dt * vy
             state[2] += dt * twist[2]
             state[3], state[4], state[5] = vx, vy, twist[2]
+        if effects is not None and effects.n_memory > 0:
+            update_memory(effects, centre, dt, derive, memory, tape.memory[n] if derive else no_derivative, table)
         if derive:
             tape.event[n] = event
             tape.heading[n, 0], tape.heading[n, 1] = cos, sin

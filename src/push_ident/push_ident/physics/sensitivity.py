@@ -10,7 +10,8 @@ The state is s = (centre of mass x, y, yaw; velocity x, y, yaw rate), table axes
 
     s+ = (x + dt v, y.., yaw + dt omega, v, omega),      du = B ds + C dp + A sum_i (d impulse_i / d limit_i) d limit_i
 
-where the 3 x 14 block [A B C] of a step is all that a rollout must keep.
+where the 3 x 14 block [A B C] of a step is all that a rollout must keep. Active effects (`table.py`) add to it the response E to their
+memory m and their values q. The memory goes on by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.contact import contact_rows_seed
+from push_ident.physics.contact import ContactEffects, Rebound, contact_rows_seed
 from push_ident.physics.kernel import fast_kernel, kernel
 from push_ident.physics.modes import (
     BOUND,
@@ -35,12 +36,13 @@ from push_ident.physics.modes import (
     tangent_row,
 )
 from push_ident.physics.support import Cone, unit_friction
+from push_ident.physics.table import N_FIXED_INPUTS
 from push_ident.types import Float64Array
 
 __all__ = [
     "CAME_TO_REST", "IDLE", "MOVED", "N_BODY_PARAMETERS",
     "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS", "PARAM_MU", "PARAM_POSE",
-    "StepBalance", "Tape", "chain_backward", "chain_forward", "new_tape", "step_sensitivity",
+    "EffectDrive", "StepBalance", "Tape", "chain_backward", "chain_forward", "new_effect_drive", "new_tape", "step_sensitivity",
 ]  # fmt: skip
 
 PARAM_POSE = 0
@@ -51,7 +53,7 @@ PARAM_CENTRE = 4
 PARAM_INERTIA = 6
 PARAM_MU = 7
 PARAM_LIMIT = 8
-"""First column of the friction limits of the cells."""
+"""First column of the friction limits of the cells; behind them stand the values of the active effects."""
 N_BODY_PARAMETERS = 8
 
 # Columns of the block of a step: A, the response to a unit impulse on each velocity; then the seeds: B of the state, C of the body.
@@ -63,7 +65,8 @@ _MASS = 9
 _CENTRE = 10
 _INERTIA = 12
 _MU = 13
-_N_COLUMNS = 14
+_EFFECTS = 14
+"""First column of the memory of the effects, then their values."""
 
 IDLE = 0
 MOVED = 1
@@ -79,11 +82,17 @@ class Tape(NamedTuple):
     event: NDArray[np.int8]
     """`IDLE`, `MOVED` or `CAME_TO_REST`, shape (n_steps,)."""
     block: Float64Array
-    """[A B C], shape (n_steps, 3, 14), object axes."""
+    """[A B C E], shape (n_steps, 3, 14 + n_memory + n_values), object axes."""
     twist: Float64Array
     """After the step, object axes at its start, shape (n_steps, 3)."""
     heading: Float64Array
     """cos and sin of the yaw at the start of each step and at the end of the last, shape (n_steps + 1, 2)."""
+    factor: Float64Array
+    """Of the friction limit of each cell, shape (n_steps, n_cells); of no cells where no effect changes them."""
+    skew: Float64Array
+    """Of the friction's direction, (a, b) in object axes, shape (n_steps, 2); of no steps where there is none."""
+    memory: Float64Array
+    """Derivative of the memory after a step by the inputs at its start (`table.py`), shape (n_steps, n_memory, n_inputs)."""
 
 
 class StepBalance(NamedTuple):
@@ -107,9 +116,59 @@ class StepBalance(NamedTuple):
     """[R s] of the cells that stick, see `pyramid.pyramid_friction`: zero for the circular cone, shape (3, 4)."""
 
 
-def new_tape(n_steps: int) -> Tape:
-    """Empty tape of a rollout."""
-    return Tape(np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, _N_COLUMNS)), np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)))
+class EffectDrive(NamedTuple):
+    """What effects do in a step, as its derivative sees it; object axes. Rows belong to the memory of the effects, then their values."""
+
+    offset: float
+    """Of the contact surface [m]."""
+    rebound: Rebound
+    pusher: Float64Array
+    """Change of the pusher's centre, shape (n, 2)."""
+    angle: Float64Array
+    """Of its angle, shape (n,)."""
+    velocity: Float64Array
+    """Of its velocity, shape (n, 2)."""
+    spin: Float64Array
+    by_offset: Float64Array
+    """Of the offset, shape (n,)."""
+    restitution: Float64Array
+    twist: Float64Array
+    """Of the twist of the rebound, shape (n, 3)."""
+    seeds: Float64Array
+    """Impulse that effects on the table add, by the columns of the block [N s, N s, N m s], shape (3, n_columns)."""
+
+
+def new_effect_drive(n_memory: int, n_values: int) -> EffectDrive:
+    """Drive of no effect that acts."""
+    n = n_memory + n_values
+    return EffectDrive(
+        0.0, Rebound(False, 0.0, np.zeros(3)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros((n, 3)), np.zeros((3, _EFFECTS + n)),
+    )  # fmt: skip
+
+
+def new_tape(n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, skewed: bool = False) -> Tape:
+    """Empty tape of a rollout; `n_cells` is 0 where no effect changes friction limits."""
+    n_inputs = N_FIXED_INPUTS + n_memory + n_values
+    return Tape(
+        np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, _EFFECTS + n_memory + n_values)), np.zeros((n_steps, 3)),
+        np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros((n_steps if skewed else 0, 2)),
+        np.zeros((n_steps, n_memory, n_inputs)),
+    )  # fmt: skip
+
+
+@kernel
+def _contact_effects(drive: EffectDrive, column: int, d_pusher: Float64Array, d_velocity: Float64Array) -> ContactEffects:
+    """What effects do to the contacts per unit of one column; moves the pusher where that is a value that drives it."""
+    rebound = drive.rebound
+    if column < _EFFECTS:
+        d_twist = np.zeros(3)
+        if column == _YAW:
+            d_twist[0], d_twist[1] = rebound.twist[1], -rebound.twist[0]
+        return ContactEffects(drive.offset, rebound, 0.0, 0.0, 0.0, d_twist)
+    e = column - _EFFECTS
+    d_pusher[:], d_velocity[:] = drive.pusher[e], drive.velocity[e]
+    return ContactEffects(drive.offset, rebound, drive.spin[e], drive.by_offset[e], drive.restitution[e], drive.twist[e])
 
 
 @kernel
@@ -151,14 +210,15 @@ def step_sensitivity(
     cos: float,
     sin: float,
     dt: float,
+    drive: EffectDrive | None,
     scratch: ModeScratch,
     block: Float64Array,
 ) -> bool:
-    """Derivative of the twist after a step: fills the block [A B C], shape (3, 14). False where the system is singular.
+    """Derivative of the twist after a step: fills its block (`Tape.block`). False where the system is singular.
 
     `rows` are the contacts as the step saw them (`modes.py`), `contacts` as `contact.py` did; `pusher` is the pusher's centre,
-    `velocity` its velocity [m/s] and `spin` its rate of turn [rad/s]; `cos` and `sin` belong to the object's yaw. The other arguments
-    are those of `step.step`.
+    `velocity` its velocity [m/s] and `spin` its rate of turn [rad/s]; `cos` and `sin` belong to the object's yaw; `drive` holds what
+    effects do, None without effects. The other arguments are those of `step.step`.
     """
     twist, old, inertia, impulse, stiffness = step.twist, step.old, step.inertia, step.impulse, step.stiffness
     row = scratch.row
@@ -168,12 +228,15 @@ def step_sensitivity(
         h[i, i] += inertia[i]
     n = mode_system(code, h, rows, mu, row, scratch.matrix)
     size = _add_stuck(step.stuck, 3 + n, scratch.matrix)
-    b = np.zeros((size, _N_COLUMNS))
+    n_columns = _EFFECTS if drive is None else drive.seeds.shape[1]
+    b = np.zeros((size, n_columns))
+    if drive is not None:
+        b[:3] = drive.seeds
     for i in range(3):
         b[i, _IMPULSE + i] = 1.0
     d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
     d_pusher, d_centre, d_velocity = np.empty(2), np.empty(2), np.empty(2)
-    for column in range(_STATE, _N_COLUMNS):
+    for column in range(_STATE, n_columns):
         d_pusher[:], d_centre[:], d_velocity[:] = 0.0, 0.0, 0.0
         d_angle = 0.0
         if column == _STATE:
@@ -216,16 +279,25 @@ def step_sensitivity(
         elif column == _INERTIA:
             if inertia[2] > 0.0:
                 b[2, column] += old[2] - twist[2]
-        else:
+        elif column == _MU:
             carried = 0.0
             for k in range(n_contacts):
                 carried += impulse[k] * rows[k, SHARES_TANGENT]
             for i in range(3):
                 b[i, column] += sign * carried * rows[tangent, i]
-        if n == 0 or not (_STATE <= column <= _YAW or column == _CENTRE or column == _CENTRE + 1):
+        if n == 0 or not (_STATE <= column <= _YAW or column == _CENTRE or column == _CENTRE + 1 or column >= _EFFECTS):
             continue
-        for k in range(n_contacts):
-            contact_rows_seed(contacts[k], k, centre, pusher, velocity, spin, dt, d_pusher, d_angle, d_centre, d_velocity, d_rows)
+        if drive is None:
+            for k in range(n_contacts):
+                contact_rows_seed(contacts[k], k, centre, pusher, velocity, spin, dt, d_pusher, d_angle, d_centre, d_velocity, None, d_rows)
+        else:
+            effects = _contact_effects(drive, column, d_pusher, d_velocity)
+            if column >= _EFFECTS:
+                d_angle = drive.angle[column - _EFFECTS]
+            for k in range(n_contacts):
+                contact_rows_seed(
+                    contacts[k], k, centre, pusher, velocity, spin, dt, d_pusher, d_angle, d_centre, d_velocity, effects, d_rows
+                )
         for i in range(3):
             b[i, column] += d_rows[tangent, i] * impulse[MAX_CONTACTS]
             for k in range(n_contacts):
@@ -233,7 +305,7 @@ def step_sensitivity(
         for j in range(n):
             k = row[j]
             b[3 + j, column] = d_rows[k, BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
-    if not solve_small(scratch.matrix, b, size, _N_COLUMNS):
+    if not solve_small(scratch.matrix, b, size, n_columns):
         return False
     block[:] = b[:3]
     return True
@@ -251,6 +323,76 @@ def _limit_columns(d: Float64Array, twist: Float64Array, arms: Float64Array, con
         du[0, i] = d[0, 0] * fx + d[0, 1] * fy + d[0, 2] * ft
         du[1, i] = d[1, 0] * fx + d[1, 1] * fy + d[1, 2] * ft
         du[2, i] = d[2, 0] * fx + d[2, 1] * fy + d[2, 2] * ft
+
+
+@fast_kernel
+def _add_skew_columns(
+    d: Float64Array, twist: Float64Array, arms: Float64Array, skew: Float64Array, eps: float, dt: float, du: Float64Array
+) -> None:
+    """Add to `_limit_columns` of the circular cone what friction that depends on the direction of motion brings."""
+    x, y = arms[0], arms[1]
+    a, b = skew[0], skew[1]
+    for i in range(x.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = twist[0] - twist[2] * ry, twist[1] + twist[2] * rx
+        scale = -dt / math.sqrt(ux * ux + uy * uy + eps * eps)
+        fx, fy = scale * (a * ux + b * uy), scale * (b * ux - a * uy)
+        ft = rx * fy - ry * fx
+        du[0, i] += d[0, 0] * fx + d[0, 1] * fy + d[0, 2] * ft
+        du[1, i] += d[1, 0] * fx + d[1, 1] * fy + d[1, 2] * ft
+        du[2, i] += d[2, 0] * fx + d[2, 1] * fy + d[2, 2] * ft
+
+
+@kernel
+def _effect_columns(
+    tape: Tape, n: int, arms: Float64Array, own_arms: Float64Array, first: int, last: int, eps: float, dt: float,
+    memory: Float64Array, du: Float64Array,
+) -> None:  # fmt: skip
+    """Let effects change the part of the twist after step n that does not come from the state, columns `first` to `last`.
+
+    `own_arms` are the arms of the cells among these columns; `memory` is the derivative of the memory at the start of the step.
+    """
+    block = tape.block[n]
+    n_memory = tape.memory.shape[1]
+    n_body = max(0, N_BODY_PARAMETERS - first)
+    if tape.skew.shape[0] > 0:
+        _add_skew_columns(block, tape.twist[n], own_arms, tape.skew[n], eps, dt, du[:, n_body:])
+    if tape.factor.shape[1] > 0:
+        factor = tape.factor[n, first + n_body - N_BODY_PARAMETERS :]
+        for i in range(3):
+            for p in range(own_arms.shape[1]):
+                du[i, n_body + p] *= factor[p]
+    first_value = N_BODY_PARAMETERS + arms.shape[1]
+    for i in range(3):
+        for p in range(max(first, first_value), last):
+            du[i, p - first] = block[i, _EFFECTS + n_memory + p - first_value]
+        if n_memory > 0 and first == 0:
+            du[i, :PARAM_MASS] = 0.0
+        for j in range(n_memory):
+            for p in range(last - first):
+                du[i, p] += block[i, _EFFECTS + j] * memory[j, p]
+
+
+@kernel
+def _advance_memory(by_inputs: Float64Array, s: Float64Array, first: int, last: int, n_cells: int, memory: Float64Array) -> None:
+    """Carry the derivative of the memory, columns `first` to `last`, over one step; `s` is that of the state at its start."""
+    before = memory.copy()
+    n_memory = memory.shape[0]
+    first_value = N_BODY_PARAMETERS + n_cells
+    for j in range(n_memory):
+        g = by_inputs[j]
+        for p in range(last - first):
+            memory[j, p] = 0.0
+            for i in range(6):
+                memory[j, p] += g[i] * s[i, p]
+            for i in range(n_memory):
+                memory[j, p] += g[N_FIXED_INPUTS + i] * before[i, p]
+        if first == 0:
+            # Mass and centre of mass stand side by side in both orders.
+            for i in range(3):
+                memory[j, PARAM_MASS + i] += g[6 + i]
+        for p in range(max(first, first_value), last):
+            memory[j, p - first] += g[N_FIXED_INPUTS + n_memory + p - first_value]
 
 
 @fast_kernel
@@ -308,10 +450,12 @@ def chain_forward(
         diamond, eps: law of the support friction (`support.py`).
         dt: [s]
         frame_step, frame_fraction: frame j lies `fraction` of the way through step `frame_step[j]`; ascending.
-        jacobian: filled, shape (n_frames, 3, 8 + n_cells), columns: `PARAM_...`.
+        jacobian: filled, shape (n_frames, 3, 8 + n_cells + n_values), columns: `PARAM_...`.
     """
-    n_parameters = N_BODY_PARAMETERS + arms.shape[1]
+    n_parameters = jacobian.shape[2]
     n_frames = frame_step.shape[0]
+    n_memory = tape.memory.shape[1]
+    effects = n_parameters > N_BODY_PARAMETERS + arms.shape[1]
     jacobian[:] = 0.0
     for first in range(0, n_parameters, _CHUNK):
         last = min(first + _CHUNK, n_parameters)
@@ -319,6 +463,7 @@ def chain_forward(
         own_arms = arms[:, first + n_body - N_BODY_PARAMETERS : last - N_BODY_PARAMETERS]
         s = np.zeros((6, last - first))
         du = np.zeros((3, last - first))
+        memory = np.zeros((n_memory, last - first))
         if first == 0:
             cos, sin = tape.heading[0, 0], tape.heading[0, 1]
             s[0, 0], s[1, 1], s[2, 2] = 1.0, 1.0, 1.0
@@ -339,9 +484,14 @@ def chain_forward(
                         for p in range(PARAM_MASS, N_BODY_PARAMETERS):
                             du[i, p] = block[i, _MASS + p - PARAM_MASS]
                 _limit_columns(block, twist, own_arms, Cone(diamond, eps, cos, sin), dt, du[:, n_body:])
-                _advance(s, du, block, twist, cos, sin, dt)
-                if tape.event[n] == CAME_TO_REST:
-                    s[3:] = 0.0
+                if effects:
+                    _effect_columns(tape, n, arms, own_arms, first, last, eps, dt, memory, du)
+            if n_memory > 0:
+                _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
+            if tape.event[n] != IDLE:
+                _advance(s, du, tape.block[n], tape.twist[n], cos, sin, dt)
+            if tape.event[n] != MOVED:
+                s[3:] = 0.0
             for j in range(begin, frame):
                 _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
 
@@ -357,6 +507,21 @@ def _add_limit_gradient(
         rx, ry = x[i], y[i]
         px, py = unit_friction(twist[0] - twist[2] * ry, twist[1] + twist[2] * rx, cone)
         gradient[i] += px * (a - c * ry) + py * (b + c * rx)
+
+
+@fast_kernel
+def _add_skew_gradient(
+    twist: Float64Array, arms: Float64Array, skew: Float64Array, eps: float, dt: float, by_impulse: Float64Array, gradient: Float64Array
+) -> None:
+    """Transpose of `_add_skew_columns`, as `_add_limit_gradient`."""
+    x, y = arms[0], arms[1]
+    a, b = skew[0], skew[1]
+    for i in range(x.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = twist[0] - twist[2] * ry, twist[1] + twist[2] * rx
+        scale = -dt / math.sqrt(ux * ux + uy * uy + eps * eps)
+        fx, fy = scale * (a * ux + b * uy), scale * (b * ux - a * uy)
+        gradient[i] += by_impulse[0] * fx + by_impulse[1] * fy + by_impulse[2] * (rx * fy - ry * fx)
 
 
 @kernel
@@ -390,7 +555,7 @@ def chain_backward(
 
     Args:
         by_pose: d loss / d pose at the frames, shape (n_frames, 3).
-        gradient: filled, shape (8 + n_cells,), entries: `PARAM_...`.
+        gradient: filled, shape (8 + n_cells + n_values,), entries: `PARAM_...`.
 
     The other arguments are those of `chain_forward`.
     """
@@ -398,6 +563,11 @@ def chain_backward(
     by_state = np.zeros(6)
     by_twist = np.zeros(3)
     by_impulse = np.zeros(3)
+    n_cells, n_memory = arms.shape[1], tape.memory.shape[1]
+    first_value = N_BODY_PARAMETERS + n_cells
+    n_values = gradient.shape[0] - first_value
+    by_memory = np.zeros(n_memory)
+    by_limit = np.zeros(n_cells if n_values > 0 else 0)
     frame = frame_step.shape[0] - 1
     for n in range(tape.event.shape[0] - 1, -1, -1):
         cos, sin = tape.heading[n, 0], tape.heading[n, 1]
@@ -405,10 +575,13 @@ def chain_backward(
         while frame >= 0 and frame_step[frame] == n:
             _take_frame(by_pose[frame], tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[frame], by_state, gradient)
             frame -= 1
+        if tape.event[n] != MOVED:
+            by_state[3:] = 0.0
+        by_memory_after = by_memory.copy()
+        if n_memory > 0:
+            by_memory[:] = 0.0
         if tape.event[n] != IDLE:
             block, twist = tape.block[n], tape.twist[n]
-            if tape.event[n] == CAME_TO_REST:
-                by_state[3:] = 0.0
             vx, vy = by_state[3] + dt * by_state[0], by_state[4] + dt * by_state[1]
             by_twist[0], by_twist[1] = cos * vx + sin * vy, -sin * vx + cos * vy
             by_twist[2] = by_state[5] + dt * by_state[2]
@@ -422,7 +595,30 @@ def chain_backward(
                     by_state[j] += block[i, _STATE + j] * by_twist[i]
                 for p in range(PARAM_MASS, N_BODY_PARAMETERS):
                     gradient[p] += block[i, _MASS + p - PARAM_MASS] * by_twist[i]
-            _add_limit_gradient(twist, arms, Cone(diamond, eps, cos, sin), dt, by_impulse, gradient[N_BODY_PARAMETERS:])
+            if n_values == 0:
+                _add_limit_gradient(twist, arms, Cone(diamond, eps, cos, sin), dt, by_impulse, gradient[N_BODY_PARAMETERS:])
+            else:
+                by_limit[:] = 0.0
+                _add_limit_gradient(twist, arms, Cone(diamond, eps, cos, sin), dt, by_impulse, by_limit)
+                if tape.skew.shape[0] > 0:
+                    _add_skew_gradient(twist, arms, tape.skew[n], eps, dt, by_impulse, by_limit)
+                for i in range(n_cells):
+                    gradient[N_BODY_PARAMETERS + i] += by_limit[i] * (tape.factor[n, i] if tape.factor.shape[1] > 0 else 1.0)
+                for i in range(3):
+                    for j in range(n_memory):
+                        by_memory[j] += block[i, _EFFECTS + j] * by_twist[i]
+                    for j in range(n_values):
+                        gradient[first_value + j] += block[i, _EFFECTS + n_memory + j] * by_twist[i]
+        for j in range(n_memory):
+            g = tape.memory[n, j]
+            for i in range(6):
+                by_state[i] += g[i] * by_memory_after[j]
+            for i in range(3):
+                gradient[PARAM_MASS + i] += g[6 + i] * by_memory_after[j]
+            for i in range(n_memory):
+                by_memory[i] += g[N_FIXED_INPUTS + i] * by_memory_after[j]
+            for i in range(n_values):
+                gradient[first_value + i] += g[N_FIXED_INPUTS + n_memory + i] * by_memory_after[j]
         for j in range(frame + 1, end + 1):
             _take_frame(by_pose[j], cos, sin, centre, 1.0 - frame_fraction[j], by_state, gradient)
     cos, sin = tape.heading[0, 0], tape.heading[0, 1]

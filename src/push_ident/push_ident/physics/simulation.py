@@ -11,6 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.physics.contact import count_inside
+from push_ident.physics.effect import OnTable
+from push_ident.physics.effect_values import (
+    EffectsLike,
+    EffectValues,
+    active_effects,
+    changed_friction,
+    driven_path,
+    effect_values,
+    seen_poses,
+    seen_times,
+)
 from push_ident.physics.pyramid import FINAL_NU
 from push_ident.physics.rollout import N_BODY_PARAMETERS, Numerics, Push, new_rollout_scratch, rollout
 from push_ident.physics.sensitivity import (
@@ -25,15 +36,13 @@ from push_ident.physics.sensitivity import (
     chain_forward,
     new_tape,
 )
+from push_ident.physics.support import GRAVITY
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = [
     "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings",
     "body_of_cells", "cell_gradient", "compile_kernels", "loss_gradient", "simulate", "simulate_body", "simulate_body_with_pullback",
 ]  # fmt: skip
-
-GRAVITY = 9.81
-"""[m/s^2]"""
 
 PoseLoss = Callable[[Float64Array], tuple[float, Float64Array]]
 """Takes the poses at the frames, shape (n_frames, 3), and gives the loss and its derivative by them, same shape."""
@@ -89,8 +98,9 @@ class Motion:
     pose: Float64Array
     """Of the object frame in the table frame, shape (n_frames, 3), yaw not wrapped. NaN where the simulation failed."""
     jacobian: Float64Array
-    """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell),
-    shape (n_frames, 3, 8 + n_cells); (n_frames, 3, 0) when it was not asked for. NaN where the simulation failed."""
+    """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell, values of the active effects),
+    shape (n_frames, 3, 8 + n_cells + n_values), the values in the order of `EffectValues.labels`; (n_frames, 3, 0) when it was not
+    asked for. NaN where the simulation failed."""
     force_time: Float64Array
     """Middle of each step [s], shape (n_steps,)."""
     force: Float64Array
@@ -112,6 +122,8 @@ class ModelGradient:
     pusher_friction: float
     pose: Float64Array
     """By the first pose (x, y, yaw), shape (3,)."""
+    effects: Float64Array
+    """By the values of the active effects, in the order of `EffectValues.labels`, shape (n_values,)."""
     motion: Motion
 
 
@@ -154,14 +166,14 @@ def cell_gradient(
 
     Args:
         shape, mass, friction: as for `body_of_cells`.
-        gradient: by the columns of `Motion.jacobian`, shape (..., 8 + n_cells).
+        gradient: by the columns of `Motion.jacobian`, shape (..., 8 + n_cells + n_values).
 
     Returns:
         Gradients by the mass [1/kg] and by the friction coefficient of each cell, each of shape (..., n_cells).
     """
     total = float(np.sum(mass))
     centre = mass @ shape.cells.centres / total
-    by_limit = gradient[..., PARAM_LIMIT:]
+    by_limit = gradient[..., PARAM_LIMIT : PARAM_LIMIT + len(mass)]
     by_mass = (
         gradient[..., PARAM_MASS, None]
         + gradient[..., PARAM_CENTRE : PARAM_CENTRE + 2] @ ((shape.cells.centres - centre) / total).T
@@ -172,8 +184,12 @@ def cell_gradient(
     return by_mass, by_limit * (mass * GRAVITY)
 
 
-def compile_kernels() -> None:
-    """Compile (or load from the cache) all kernels, so that the first push need not wait for it: seconds once, else a moment."""
+def compile_kernels(*, effects: bool = False) -> None:
+    """Compile (or load from the cache) all kernels, so that the first push need not wait for it: a minute once, else a moment.
+
+    Args:
+        effects: those for pushes with effects as well, which are another set.
+    """
     square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
     body = BodyParameters(0.1, np.zeros(2), 1e-5, np.array([0.3]))
@@ -182,6 +198,8 @@ def compile_kernels() -> None:
     simulate_body(*arguments, jacobian=True)
     _, pull_back = simulate_body_with_pullback(*arguments)
     pull_back(np.zeros((2, 3)))
+    if effects:
+        simulate_body(*arguments, effects=["pusher_lag"], jacobian=True)
 
 
 def simulate(
@@ -191,6 +209,8 @@ def simulate(
     time: Float64Array,
     *,
     settings: SimulationSettings | None = None,
+    effects: EffectsLike | None = None,
+    order: float = 0.0,
     jacobian: bool = False,
 ) -> Motion:
     """Motion of an object at rest while a pusher moves along its path.
@@ -201,6 +221,9 @@ def simulate(
         pose_object_in_table: first pose (x, y, yaw), shape (3,).
         time: when to report the pose [s], ascending, on the clock of `pusher`, shape (n_frames,).
         settings: numerics.
+        effects: what acts beside the base model (`effects/`, docs/effects.md): by name, each with its values in order or by name. The
+            poses are then those that would be reported; `pose_object_in_table` is always the true one.
+        order: how many pushes went before this one, for effects that wear.
         jacobian: also the derivative of the poses.
 
     Returns:
@@ -208,10 +231,14 @@ def simulate(
 
     Raises:
         InputError: a pose, times or values of the body that are not finite or have another shape, times that do not ascend, negative
-            friction, no mass, or an outline that holds less than half of the cells.
+            friction, no mass, or an outline that holds less than half of the cells; effects that are not known, out of their range, or
+            that the settings do not allow (those on the table need the circular cone).
     """
     body = body_of_cells(model.shape, model.mass, model.friction)
-    return simulate_body(model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, jacobian=jacobian)
+    return simulate_body(
+        model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, effects=effects, order=order,
+        jacobian=jacobian,
+    )  # fmt: skip
 
 
 def loss_gradient(
@@ -222,6 +249,8 @@ def loss_gradient(
     loss: PoseLoss,
     *,
     settings: SimulationSettings | None = None,
+    effects: EffectsLike | None = None,
+    order: float = 0.0,
 ) -> ModelGradient:
     """Loss of a simulated push and its exact gradient with respect to the mass and friction of every cell, by the adjoint method.
 
@@ -234,13 +263,14 @@ def loss_gradient(
     """
     body = body_of_cells(model.shape, model.mass, model.friction)
     motion, pull_back = simulate_body_with_pullback(
-        model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings
+        model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, effects=effects, order=order
     )
     value, by_pose = loss(motion.pose)
     gradient = pull_back(by_pose)
     by_mass, by_friction = cell_gradient(model.shape, model.mass, model.friction, gradient)
     return ModelGradient(
-        float(value), by_mass, by_friction, float(gradient[PARAM_MU]), gradient[PARAM_POSE : PARAM_POSE + 3], motion
+        float(value), by_mass, by_friction, float(gradient[PARAM_MU]), gradient[PARAM_POSE : PARAM_POSE + 3],
+        gradient[PARAM_LIMIT + len(model.mass) :], motion,
     )  # fmt: skip
 
 
@@ -253,15 +283,20 @@ def simulate_body(
     time: Float64Array,
     *,
     settings: SimulationSettings | None = None,
+    effects: EffectsLike | None = None,
+    order: float = 0.0,
     jacobian: bool = False,
 ) -> Motion:
     """As `simulate`, for the rigid body alone."""
-    run = _run(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings or SimulationSettings(), jacobian)
+    acting = effect_values(effects)
+    run = _run(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings or SimulationSettings(), acting, order, jacobian)
     if not jacobian:
         return run.motion
-    derivative = np.full((len(run.motion.time), 3, N_BODY_PARAMETERS + len(shape.cells)), np.nan)
+    derivative = np.full((len(run.motion.time), 3, N_BODY_PARAMETERS + len(shape.cells) + len(acting)), np.nan)
     if run.motion.status is not SolveStatus.SIMULATION_FAILED:
         chain_forward(*run.chain, derivative)
+        if run.measurement is not None:
+            derivative = run.measurement.of_jacobian(derivative)
     motion = run.motion
     return Motion(motion.time, motion.pose, derivative, motion.force_time, motion.force, motion.status)
 
@@ -279,8 +314,9 @@ class PullBack:
             by_pose: d loss / d pose at the frames, shape (n_frames, 3).
 
         Returns:
-            d loss / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell), shape (8 + n_cells,): the
-            transposed `Motion.jacobian` times `by_pose`, without the Jacobian. NaN where the simulation failed.
+            d loss / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell, values of the effects),
+            shape (8 + n_cells + n_values,): the transposed `Motion.jacobian` times `by_pose`, without the Jacobian. NaN where the
+            simulation failed.
 
         Raises:
             InputError: `by_pose` has another shape.
@@ -289,9 +325,12 @@ class PullBack:
         by_pose = _owned(by_pose)
         if by_pose.shape != motion.pose.shape:
             raise InputError(f"`by_pose` has shape {by_pose.shape}, expected {motion.pose.shape} as the poses.")
-        gradient = np.full(N_BODY_PARAMETERS + self._run.chain.arms.shape[1], np.nan)
+        chain, measurement = self._run.chain, self._run.measurement
+        gradient = np.full(N_BODY_PARAMETERS + chain.arms.shape[1] + self._run.n_values, np.nan)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
-            chain_backward(*self._run.chain, by_pose, gradient)
+            chain_backward(*chain, by_pose if measurement is None else measurement.by_true_pose(by_pose), gradient)
+            if measurement is not None:
+                measurement.add_gradient(by_pose, gradient)
         return gradient
 
 
@@ -304,9 +343,12 @@ def simulate_body_with_pullback(
     time: Float64Array,
     *,
     settings: SimulationSettings | None = None,
+    effects: EffectsLike | None = None,
+    order: float = 0.0,
 ) -> tuple[Motion, PullBack]:
     """As `simulate_body`; also what carries a gradient by the poses back to the parameters."""
-    run = _run(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings or SimulationSettings(), True)
+    acting = effect_values(effects)
+    run = _run(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings or SimulationSettings(), acting, order, True)
     return run.motion, PullBack(run)
 
 
@@ -323,9 +365,41 @@ class _Chain(NamedTuple):
     frame_fraction: Float64Array
 
 
+@dataclass(frozen=True, slots=True)
+class _Measurement:
+    """How reported poses depend on the true ones at the times when they were seen, and on effects outside the rollout."""
+
+    by_pose: Float64Array
+    """Shape (n_frames, 3, 3)."""
+    by_value: Float64Array
+    """Shape (n_frames, 3, n_values)."""
+    mu_by_value: Float64Array
+    """Of the pusher's friction coefficient, shape (n_values,)."""
+
+    def of_jacobian(self, jacobian: Float64Array) -> Float64Array:
+        """That of the reported poses from that of the true ones."""
+        n_values = len(self.mu_by_value)
+        jacobian[:, :, -n_values:] += jacobian[:, :, PARAM_MU, None] * self.mu_by_value
+        reported: Float64Array = self.by_pose @ jacobian
+        reported[:, :, -n_values:] += self.by_value
+        return reported
+
+    def by_true_pose(self, by_pose: Float64Array) -> Float64Array:
+        """Gradient by the true poses from that by the reported ones."""
+        return np.einsum("fij,fi->fj", self.by_pose, by_pose)
+
+    def add_gradient(self, by_pose: Float64Array, gradient: Float64Array) -> None:
+        """Add the values' own part to the gradient of a loss."""
+        n_values = len(self.mu_by_value)
+        gradient[-n_values:] += gradient[PARAM_MU] * self.mu_by_value + np.einsum("fiv,fi->v", self.by_value, by_pose)
+
+
 class _Run(NamedTuple):
     motion: Motion
     chain: _Chain
+    n_values: int
+    measurement: _Measurement | None
+    """None where no effect is active."""
 
 
 def _owned(values: ArrayLike) -> Float64Array:
@@ -341,6 +415,8 @@ def _run(
     pose_object_in_table: Float64Array,
     time: Float64Array,
     settings: SimulationSettings,
+    effects: EffectValues,
+    order: float,
     derive: bool,
 ) -> _Run:
     """Simulate, with what the derivative needs where `derive`."""
@@ -351,6 +427,12 @@ def _run(
     if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
         raise InputError("The times to report must be finite and ascend; sort them first.")
     _check_body(shape, body, pusher_friction)
+    n_values, mu = len(effects), float(pusher_friction)
+    if n_values > 0:
+        _check_effects(effects, settings)
+        mu, mu_by_value = changed_friction(effects, mu)
+        if mu < 0:
+            raise InputError(f"The effects make the pusher's friction coefficient {mu:.3g}, expected a number >= 0.")
 
     # The object is at rest until it is touched, so the clock starts with the pusher.
     start = float(pusher.time[0])
@@ -361,38 +443,63 @@ def _run(
         path[:, axis] = np.interp(clock, pusher.time, pusher.position[:, axis])
     if pusher.yaw is not None:
         path[:, 2] = np.interp(clock, pusher.time, pusher.yaw)
-    at = np.clip((time - start) / settings.step, 0.0, n_steps)
-    frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
-    corners = np.zeros((1, 2)) if pusher.polygon is None else _owned(pusher.polygon)
     centre = _owned(body.centre)
+    arms = _owned((shape.cells.centres - centre).T)
+    active, seen_at = None, time
+    if n_values > 0:
+        path, d_path = driven_path(effects, settings.step, path)
+        active = active_effects(effects, d_path, arms, float(shape.cells.size), order)
+        seen_at, seen_at_by_value = seen_times(effects, time)
+    at = np.clip((seen_at - start) / settings.step, 0.0, n_steps)
+    frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
+    frame_fraction = at - frame_step
+    corners = np.zeros((1, 2)) if pusher.polygon is None else _owned(pusher.polygon)
     push = Push(
         pose=pose0,
         pusher=path,
         corners=corners,
         radius=float(pusher.radius),
         outline=_owned(shape.outline),
-        arms=_owned((shape.cells.centres - centre).T),
+        arms=arms,
         limit=_owned(body.limit),
         centre=centre,
         inertia=np.array([body.mass, body.mass, body.inertia]),
-        mu=float(pusher_friction),
+        mu=mu,
     )
     diamond = settings.friction_cone == "pyramid"
     numerics = Numerics(settings.step, settings.smoothing_speed, diamond, settings.quasi_static)
-    pose = np.empty((len(time), 3))
+    wanted_step, wanted_fraction = frame_step, frame_fraction
+    delayed = n_values > 0 and bool(np.any(seen_at_by_value))
+    if delayed:
+        # The ends of each frame's step as well, for the velocity.
+        wanted_step = np.repeat(frame_step, 3)
+        wanted_fraction = np.column_stack([np.zeros_like(at), np.ones_like(at), frame_fraction]).ravel()
+    pose = np.empty((len(wanted_step), 3))
     force = np.empty((n_steps, 2))
     tape = new_tape(n_steps if derive else 0)
-    scratch = new_rollout_scratch(len(shape.cells) if diamond else 0, len(corners), len(shape.outline))
-    failed_at, _ = rollout(push, numerics, frame_step, at - frame_step, derive, pose, force, tape, scratch)
+    if active is not None:
+        tape = new_tape(n_steps if derive else 0, len(shape.cells) if active.loads else 0, active.n_memory, n_values, active.skews)
+    scratch = new_rollout_scratch(len(shape.cells), len(corners), len(shape.outline), active, diamond=diamond)
+    failed_at, _ = rollout(push, numerics, active, wanted_step, wanted_fraction, derive, pose, force, tape, scratch)
     if failed_at >= 0:
         status = SolveStatus.SIMULATION_FAILED
         pose[:] = np.nan
     else:
         status = SolveStatus.CONVERGED if np.any(force) else SolveStatus.NO_CONTACT
+    measurement = None
+    if n_values > 0:
+        by_time = np.zeros((len(time), 3))
+        if delayed:
+            moves = (at > 0.0) & (at < n_steps)
+            by_time = (pose[1::3] - pose[::3]) / settings.step * moves[:, None]
+            pose = np.ascontiguousarray(pose[2::3])
+        pose, by_pose, by_value = seen_poses(effects, pose)
+        by_value += np.einsum("fij,fj,vf->vfi", by_pose, by_time, seen_at_by_value)
+        measurement = _Measurement(by_pose, np.moveaxis(by_value, 0, 2), mu_by_value)
     middle = np.asarray(clock[:-1] + settings.step / 2, dtype=np.float64)
     motion = Motion(time, pose, np.empty((len(time), 3, 0)), middle, force, status)
     eps = FINAL_NU if diamond else settings.smoothing_speed
-    return _Run(motion, _Chain(tape, centre, push.arms, diamond, eps, settings.step, frame_step, at - frame_step))
+    return _Run(motion, _Chain(tape, centre, push.arms, diamond, eps, settings.step, frame_step, frame_fraction), n_values, measurement)
 
 
 def _check_body(shape: ObjectShape, body: BodyParameters, pusher_friction: float) -> None:
@@ -415,3 +522,14 @@ def _check_body(shape: ObjectShape, body: BodyParameters, pusher_friction: float
         raise InputError(f"{int(np.sum(~(np.isfinite(limit) & (limit >= 0))))} friction limits of cells are not forces >= 0 N.")
     if not (np.isfinite(pusher_friction) and pusher_friction >= 0):
         raise InputError(f"The pusher's friction coefficient is {pusher_friction}, expected a number >= 0.")
+
+
+def _check_effects(effects: EffectValues, settings: SimulationSettings) -> None:
+    """Refuse effects that the numerics have no law for."""
+    for effect in effects.effects:
+        if isinstance(effect.acts, OnTable) and settings.friction_cone != "circle":
+            raise InputError(
+                f"The effect {effect.name} needs the circular cone, got friction_cone={settings.friction_cone!r}; take 'circle'."
+            )
+        if effect.needs_inertia and settings.quasi_static:
+            raise InputError(f"The effect {effect.name} means nothing without inertia, got quasi_static=True; take False.")

@@ -10,7 +10,8 @@ step of length dt finds the new twist u and the contact impulses:
 with D = diag(m, m, I), J_i the velocity of cell i, f_i = mu_i m_i g its support friction. This is the problem of Song & Boularias
 (2020, Eq. 2 and its figure of the equations of motion) with the rigid joints eliminated and the friction pyramid of a cell
 replaced by its circular cone (`pyramid.py` keeps the pyramid). Friction of the pusher is exact (stick or slip, no smoothing); only
-the support friction is smoothed, at eps. With D = 0 the step is quasi-static.
+the support friction is smoothed, at eps. With D = 0 the step is quasi-static. Effects (`table.py`) may add a pull to the right-hand
+side and turn phi into (I + E) phi.
 
 Each iteration replaces the support friction by a linear model, whose small contact problem is solved exactly by trying its
 modes. The model is Newton's; where Newton does not contract, the majorising one of iteratively reweighted least squares, which
@@ -25,10 +26,10 @@ import numpy as np
 
 from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, new_mode_scratch, solve_modes
-from push_ident.physics.support import support_friction
+from push_ident.physics.support import add_skew, support_friction
 from push_ident.types import Float64Array
 
-__all__ = ["StepScratch", "new_step_scratch", "step"]
+__all__ = ["StepScratch", "TableForces", "new_step_scratch", "step"]
 
 _MAX_ITERATIONS = 1000  # some twenty are the rule; where the last cells come to rest at once the majoriser may need hundreds
 _TOLERANCE = 1e-10
@@ -46,6 +47,15 @@ class StepScratch(NamedTuple):
     """Derivative of the linear model, shape (3, 3)."""
     miss: Float64Array
     mode: ModeScratch
+
+
+class TableForces(NamedTuple):
+    """What effects add to the forces of the table in a step; object axes."""
+
+    skew: Float64Array
+    """(a, b) of E = [[a, b], [b, -a]], shape (2,)."""
+    pull: Float64Array
+    """On the object (fx, fy, torque) [N, N, N m], shape (3,)."""
 
 
 def new_step_scratch() -> StepScratch:
@@ -68,6 +78,7 @@ def step(
     last_code: int,
     impulse: Float64Array,
     scratch: StepScratch,
+    table: TableForces | None = None,
 ) -> tuple[int, int]:
     """Advance `twist` by one step, in place.
 
@@ -85,6 +96,7 @@ def step(
         last_code: mode code of the step before; only a first guess.
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
         scratch: its space.
+        table: what effects on the table add; None without effects.
 
     Returns:
         The mode code and the number of iterations; the code is `NO_MODE` when the step did not converge.
@@ -98,6 +110,11 @@ def step(
     code = last_code
     for iteration in range(_MAX_ITERATIONS):
         support_friction(twist, arms, limit, eps, newton, gradient, h)
+        if table is not None:
+            if table.skew[0] != 0.0 or table.skew[1] != 0.0:
+                add_skew(twist, arms, limit, table.skew, eps, newton, gradient, h)
+            for i in range(3):
+                gradient[i] -= table.pull[i]
         for i in range(3):
             for j in range(3):
                 h[i, j] *= dt

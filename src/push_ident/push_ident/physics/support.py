@@ -18,7 +18,10 @@ from typing import NamedTuple
 from push_ident.physics.kernel import fast_kernel
 from push_ident.types import Float64Array
 
-__all__ = ["Cone", "support_friction", "unit_friction"]
+__all__ = ["GRAVITY", "Cone", "add_skew", "cell_friction", "support_friction", "unit_friction"]
+
+GRAVITY = 9.81
+"""[m/s^2]"""
 
 
 class Cone(NamedTuple):
@@ -93,3 +96,75 @@ def support_friction(
     hessian[0, 0], hessian[0, 1], hessian[0, 2] = h00, h01, h02
     hessian[1, 0], hessian[1, 1], hessian[1, 2] = h01, h11, h12
     hessian[2, 0], hessian[2, 1], hessian[2, 2] = h02, h12, h22
+
+
+@fast_kernel
+def add_skew(
+    twist: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    skew: Float64Array,
+    eps: float,
+    newton: bool,
+    gradient: Float64Array,
+    hessian: Float64Array,
+) -> None:
+    """Add what friction that depends on the direction of motion, f E phi(v), brings to the results of `support_friction`.
+
+    E = [[a, b], [b, -a]] in object axes, `skew` (a, b). It is no gradient of a potential: its derivative is unsymmetric.
+    """
+    vx, vy, w = twist[0], twist[1], twist[2]
+    a, b = skew[0], skew[1]
+    x, y = arms[0], arms[1]
+    turn = 1.0 if newton else 0.0
+    g0 = g1 = g2 = 0.0
+    h00 = h01 = h02 = h10 = h11 = h12 = h20 = h21 = h22 = 0.0
+    for i in range(limit.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = vx - w * ry, vy + w * rx
+        s = 1.0 / math.sqrt(ux * ux + uy * uy + eps * eps)
+        fs = limit[i] * s
+        q = turn * fs * s * s
+        kxx, kxy, kyy = fs - q * ux * ux, -q * ux * uy, fs - q * uy * uy
+        px, py = fs * (a * ux + b * uy), fs * (b * ux - a * uy)
+        exx, exy, eyx, eyy = a * kxx + b * kxy, a * kxy + b * kyy, b * kxx - a * kxy, b * kxy - a * kyy
+        ex, ey = exy * rx - exx * ry, eyy * rx - eyx * ry
+        g0 += px
+        g1 += py
+        g2 += rx * py - ry * px
+        h00 += exx
+        h01 += exy
+        h02 += ex
+        h10 += eyx
+        h11 += eyy
+        h12 += ey
+        h20 += rx * eyx - ry * exx
+        h21 += rx * eyy - ry * exy
+        h22 += rx * ey - ry * ex
+    gradient[0] += g0
+    gradient[1] += g1
+    gradient[2] += g2
+    hessian[0, 0] += h00
+    hessian[0, 1] += h01
+    hessian[0, 2] += h02
+    hessian[1, 0] += h10
+    hessian[1, 1] += h11
+    hessian[1, 2] += h12
+    hessian[2, 0] += h20
+    hessian[2, 1] += h21
+    hessian[2, 2] += h22
+
+
+@fast_kernel
+def cell_friction(
+    twist: Float64Array, arms: Float64Array, limit: Float64Array, skew: Float64Array, eps: float, force: Float64Array
+) -> None:
+    """Friction of each cell, f (I + E) phi(v) and its torque about the centre of mass: fills `force`, shape (3, n_cells)."""
+    x, y = arms[0], arms[1]
+    a, b = skew[0], skew[1]
+    for i in range(limit.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = twist[0] - twist[2] * ry, twist[1] + twist[2] * rx
+        fs = limit[i] / math.sqrt(ux * ux + uy * uy + eps * eps)
+        px, py = fs * (ux + a * ux + b * uy), fs * (uy + b * ux - a * uy)
+        force[0, i], force[1, i], force[2, i] = px, py, rx * py - ry * px

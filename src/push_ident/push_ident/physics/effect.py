@@ -1,0 +1,211 @@
+"""What an effect is: something that the base model leaves out, stated as an equation with parameters that are null where it is absent.
+
+Each file of `effects/` holds one. It says where the effect acts, and its equation in analytic arithmetic; derivatives follow by the
+complex step (Squire & Trapp, Using complex variables to estimate derivatives of real functions, 1998), exact to rounding: the equation
+is evaluated with one input turned by 1e-40 i, and the imaginary part of what comes out is the derivative. An equation must therefore
+run for real and for complex numbers alike: no comparison but of `.real`, and the functions of this file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = [
+    "STEP_OF_INPUT", "Body", "Cell", "Effect", "EffectParameter", "Memory", "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath",
+    "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
+]  # fmt: skip
+
+ComplexArray = NDArray[np.complex128]
+Equation = Callable[..., Any]
+
+STEP_OF_INPUT = 1e-40
+"""Imaginary part that stands for a change of an input by 1."""
+
+_SLOW = 1e-3
+"""Speed below which a direction of motion fades [m/s]."""
+
+equation = partial(njit, error_model="numpy")
+"""Compiles a part of an effect into the kernels that use it; it is not kept on disk by itself."""
+
+
+@equation
+def analytic_sqrt(x: Any) -> Any:
+    """Square root of a positive number; first-order exact in the imaginary part."""
+    root = math.sqrt(x.real)
+    return root + (x - x.real) * (0.5 / root)
+
+
+@equation
+def analytic_exp(x: Any) -> Any:
+    """Exponential; first-order exact in the imaginary part."""
+    value = math.exp(x.real)
+    return value + (x - x.real) * value
+
+
+@equation
+def analytic_log(x: Any) -> Any:
+    """Logarithm of a positive number; first-order exact in the imaginary part."""
+    return math.log(x.real) + (x - x.real) * (1.0 / x.real)
+
+
+@equation
+def unit_direction(vx: Any, vy: Any) -> Any:
+    """Direction of a velocity; below 1 mm/s it fades to nothing, so that a body at rest has none."""
+    speed = analytic_sqrt(vx * vx + vy * vy + _SLOW * _SLOW)
+    return vx / speed, vy / speed
+
+
+class Body(NamedTuple):
+    """The object at the start of a step, as an equation sees it. Numbers are real or complex."""
+
+    x: Any
+    """Centre of mass [m], table frame."""
+    y: Any
+    cos: Any
+    """Of the yaw."""
+    sin: Any
+    vx: Any
+    """Velocity of the centre of mass [m/s], table axes."""
+    vy: Any
+    omega: Any
+    """[rad/s]"""
+    mass: Any
+    """[kg]"""
+    sxx: Any
+    """Mean of r r' over the area of the cells [m^2], r from the centre of mass, object axes."""
+    sxy: Any
+    syy: Any
+    order: float
+    """How many pushes went before this one."""
+
+
+class Cell(NamedTuple):
+    """A cell at the start of a step, as an equation sees it. Numbers are real or complex."""
+
+    x: Any
+    """Centre [m], table frame."""
+    y: Any
+    vx: Any
+    """Velocity [m/s], table axes."""
+    vy: Any
+    rx: Any
+    """From the centre of mass [m], object axes."""
+    ry: Any
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """One number of an effect."""
+
+    name: str
+    unit: str
+    """"" where it has none."""
+    what: str
+    scale: float
+    """Standard deviation of the prior about `nominal`."""
+    typical: float
+    """Size that is met in practice."""
+    nominal: float = 0.0
+    """Where the effect is absent; of a shape, the value that it has while nothing is known."""
+    low: float = -np.inf
+    """Least and greatest value that makes sense."""
+    high: float = np.inf
+    shape: bool = False
+    """It only shapes what the others switch on: while they are null it does nothing, so that a test of absence holds it."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnTable:
+    """Acts between table and cells. Each part is compiled; `p` starts with the effect's values, `memory` with its memory.
+
+    All parts are evaluated from the state at the start of a step and held during it (a delay of one step, some 4 ms), which leaves
+    the step the convex problem that it is.
+    """
+
+    load: Equation | None = None
+    """load(p, body, cell, memory): factor of the cell's friction limit; below 0 it counts as 0."""
+    skew: Equation | None = None
+    """skew(p, body): (a, b) [-] of E = [[a, b], [b, -a]], object axes: a cell is held back by f (I + E) times its direction."""
+    pull: Equation | None = None
+    """pull(p, body): (fx, fy, torque) on the object about its centre of mass [N, N, N m], table axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnContact:
+    """Acts between pusher and outline, as one of the quantities that the law of contact has for it (`contact.py`)."""
+
+    quantity: Literal["offset", "restitution"]
+
+
+@dataclass(frozen=True, slots=True)
+class OnPusherPath:
+    """Acts on the pusher's way."""
+
+    move: Callable[[ComplexArray, float, ComplexArray], ComplexArray]
+    """move(values, dt, path): path of poses (x, y, yaw) at the steps' ends, shape (n_steps + 1, 3), table frame, to that driven."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnPusherFriction:
+    """Acts on the friction coefficient of the pusher."""
+
+    change: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """change(values, coefficient): the coefficient that holds, shape (1,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnTimes:
+    """Acts on the times at which poses are measured."""
+
+    move: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """move(values, time): when the pose that is reported for `time` was seen [s], shape (n_frames,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnPoses:
+    """Acts on measured poses."""
+
+    see: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """see(values, pose): what is reported of the true poses (x, y, yaw), shape (n_frames, 3), table frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Numbers that an effect carries from step to step; 0 at the start of a push."""
+
+    size: int
+    remember: Equation
+    """remember(p, body, dt, memory, after): fills `after` from the state and the memory at the start of a step; compiled."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Something that the base model leaves out."""
+
+    name: str
+    what: str
+    """In one sentence."""
+    equation: str
+    parameters: tuple[EffectParameter, ...]
+    acts: OnTable | OnContact | OnPusherPath | OnPusherFriction | OnTimes | OnPoses
+    signature: str
+    """What it leaves in the residuals of the base model."""
+    rivals: str
+    """Effects that it is taken for, and what separates them."""
+    source: str
+    memory: Memory | None = None
+    needs_inertia: bool = False
+    """Whether it means nothing in a quasi-static push."""
+
+    @property
+    def nominal(self) -> NDArray[np.float64]:
+        """Values at which it is absent, shape (n_parameters,)."""
+        return np.array([parameter.nominal for parameter in self.parameters])

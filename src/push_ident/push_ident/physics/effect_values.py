@@ -1,0 +1,250 @@
+"""Which effects act in a push, with which values; and what they do outside the compiled rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import InputError
+from push_ident.physics.effect import (
+    STEP_OF_INPUT,
+    Effect,
+    EffectParameter,
+    OnContact,
+    OnPoses,
+    OnPusherFriction,
+    OnPusherPath,
+    OnTable,
+    OnTimes,
+)
+from push_ident.physics.effects import EFFECTS
+from push_ident.physics.table import N_FIXED_INPUTS, ActiveEffects, Places
+from push_ident.types import Float64Array
+
+__all__ = [
+    "NO_EFFECTS", "EffectValues", "EffectsLike", "active_effects", "changed_friction", "driven_path", "effect_values", "seen_poses",
+    "seen_times",
+]  # fmt: skip
+
+ComplexArray = NDArray[np.complex128]
+_TURN = STEP_OF_INPUT * 1j
+
+
+@dataclass(frozen=True, slots=True)
+class EffectValues:
+    """Active effects with the values of their parameters. Build them with `effect_values`."""
+
+    names: tuple[str, ...]
+    """Of the effects, as keys of `EFFECTS`, each once."""
+    values: Float64Array
+    """Of all their parameters, effect by effect, shape (n_values,)."""
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        return tuple(EFFECTS[name] for name in self.names)
+
+    @property
+    def parameters(self) -> tuple[EffectParameter, ...]:
+        """One a value."""
+        return tuple(parameter for effect in self.effects for parameter in effect.parameters)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """`effect.parameter`, one a value."""
+        return tuple(f"{effect.name}.{parameter.name}" for effect in self.effects for parameter in effect.parameters)
+
+    def slice_of(self, name: str) -> slice:
+        """Where the values of an active effect stand."""
+        start = 0
+        for effect in self.effects:
+            stop = start + len(effect.parameters)
+            if effect.name == name:
+                return slice(start, stop)
+            start = stop
+        raise InputError(f"The effect {name!r} is not active, expected one of {', '.join(self.names) or 'none'}.")
+
+    def with_values(self, values: ArrayLike) -> EffectValues:
+        """The same effects with other values.
+
+        Raises:
+            InputError: another shape, or values out of their range.
+        """
+        array = np.array(values, dtype=np.float64)
+        if array.shape != self.values.shape:
+            raise InputError(f"`values` has shape {array.shape}, expected {self.values.shape}, one for each of {', '.join(self.labels)}.")
+        for label, parameter, value in zip(self.labels, self.parameters, array, strict=True):
+            if not (np.isfinite(value) and parameter.low <= value <= parameter.high):
+                raise InputError(f"{label} is {value} {parameter.unit}".rstrip() + f", expected {parameter.low:g} to {parameter.high:g}.")
+        array.setflags(write=False)
+        return EffectValues(self.names, array)
+
+
+EffectsLike = EffectValues | Mapping[str, Mapping[str, float] | ArrayLike] | Sequence[str]
+"""Effects by name, each with its values in order or by name (those left out are nominal): {"table_tilt": {"x": 0.01}}. Names alone
+stand for effects at their nominal values, which change nothing but have a derivative."""
+
+NO_EFFECTS = EffectValues((), np.zeros(0))
+
+
+def effect_values(effects: EffectsLike | None) -> EffectValues:
+    """Active effects from what a caller may write.
+
+    Raises:
+        InputError: an unknown effect or parameter, another number of values, or values out of their range.
+    """
+    if effects is None:
+        return NO_EFFECTS
+    if isinstance(effects, EffectValues):
+        return effects
+    given: dict[str, Any] = dict(effects) if isinstance(effects, Mapping) else {name: {} for name in effects}
+    values: list[Float64Array] = []
+    for name, value in given.items():
+        if name not in EFFECTS:
+            raise InputError(f"There is no effect {name!r}, expected some of {', '.join(EFFECTS)}.")
+        effect = EFFECTS[name]
+        if isinstance(value, Mapping):
+            known = [parameter.name for parameter in effect.parameters]
+            if unknown := set(value) - set(known):
+                raise InputError(f"{name} has no parameter {sorted(unknown)[0]!r}, expected some of {', '.join(known)}.")
+            value = [value.get(parameter.name, parameter.nominal) for parameter in effect.parameters]
+        array = np.atleast_1d(np.array(value, dtype=np.float64))
+        if array.shape != (len(effect.parameters),):
+            raise InputError(f"{name} got {array.size} values, expected {len(effect.parameters)}.")
+        values.append(array)
+    together = np.concatenate(values) if values else np.zeros(0)
+    return EffectValues(tuple(given), np.full(len(together), np.nan)).with_values(together)
+
+
+def _places(effects: EffectValues) -> list[tuple[Effect, slice]]:
+    return [(effect, effects.slice_of(effect.name)) for effect in effects.effects]
+
+
+_Step = Callable[[ComplexArray, ComplexArray], ComplexArray]
+
+
+def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """What steps (values, x) -> x, one after the other, make of x, and its derivative by the values, shape (n_values, *x.shape)."""
+    values = effects.values.astype(np.complex128)
+
+    def result() -> ComplexArray:
+        y = x.astype(np.complex128)
+        for own, step in steps:
+            y = step(values[own], y)
+        return y
+
+    by_value = np.zeros((len(effects), *x.shape))
+    for own, _ in steps:
+        for k in range(own.start, own.stop):
+            values[k] += _TURN
+            by_value[k] = result().imag / STEP_OF_INPUT
+            values[k] = effects.values[k]
+    return np.ascontiguousarray(result().real), by_value
+
+
+def driven_path(effects: EffectValues, dt: float, path: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """The path that the pusher drove where `path` was reported, poses at the steps' ends, shape (n_steps + 1, 3), table frame.
+
+    Returns:
+        The path, and its derivative by the values, shape (n_values, n_steps + 1, 3).
+    """
+    acts = [(own, effect.acts) for effect, own in _places(effects)]
+    steps: list[tuple[slice, _Step]] = [(own, partial(_move, act.move, dt)) for own, act in acts if isinstance(act, OnPusherPath)]
+    return _through(steps, effects, path)
+
+
+def _move(
+    move: Callable[[ComplexArray, float, ComplexArray], ComplexArray], dt: float, values: ComplexArray, path: ComplexArray
+) -> ComplexArray:
+    return move(values, dt, path)
+
+
+def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, Float64Array]:
+    """The pusher's friction coefficient that holds where the model says `coefficient`, and its derivative by the values."""
+    steps = [(own, effect.acts.change) for effect, own in _places(effects) if isinstance(effect.acts, OnPusherFriction)]
+    value, by_value = _through(steps, effects, np.array([coefficient]))
+    return float(value[0]), by_value[:, 0]
+
+
+def seen_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """When the poses reported for `time` were seen [s], shape (n_frames,), and its derivative by the values, shape (n_values, n_frames)."""
+    return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnTimes)], effects, time)
+
+
+def seen_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """What is reported of true poses, shape (n_frames, 3), table frame.
+
+    Returns:
+        The poses; their derivative by the true ones, shape (n_frames, 3, 3); and by the values, shape (n_values, n_frames, 3).
+    """
+    steps = [(own, effect.acts.see) for effect, own in _places(effects) if isinstance(effect.acts, OnPoses)]
+    value, by_value = _through(steps, effects, pose)
+    by_pose = np.empty((*pose.shape, 3))
+    for axis in range(3):
+        turned = pose.astype(np.complex128)
+        turned[:, axis] += _TURN
+        for own, see in steps:
+            turned = see(effects.values[own].astype(np.complex128), turned)
+        by_pose[:, :, axis] = turned.imag / STEP_OF_INPUT
+    return value, by_pose, by_value
+
+
+def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cell_size: float, order: float) -> ActiveEffects:
+    """The effects in the arrays of the kernels.
+
+    Args:
+        effects: which act.
+        d_path: derivative of the path, as from `driven_path`.
+        arms: cell centres from the centre of mass [m], shape (2, n_cells).
+        cell_size: edge of a cell [m].
+        order: how many pushes went before.
+    """
+    first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
+    places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
+    on_table, moves = np.zeros(len(effects), dtype=np.bool_), np.zeros(len(effects), dtype=np.bool_)
+    names = list(EFFECTS)
+    quantities = {"offset": -1, "restitution": -1}
+    n_memory = 0
+    rebound = -1
+    for effect, own in _places(effects):
+        place, acts = names.index(effect.name), effect.acts
+        places.values[place] = first_value + own.start
+        on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
+        if isinstance(acts, OnContact):
+            quantities[acts.quantity] = own.start
+            rebound = n_memory if acts.quantity == "restitution" else rebound
+        if effect.memory is not None:
+            places.memory[place] = N_FIXED_INPUTS + n_memory
+            n_memory += effect.memory.size
+    x, y = arms
+    own_moment = cell_size**2 / 12
+    table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
+    return ActiveEffects(
+        values=np.array(effects.values),
+        on_table=on_table,
+        places=places,
+        n_memory=n_memory,
+        loads=any(acts.load is not None for acts in table),
+        skews=any(acts.skew is not None for acts in table),
+        pulls=any(acts.pull is not None for acts in table),
+        offset=quantities["offset"],
+        restitution=quantities["restitution"],
+        rebound=rebound,
+        moves=moves,
+        d_path=d_path,
+        moments=(
+            float(x.mean()),
+            float(y.mean()),
+            float(np.mean(x * x) + own_moment),
+            float(np.mean(x * y)),
+            float(np.mean(y * y) + own_moment),
+        ),
+        order=float(order),
+    )

@@ -1,0 +1,30 @@
+"""The object's base rubs more along one of its directions than across it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+
+__all__ = ["EFFECT"]
+
+
+@equation
+def _skew(p: Any, body: Body) -> Any:
+    # Zero times the mass makes it a number of the kind that derivatives need.
+    return p[0] + 0.0 * body.mass, p[1] + 0.0 * body.mass
+
+
+EFFECT = Effect(
+    name="base_anisotropy",
+    what="Friction depends on the direction of motion in the object, as on a ribbed base.",
+    equation="force on a cell -f (I + E) v / |v|, E = [[a, b], [b, -a]] in object axes",
+    parameters=(
+        EffectParameter("a", "", "more friction along the object's x, less along its y", scale=0.1, typical=0.1, low=-0.9, high=0.9),
+        EffectParameter("b", "", "more friction along its diagonal x = y, less across it", scale=0.1, typical=0.1, low=-0.9, high=0.9),
+    ),
+    acts=OnTable(skew=_skew),
+    signature="A sideways force and a turn that depend on the heading in the body with a period of 180 degrees.",
+    rivals="The maps, table_anisotropy: pushes on new faces at one heading in the table.",
+    source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
+)

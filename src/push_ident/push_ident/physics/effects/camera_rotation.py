@@ -1,0 +1,28 @@
+"""The camera is turned about the table's normal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPoses
+
+__all__ = ["EFFECT"]
+
+
+def _see(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
+    angle = values[0]
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, yaw = pose.T
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y, yaw + angle])
+
+
+EFFECT = Effect(
+    name="camera_rotation",
+    what="All reported poses are turned about the origin of the table frame.",
+    equation="reported = (R(angle) (x, y), yaw + angle)",
+    parameters=(EffectParameter("angle", "rad", "counter-clockwise", scale=0.01, typical=0.01, low=-0.3, high=0.3),),
+    acts=OnPoses(_see),
+    signature="The object seems to move askew to the pusher, by one angle at every heading.",
+    rivals="table_anisotropy, position_dependent_friction: placements all over the table.",
+    source="Error of the camera's extrinsic calibration.",
+)

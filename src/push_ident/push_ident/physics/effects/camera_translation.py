@@ -1,0 +1,28 @@
+"""The camera is displaced."""
+
+from __future__ import annotations
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPoses
+
+__all__ = ["EFFECT"]
+
+
+def _see(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
+    seen = pose.copy()
+    seen[:, :2] += values
+    return seen
+
+
+EFFECT = Effect(
+    name="camera_translation",
+    what="All reported poses are displaced, in directions fixed in the table.",
+    equation="reported = pose + (x, y)",
+    parameters=(
+        EffectParameter("x", "m", "displacement along the table's x axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
+        EffectParameter("y", "m", "displacement along the table's y axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
+    ),
+    acts=OnPoses(_see),
+    signature="A contact offset that is fixed in the table. The first pose is displaced as well.",
+    rivals="tool_offset: with these sensors the same thing; touch a known mark.",
+    source="Error of the camera's extrinsic calibration.",
+)

@@ -1,0 +1,42 @@
+"""Contents shift against the motion and take the load with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, Memory, OnTable, analytic_exp, equation, unit_direction
+
+__all__ = ["EFFECT"]
+
+
+@equation
+def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
+    # The even tilt of the load that moves its centre by the memory.
+    determinant = body.sxx * body.syy - body.sxy * body.sxy
+    x = (body.syy * memory[0] - body.sxy * memory[1]) / determinant
+    y = (body.sxx * memory[1] - body.sxy * memory[0]) / determinant
+    return 1.0 + cell.rx * x + cell.ry * y
+
+
+@equation
+def _remember(p: Any, body: Body, dt: float, memory: Any, after: Any) -> None:
+    dx, dy = unit_direction(body.cos * body.vx + body.sin * body.vy, body.cos * body.vy - body.sin * body.vx)
+    share = 1.0 - analytic_exp(-dt / p[1])
+    after[0] = memory[0] + share * (-p[0] * dx - memory[0])
+    after[1] = memory[1] + share * (-p[0] * dy - memory[1])
+
+
+EFFECT = Effect(
+    name="moving_contents",
+    what="Loose or liquid contents shift against the motion, and the load with them.",
+    equation="N_i ~ 1 + r_i' <r r'>^-1 q, tau dq/dt = -shift v - q, q in the object, v the unit direction of the centre of mass",
+    parameters=(
+        EffectParameter("shift", "m", "how far the load falls behind in the end", scale=5e-3, typical=5e-3, low=-0.05, high=0.05),
+        EffectParameter("tau", "s", "time in which it does", scale=0.1, typical=0.1, nominal=0.1, low=0.01, high=2.0, shape=True),
+    ),
+    acts=OnTable(load=_load),
+    memory=Memory(2, _remember),
+    signature="The first 0.2 s of each push; the centre of friction lags behind the motion.",
+    rivals="push_height (leads, and at once), position_dependent_friction: wait, repeat, reverse.",
+    source="First-order model of sloshing; the load is that of an even bed of springs whose centre moves by q.",
+)

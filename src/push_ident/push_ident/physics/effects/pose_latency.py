@@ -1,0 +1,23 @@
+"""Poses are older than their stamps."""
+
+from __future__ import annotations
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnTimes
+
+__all__ = ["EFFECT"]
+
+
+def _move(values: ComplexArray, time: ComplexArray) -> ComplexArray:
+    return time - values[0]
+
+
+EFFECT = Effect(
+    name="pose_latency",
+    what="A pose was seen earlier than its stamp says.",
+    equation="reported(t) = pose(t - delta)",
+    parameters=(EffectParameter("delta", "s", "age of a pose at its stamp", scale=0.02, typical=0.02, low=-0.3, high=0.3),),
+    acts=OnTimes(_move),
+    signature="Speed of the object times delta; nothing at rest.",
+    rivals="pusher_lag (fades at the stop), pusher_speed_scale: frames at rest after the push.",
+    source="Delay of exposure, transport and tracking that is not taken off the stamps.",
+)

@@ -1,0 +1,23 @@
+"""The pusher is rougher, or smoother, than assumed."""
+
+from __future__ import annotations
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherFriction
+
+__all__ = ["EFFECT"]
+
+
+def _change(values: ComplexArray, coefficient: ComplexArray) -> ComplexArray:
+    return coefficient + values[0]
+
+
+EFFECT = Effect(
+    name="pusher_friction",
+    what="The pusher's friction coefficient is not the nominal one.",
+    equation="mu_p + excess",
+    parameters=(EffectParameter("excess", "", "above the coefficient of the model", scale=0.15, typical=0.15, low=-2.0, high=2.0),),
+    acts=OnPusherFriction(_change),
+    signature="Slip along the face: oblique and off-centre pushes.",
+    rivals="push_height: pushes mirrored at +-20 degrees. A model whose pusher friction is fitted leaves nothing of it.",
+    source="Coulomb's law at the contact (the paper's mu_p).",
+)

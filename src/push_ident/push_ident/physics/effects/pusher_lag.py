@@ -1,0 +1,41 @@
+"""The pusher follows its commanded path with a delay of first order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherPath
+from push_ident.physics.kernel import kernel
+
+__all__ = ["EFFECT"]
+
+
+@kernel
+def _follow(path: ComplexArray, behind: complex, decay: complex, driven: ComplexArray) -> None:
+    """Exact response to a path that is linear between samples; `behind` is the final lag per step of travel."""
+    for axis in range(path.shape[1]):
+        lag = 0.0j
+        driven[0, axis] = path[0, axis]
+        for n in range(path.shape[0] - 1):
+            steady = -behind * (path[n + 1, axis] - path[n, axis])
+            lag = steady + (lag - steady) * decay
+            driven[n + 1, axis] = path[n + 1, axis] + lag
+
+
+def _move(values: ComplexArray, dt: float, path: ComplexArray) -> ComplexArray:
+    tau = values[0]
+    driven = np.empty_like(path)
+    _follow(path, complex(tau / dt), complex(np.exp(-dt / tau)) if tau.real > 0 else 0j, driven)
+    return driven
+
+
+EFFECT = Effect(
+    name="pusher_lag",
+    what="The pusher follows its reported path with a delay of first order.",
+    equation="tau dp/dt = p_reported - p, at rest at first",
+    parameters=(EffectParameter("tau", "s", "time constant", scale=0.03, typical=0.03, low=0.0, high=0.5),),
+    acts=OnPusherPath(_move),
+    signature="Speed times tau while the pusher moves; fades after it stops.",
+    rivals="pose_latency (as long at the stop), outline_error (no speed in it), pusher_speed_scale (grows): speed steps.",
+    source="First-order model of a servo loop.",
+)

@@ -1,0 +1,25 @@
+"""The pusher goes further than its path says, or less far."""
+
+from __future__ import annotations
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherPath
+
+__all__ = ["EFFECT"]
+
+
+def _move(values: ComplexArray, dt: float, path: ComplexArray) -> ComplexArray:
+    driven = path.copy()
+    driven[:, :2] += values[0] * (path[:, :2] - path[0, :2])
+    return driven
+
+
+EFFECT = Effect(
+    name="pusher_speed_scale",
+    what="The pusher moves faster than its reported path from the same start.",
+    equation="p = p0 + (1 + s) (p_reported - p0)",
+    parameters=(EffectParameter("s", "", "additional share of speed", scale=0.03, typical=0.03, low=-0.3, high=0.3),),
+    acts=OnPusherPath(_move),
+    signature="Grows in proportion to the way driven.",
+    rivals="pose_latency, pusher_lag (both end with the motion): two lengths at one speed.",
+    source="Scale error of a drive or of its clock.",
+)

@@ -1,0 +1,28 @@
+"""Object and pusher part after an impact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from push_ident.physics.effect import Body, Effect, EffectParameter, Memory, OnContact, equation
+
+__all__ = ["EFFECT"]
+
+
+@equation
+def _remember(p: Any, body: Body, dt: float, memory: Any, after: Any) -> None:
+    after[0], after[1], after[2] = body.vx, body.vy, body.omega
+
+
+EFFECT = Effect(
+    name="restitution",
+    what="Object and pusher part after an impact.",
+    equation="n (v_object - v_pusher) after = e times their speed of approach before (Newton's law), in the step after the one that met",
+    parameters=(EffectParameter("e", "", "coefficient of restitution", scale=0.2, typical=0.3, low=0.0, high=1.0),),
+    acts=OnContact("restitution"),
+    memory=Memory(3, _remember),
+    needs_inertia=True,
+    signature="First frames after the touch; rises with the speed of impact.",
+    rivals="pusher_lag, pose_latency: fast impacts at a high frame rate. At 0.25 m/s and below hardly seen.",
+    source="Newton's law of impact, as in the paper's model of contact (there with e = 0).",
+)

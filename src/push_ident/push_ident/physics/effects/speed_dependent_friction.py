@@ -1,0 +1,31 @@
+"""Friction grows, or falls, with the logarithm of the speed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, OnTable, analytic_log, analytic_sqrt, equation
+
+__all__ = ["EFFECT"]
+
+_REFERENCE = 0.1  # speed at which friction is that of the map [m/s]
+_SLOWEST = 0.01  # below it friction hardly changes with the speed [m/s]
+_ROUNDING = 1e-4  # keeps the speed smooth at rest [m/s]
+
+
+@equation
+def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
+    speed = analytic_sqrt(cell.vx * cell.vx + cell.vy * cell.vy + _ROUNDING * _ROUNDING)
+    return 1.0 + p[0] * analytic_log((speed + _SLOWEST) * (1.0 / (_REFERENCE + _SLOWEST)))
+
+
+EFFECT = Effect(
+    name="speed_dependent_friction",
+    what="Friction changes with the logarithm of the speed of each cell.",
+    equation="f (1 + b ln((v + 0.01) / (0.1 + 0.01))), v in m/s",
+    parameters=(EffectParameter("b", "", "change of friction per factor e of speed", scale=0.1, typical=0.1, low=-0.5, high=0.5),),
+    acts=OnTable(load=_load),
+    signature="Coasting distance; a fast turn against a slow one.",
+    rivals="The maps, push_height: the same push at 0.04, 0.12 and 0.3 m/s.",
+    source="Logarithmic law of rate-dependent friction; Ruina, Slip instability and state variable friction laws, 1983, without its state.",
+)

@@ -1,0 +1,29 @@
+"""Friction rises at low speed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, OnTable, analytic_exp, equation
+
+__all__ = ["EFFECT"]
+
+
+@equation
+def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
+    return 1.0 + p[0] * analytic_exp(-(cell.vx * cell.vx + cell.vy * cell.vy) / (p[1] * p[1]))
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    what="Friction is higher at low speed.",
+    equation="f (1 + s exp(-(v / v_s)^2))",
+    parameters=(
+        EffectParameter("s", "", "additional share of friction at rest", scale=0.2, typical=0.2, low=-0.5, high=2.0),
+        EffectParameter("v_s", "m/s", "speed at which it fades", scale=0.01, typical=0.01, nominal=0.02, low=0.002, high=0.2, shape=True),
+    ),
+    acts=OnTable(load=_load),
+    signature="Only below some 30 mm/s: stops and starts.",
+    rivals="speed_dependent_friction: pushes at creeping speed. At the usual speeds hardly seen.",
+    source="Bo & Pavelescu, The friction-speed relation and its influence on the critical velocity of stick-slip motion, Wear 82, 1982.",
+)

@@ -1,0 +1,31 @@
+"""The table is not level."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.support import GRAVITY
+
+__all__ = ["EFFECT"]
+
+
+@equation
+def _pull(p: Any, body: Body) -> Any:
+    weight = body.mass * GRAVITY
+    return weight * p[0], weight * p[1], 0.0 * weight
+
+
+EFFECT = Effect(
+    name="table_tilt",
+    what="The table slopes down along (x, y).",
+    equation="force + m g (x, y) at the centre of mass",
+    parameters=(
+        EffectParameter("x", "rad", "slope downwards along the table's x axis", scale=0.02, typical=0.01),
+        EffectParameter("y", "rad", "slope downwards along the table's y axis", scale=0.02, typical=0.01),
+    ),
+    acts=OnTable(pull=_pull),
+    signature="Constant direction in the table, whatever the heading: period 360 degrees.",
+    rivals="position_dependent_friction, table_anisotropy, tether: opposite headings; a level settles it.",
+    source="Weight on an inclined plane, to first order in the slope. Motion shows slope / friction: a factor common to both stays open.",
+)

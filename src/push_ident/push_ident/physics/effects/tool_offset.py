@@ -1,0 +1,28 @@
+"""The tool tip is not where the arm says."""
+
+from __future__ import annotations
+
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherPath
+
+__all__ = ["EFFECT"]
+
+
+def _move(values: ComplexArray, dt: float, path: ComplexArray) -> ComplexArray:
+    driven = path.copy()
+    driven[:, :2] += values
+    return driven
+
+
+EFFECT = Effect(
+    name="tool_offset",
+    what="The tool is displaced from its reported position, in directions fixed in the table.",
+    equation="p = p_reported + (x, y)",
+    parameters=(
+        EffectParameter("x", "m", "displacement along the table's x axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
+        EffectParameter("y", "m", "displacement along the table's y axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
+    ),
+    acts=OnPusherPath(_move),
+    signature="A contact offset that is fixed in the table.",
+    rivals="camera_translation: with these sensors the same thing; touch a known mark.",
+    source="Error of the tool calibration (hand to tip) at one orientation of the tool.",
+)

@@ -1,0 +1,342 @@
+"""What active effects do between the table and the cells during one step, and its derivative (compiled).
+
+Inputs are one array, real or complex, so that a complex step can turn any of them:
+
+    0-5   state: centre of mass x, y, yaw and their velocities, table axes
+    6     mass
+    7-8   centre of mass, object frame
+    9-    memory of the effects, then their values; behind them four that are not used
+
+As far as inputs act on a step, they are columns of its block too (`sensitivity.py`): the first nine of them from its state on, the
+rest behind those of the body.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.physics.effect import STEP_OF_INPUT, Body, Cell, Equation, OnTable, equation
+from push_ident.physics.effects import EFFECTS
+from push_ident.physics.kernel import kernel
+from push_ident.physics.support import cell_friction
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = [
+    "N_FIXED_INPUTS", "ActiveEffects", "TableScratch", "fill_inputs", "new_table_scratch", "table_action", "table_sensitivity",
+    "update_memory",
+]  # fmt: skip
+
+N_FIXED_INPUTS = 9
+_MASS = 6
+_CENTRE = 7
+_PADDING = 4  # inputs behind the last, so that four numbers can be read from any place
+
+
+class Places(NamedTuple):
+    """Where each effect of `EFFECTS` finds its numbers among the inputs."""
+
+    values: NDArray[np.int64]
+    """Index of its first value, -1 where it is not active, shape (n_effects,)."""
+    memory: NDArray[np.int64]
+    """Index of the first number of its memory; 0 where it has none."""
+
+
+class ActiveEffects(NamedTuple):
+    """The effects that act in a rollout, in the arrays that the kernels take."""
+
+    values: Float64Array
+    """Of all parameters of the active effects, shape (n_values,)."""
+    on_table: BoolArray
+    """Which values belong to effects that act on the table or have a memory, shape (n_values,)."""
+    places: Places
+    n_memory: int
+    loads: bool
+    """Whether one changes the friction limits of the cells."""
+    skews: bool
+    pulls: bool
+    offset: int
+    """Index of the value that shifts the contact surface, or -1."""
+    restitution: int
+    """Index of the coefficient of restitution, or -1."""
+    rebound: int
+    """Index of the first of three numbers of the memory: the velocity before the last step."""
+    moves: BoolArray
+    """Which values move the pusher, shape (n_values,)."""
+    d_path: Float64Array
+    """Derivative of the pusher's path by the values, shape (n_values, n_steps + 1, 3)."""
+    moments: tuple[float, float, float, float, float]
+    """Mean of x, y, x x, x y, y y over the area of the cells [m, m^2], from the nominal centre of mass, object axes."""
+    order: float
+    """How many pushes went before this one."""
+
+
+class TableScratch(NamedTuple):
+    """Space for the effects on the table."""
+
+    inputs: Float64Array
+    turned: NDArray[np.complex128]
+    """The inputs, one of them turned by the complex step."""
+    factor: Float64Array
+    """Of the friction limit of each cell, shape (n_cells,)."""
+    limit: Float64Array
+    """Friction limit of each cell in this step [N], shape (n_cells,)."""
+    d_factor: NDArray[np.complex128]
+    force: Float64Array
+    """Friction of each cell per factor (fx, fy, torque), object axes, shape (3, n_cells)."""
+    result: Float64Array
+    """Skew (a, b) and pull (fx, fy, torque) of `table_action`, shape (5,)."""
+    d_result: NDArray[np.complex128]
+    d_memory: NDArray[np.complex128]
+
+
+def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratch:
+    """Scratch space of the effects; `n_cells` is 0 where none acts on the table."""
+    n_inputs = N_FIXED_INPUTS + n_memory + n_values + _PADDING
+    return TableScratch(
+        np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.ones(n_cells), np.zeros(n_cells),
+        np.zeros(n_cells, dtype=np.complex128), np.zeros((3, n_cells)), np.zeros(5),
+        np.zeros(5, dtype=np.complex128), np.zeros(n_memory, dtype=np.complex128),
+    )  # fmt: skip
+
+
+# All effects of a kind, folded into one function each: a loop over functions would hide them from the compiler. Values and memory go
+# into an equation as four numbers from its place on, of which it takes the first few: arrays would cost more than the equation.
+
+
+@equation
+def _four(inputs: Any, at: int) -> Any:
+    return inputs[at], inputs[at + 1], inputs[at + 2], inputs[at + 3]
+
+
+@equation
+def _cell_of(body: Body, rx: Any, ry: Any) -> Cell:
+    x, y = body.cos * rx - body.sin * ry, body.sin * rx + body.cos * ry
+    return Cell(body.x + x, body.y + y, body.vx - body.omega * y, body.vy + body.omega * x, rx, ry)
+
+
+@equation
+def _no_load(places: Places, inputs: Any, body: Body, arms: Float64Array, dx: Any, dy: Any, factor: Any) -> None:
+    factor[:] = 1.0
+
+
+@equation
+def _no_skew(places: Places, inputs: Any, body: Body) -> Any:
+    return body.mass * 0.0, body.mass * 0.0
+
+
+@equation
+def _no_pull(places: Places, inputs: Any, body: Body) -> Any:
+    return body.mass * 0.0, body.mass * 0.0, body.mass * 0.0
+
+
+@equation
+def _no_memory(places: Places, inputs: Any, body: Body, dt: float, after: Any) -> None:
+    after[:] = 0.0
+
+
+def _with_load(others: Equation, load: Equation, place: int) -> Equation:
+    @equation
+    def loads(places: Places, inputs: Any, body: Body, arms: Float64Array, dx: Any, dy: Any, factor: Any) -> None:
+        others(places, inputs, body, arms, dx, dy, factor)
+        if places.values[place] >= 0:
+            p, memory = _four(inputs, places.values[place]), _four(inputs, places.memory[place])
+            for i in range(arms.shape[1]):
+                factor[i] *= load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
+
+    return loads
+
+
+def _with_skew(others: Equation, skew: Equation, place: int) -> Equation:
+    @equation
+    def skews(places: Places, inputs: Any, body: Body) -> Any:
+        a, b = others(places, inputs, body)
+        if places.values[place] >= 0:
+            more_a, more_b = skew(_four(inputs, places.values[place]), body)
+            a, b = a + more_a, b + more_b
+        return a, b
+
+    return skews
+
+
+def _with_pull(others: Equation, pull: Equation, place: int) -> Equation:
+    @equation
+    def pulls(places: Places, inputs: Any, body: Body) -> Any:
+        fx, fy, torque = others(places, inputs, body)
+        if places.values[place] >= 0:
+            more_x, more_y, more_torque = pull(_four(inputs, places.values[place]), body)
+            fx, fy, torque = fx + more_x, fy + more_y, torque + more_torque
+        return fx, fy, torque
+
+    return pulls
+
+
+def _with_memory(others: Equation, remember: Equation, place: int) -> Equation:
+    @equation
+    def memories(places: Places, inputs: Any, body: Body, dt: float, after: Any) -> None:
+        others(places, inputs, body, dt, after)
+        if places.values[place] >= 0:
+            at = places.memory[place]
+            remember(_four(inputs, places.values[place]), body, dt, _four(inputs, at), after[at - N_FIXED_INPUTS :])
+
+    return memories
+
+
+_loads, _skews, _pulls, _memories = _no_load, _no_skew, _no_pull, _no_memory
+for _place, _effect in enumerate(EFFECTS.values()):
+    if isinstance(_effect.acts, OnTable):
+        if _effect.acts.load is not None:
+            _loads = _with_load(_loads, _effect.acts.load, _place)
+        if _effect.acts.skew is not None:
+            _skews = _with_skew(_skews, _effect.acts.skew, _place)
+        if _effect.acts.pull is not None:
+            _pulls = _with_pull(_pulls, _effect.acts.pull, _place)
+    if _effect.memory is not None:
+        _memories = _with_memory(_memories, _effect.memory.remember, _place)
+
+
+@kernel
+def fill_inputs(state: Float64Array, mass: float, centre: Float64Array, memory: Float64Array, values: Float64Array, inputs: Any) -> None:
+    """Enter the state of a step in its inputs."""
+    inputs[:6] = state
+    inputs[_MASS] = mass
+    inputs[_CENTRE : _CENTRE + 2] = centre
+    inputs[N_FIXED_INPUTS : N_FIXED_INPUTS + memory.shape[0]] = memory
+    first = N_FIXED_INPUTS + memory.shape[0]
+    inputs[first : first + values.shape[0]] = values
+
+
+@equation
+def _body_of(effects: ActiveEffects, inputs: Any, centre: Float64Array) -> Any:
+    """The object as equations see it, and by how much its centre of mass is off the nominal one."""
+    yaw = inputs[2].real
+    turn = inputs[2] - yaw
+    cos, sin = math.cos(yaw) - math.sin(yaw) * turn, math.sin(yaw) + math.cos(yaw) * turn
+    dx, dy = inputs[_CENTRE] - centre[0], inputs[_CENTRE + 1] - centre[1]
+    x, y, xx, xy, yy = effects.moments
+    body = Body(
+        inputs[0], inputs[1], cos, sin, inputs[3], inputs[4], inputs[5], inputs[_MASS],
+        xx - 2.0 * x * dx + dx * dx, xy - x * dy - y * dx + dx * dy, yy - 2.0 * y * dy + dy * dy, effects.order,
+    )  # fmt: skip
+    return body, dx, dy
+
+
+@equation
+def table_action(effects: ActiveEffects, inputs: Any, centre: Float64Array, arms: Float64Array, factor: Any, result: Any) -> None:
+    """The effects on the table for these inputs.
+
+    Args:
+        effects: which act.
+        inputs: as above, real or complex.
+        centre, arms: nominal centre of mass, shape (2,), and the cells' centres from there, shape (2, n_cells), object axes.
+        factor: filled with the factor of the friction limit of each cell, shape (n_cells,), where an effect changes it.
+        result: filled with the skew (a, b) and the pull (fx, fy, torque) [N, N, N m], object axes, shape (5,).
+    """
+    body, dx, dy = _body_of(effects, inputs, centre)
+    if effects.loads:
+        _loads(effects.places, inputs, body, arms, dx, dy, factor)
+        for i in range(arms.shape[1]):
+            if factor[i].real < 0.0:
+                factor[i] = 0.0
+    result[0], result[1] = _skews(effects.places, inputs, body)
+    fx, fy, torque = _pulls(effects.places, inputs, body)
+    result[2], result[3], result[4] = body.cos * fx + body.sin * fy, body.cos * fy - body.sin * fx, torque
+
+
+@equation
+def _remember(effects: ActiveEffects, inputs: Any, centre: Float64Array, dt: float, after: Any) -> None:
+    body, _, _ = _body_of(effects, inputs, centre)
+    _memories(effects.places, inputs, body, dt, after)
+
+
+@kernel
+def update_memory(
+    effects: ActiveEffects,
+    centre: Float64Array,
+    dt: float,
+    derive: bool,
+    memory: Float64Array,
+    by_inputs: Float64Array,
+    scratch: TableScratch,
+) -> None:
+    """Carry the memory over a step; where `derive`, fill its derivative by the inputs, shape (n_memory, n_inputs)."""
+    inputs, turned, after = scratch.inputs, scratch.turned, scratch.d_memory
+    if derive:
+        turned[:] = inputs
+        for column in range(by_inputs.shape[1]):
+            turned[column] += STEP_OF_INPUT * 1j
+            _remember(effects, turned, centre, dt, after)
+            turned[column] = inputs[column]
+            for i in range(memory.shape[0]):
+                by_inputs[i, column] = after[i].imag / STEP_OF_INPUT
+    _remember(effects, inputs, centre, dt, memory)
+
+
+@kernel
+def table_sensitivity(
+    effects: ActiveEffects,
+    twist: Float64Array,
+    centre: Float64Array,
+    arms: Float64Array,
+    limit: Float64Array,
+    skew: Float64Array,
+    eps: float,
+    dt: float,
+    scratch: TableScratch,
+    seeds: Float64Array,
+) -> None:
+    """Derivative of the impulse on the object that the effects change, by all inputs, at the twist after the step.
+
+    Args:
+        twist: after the step, object axes, shape (3,).
+        limit: friction limit of each cell without effects [N], shape (n_cells,).
+        skew: (a, b) in this step, shape (2,).
+        eps: smoothing speed [m/s].
+        seeds: filled in the columns of a step's block that belong to inputs [N s, N s, N m s], shape (3, n_columns).
+
+    The other arguments are those of `table_action`.
+    """
+    inputs, turned, factor, d_factor, force = scratch.inputs, scratch.turned, scratch.factor, scratch.d_factor, scratch.force
+    n_values = effects.values.shape[0]
+    n_inputs = N_FIXED_INPUTS + effects.n_memory + n_values
+    along_a, along_b = np.zeros(3), np.zeros(3)
+    cell_friction(twist, arms, limit, skew, eps, force)
+    if effects.skews:
+        unit = np.zeros((3, arms.shape[1]))
+        for which in range(2):
+            # What E = [[1, 0], [0, -1]] or [[0, 1], [1, 0]] alone would add.
+            direction = np.zeros(2)
+            direction[which] = 1.0
+            cell_friction(twist, arms, limit, direction, eps, unit)
+            total = along_a if which == 0 else along_b
+            for i in range(arms.shape[1]):
+                for j in range(3):
+                    total[j] += factor[i] * unit[j, i]
+        cell_friction(twist, arms, limit, np.zeros(2), eps, unit)
+        for i in range(arms.shape[1]):
+            for j in range(3):
+                along_a[j] -= factor[i] * unit[j, i]
+                along_b[j] -= factor[i] * unit[j, i]
+    turned[:] = inputs
+    for k in range(n_inputs):
+        if k >= n_inputs - n_values and not effects.on_table[k - (n_inputs - n_values)]:
+            continue
+        turned[k] += STEP_OF_INPUT * 1j
+        table_action(effects, turned, centre, arms, d_factor, scratch.d_result)
+        turned[k] = inputs[k]
+        a, b = scratch.d_result[0].imag, scratch.d_result[1].imag
+        gx, gy, gt = scratch.d_result[2].imag, scratch.d_result[3].imag, scratch.d_result[4].imag
+        if effects.loads:
+            for i in range(arms.shape[1]):
+                gx -= d_factor[i].imag * force[0, i]
+                gy -= d_factor[i].imag * force[1, i]
+                gt -= d_factor[i].imag * force[2, i]
+        gx -= a * along_a[0] + b * along_b[0]
+        gy -= a * along_a[1] + b * along_b[1]
+        gt -= a * along_a[2] + b * along_b[2]
+        scale = dt / STEP_OF_INPUT
+        column = 3 + k if k < N_FIXED_INPUTS else 5 + k
+        seeds[0, column], seeds[1, column], seeds[2, column] = scale * gx, scale * gy, scale * gt
