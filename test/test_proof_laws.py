@@ -234,8 +234,8 @@ def test_nothing_drifts_in_a_minute(mode: str, polygon: bool) -> None:
 
 @pytest.mark.parametrize("mode", ENGINES)
 @examples(30)
-@given(case=cases(96, polygon=False))
-def test_disc_never_enters_the_object_by_a_tenth_of_a_millimetre(mode: str, case: Case) -> None:
+@given(case=cases(96))
+def test_pusher_never_enters_the_object_by_a_tenth_of_a_millimetre(mode: str, case: Case) -> None:
     motion = case.simulate(ENGINES[mode])
     assume(motion.status is not SolveStatus.SIMULATION_FAILED)
     depth = -float(clearances(case, motion.pose).min())

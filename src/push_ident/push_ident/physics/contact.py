@@ -1,9 +1,11 @@
 """Contact between the pusher and the exact outline polygon, in the object frame (compiled).
 
 The pusher is a convex polygon rounded by a radius; a single point rounded by a radius is a disc. Two kinds of features meet: a
-corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. Up to three act at once: the
+corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. Up to five are kept: the
 nearest; its neighbours to the left and right on the same flat face (a line contact); the nearest on a face that looks elsewhere
-(a pusher in a concave corner). Cells play no part: a staircase of cells would turn every oblique face into a row of steps.
+(a pusher in a concave corner), and for a polygon one more there. Of two that are equally near to within a nanometre, the first along
+the outline counts as the nearer: rounding must not decide which face rubs. Cells play no part: a staircase of cells would turn every
+oblique face into a row of steps.
 
 The surface that is met may lie `offset` outside the outline: gaps are those of a pusher that is larger by it, and contact points
 move with the surface. An impact may be elastic, see `add_rebound`.
@@ -43,6 +45,8 @@ RECOVERY_SPEED = 0.02
 
 _PARALLEL = 0.9  # cosine between normals above which two contacts belong to the same face
 _SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may fall behind the foremost one
+_TIE = 1e-9  # gaps nearer to each other than this are equal [m]
+_SHALLOW = 1e-4  # overlap up to which a corner of the pusher is still taken to be outside [m]
 _APART = 1e-4  # contacts of a face nearer to each other than this repeat each other [m]
 _TINY = 1e-12
 _TOUCHES = 2e-5  # gap below which a contact that closed in the last step touches [m]
@@ -91,6 +95,21 @@ def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: F
 
 
 @kernel
+def _fill_edge(contact: Float64Array, px: float, py: float, radius: float, outline: Float64Array, i: int, owner: int) -> None:
+    """Contact of a corner of the pusher with the line of edge i."""
+    j = i + 1 if i + 1 < outline.shape[0] else 0
+    ex, ey = outline[j, 0] - outline[i, 0], outline[j, 1] - outline[i, 1]
+    length = math.hypot(ex, ey)
+    nx, ny = ey / length, -ex / length
+    height = nx * (px - outline[i, 0]) + ny * (py - outline[i, 1])
+    contact[GAP], contact[NORMAL], contact[NORMAL + 1] = height - radius, nx, ny
+    contact[POINT], contact[POINT + 1] = px - height * nx, py - height * ny
+    contact[CURVATURE], contact[KIND] = 0.0, ON_EDGE
+    contact[TIP], contact[TIP + 1] = px, py
+    contact[OWNER] = owner
+
+
+@kernel
 def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
     """Whether corner j of the pusher is about the foremost one against the normal: only that one can touch there."""
     m = tips.shape[0]
@@ -110,7 +129,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     inside = False
     for i in range(outline.shape[0]):
         distance, _, _, _ = _edge_feature(px, py, outline, i)
-        if distance < nearest_distance:
+        if distance < nearest_distance - _TIE:
             nearest, nearest_distance = i, distance
         if _crosses(px, py, outline, i):
             inside = not inside
@@ -121,6 +140,19 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     if not polygon or _foremost(found[n], tips, j):
         n += 1
     if inside and not polygon:
+        return n
+    if inside and nearest_distance < _SHALLOW and n > 0 and found[n - 1, OWNER] == j:
+        # Pressed into one face by a hair, it still stands before the others: seen from just outside that face.
+        out_x, out_y = px + 2.0 * (found[n - 1, POINT] - px), py + 2.0 * (found[n - 1, POINT + 1] - py)
+        for i in range(outline.shape[0]):
+            distance, qx, qy, s = _edge_feature(out_x, out_y, outline, i)
+            k = i + 1 if i + 1 < outline.shape[0] else 0
+            faces = (outline[k, 1] - outline[i, 1]) * (out_x - qx) - (outline[k, 0] - outline[i, 0]) * (out_y - qy) > 0.0
+            if i == nearest or not 0.0 < s < 1.0 or not faces or distance - radius > reach:
+                continue
+            _fill_edge(found[n], px, py, radius, outline, i, j)
+            if _foremost(found[n], tips, j):
+                n += 1
         return n
     _, _, _, s_before = _edge_feature(px, py, outline, outline.shape[0] - 1)
     for i in range(outline.shape[0]):
@@ -198,6 +230,16 @@ def max_candidates(n_tips: int, n_outline: int) -> int:
 
 
 @kernel
+def _repeats(contact: Float64Array, other: Float64Array) -> bool:
+    """Whether two contacts are one: on one face, by the same corner of the pusher or at the same place."""
+    mx, my = other[NORMAL], other[NORMAL + 1]
+    if contact[NORMAL] * mx + contact[NORMAL + 1] * my < _PARALLEL:
+        return False
+    offset = -my * (contact[POINT] - other[POINT]) + mx * (contact[POINT + 1] - other[POINT + 1])
+    return (contact[OWNER] >= 0.0 and contact[OWNER] == other[OWNER]) or abs(offset) < _APART
+
+
+@kernel
 def find_contacts(
     tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, contacts: Float64Array
 ) -> int:
@@ -221,7 +263,7 @@ def find_contacts(
         n = _side_candidates(tips, radius, outline, reach, found, n)
     first = -1
     for i in range(n):
-        if found[i, GAP] <= reach and (first < 0 or found[i, GAP] < found[first, GAP]):
+        if found[i, GAP] <= reach and (first < 0 or found[i, GAP] < found[first, GAP] - _TIE):
             first = i
     if first < 0:
         return 0
@@ -234,7 +276,7 @@ def find_contacts(
         if i == first or found[i, GAP] > reach:
             continue
         if found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny < _PARALLEL:
-            if found[i, GAP] < elsewhere_gap:
+            if found[i, GAP] < elsewhere_gap - _TIE:
                 elsewhere, elsewhere_gap = i, found[i, GAP]
             continue
         if found[i, OWNER] >= 0.0 and found[i, OWNER] == contacts[0, OWNER]:
@@ -247,10 +289,20 @@ def find_contacts(
             left, left_turn = i, turn
         elif offset < 0.0 and turn < right_turn:
             right, right_turn = i, turn
+    # A polygon may rest on the other face with a side, or meet a third face.
+    also = -1
+    if elsewhere >= 0 and tips.shape[0] > 1:
+        for i in range(n):
+            if i in (first, elsewhere) or found[i, GAP] > reach or found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny >= _PARALLEL:
+                continue
+            if _repeats(found[i], found[elsewhere]):
+                continue
+            if also < 0 or found[i, GAP] < found[also, GAP] - _TIE:
+                also = i
     number = 1
     while number < MAX_CONTACTS:
         best = -1
-        for i in (left, right, elsewhere):
+        for i in (left, right, elsewhere, also):
             if i >= 0 and (best < 0 or found[i, GAP] < found[best, GAP]):
                 best = i
         if best < 0:
@@ -261,8 +313,10 @@ def find_contacts(
             left = -1
         elif best == right:
             right = -1
-        else:
+        elif best == elsewhere:
             elsewhere = -1
+        else:
+            also = -1
     return number
 
 

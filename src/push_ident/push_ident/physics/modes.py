@@ -4,7 +4,7 @@ For a support friction that is linear about the present twist, a step is
 
     H du = r + sum_k N_k' n_k + T' t,     0 <= n_k  perpendicular to  N_k du - miss_k >= 0,     |t| <= mu sum_k n_k against the slip
 
-with the normal impulses n_k of up to three contacts and one tangential impulse t. The sum runs over the contacts that share the
+with the normal impulses n_k of up to five contacts and one tangential impulse t. The sum runs over the contacts that share the
 tangent T: the first, and those on the same flat face (a line contact, whose points all slip alike). Contacts on another face are
 frictionless: three velocities cannot carry two independent stick conditions beside two normal ones.
 
@@ -28,7 +28,7 @@ __all__ = [
     "SHARES_TANGENT", "ModeScratch", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small", "tangent_row",
 ]  # fmt: skip
 
-MAX_CONTACTS = 3
+MAX_CONTACTS = 5
 
 MODE_FREE = 0
 MODE_STICK = 1
@@ -58,9 +58,9 @@ class ModeScratch(NamedTuple):
     row: NDArray[np.int64]
     """Rows of the contacts that make C, shape (MAX_CONTACTS + 1,)."""
     matrix: Float64Array
-    """[H -P'; C 0], and room for three conditions more, shape (10, 10)."""
+    """[H -P'; C 0], and room for three conditions more, shape (12, 12)."""
     right: Float64Array
-    """Shape (7, 1)."""
+    """Shape (9, 1)."""
 
 
 def new_mode_scratch() -> ModeScratch:
