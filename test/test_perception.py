@@ -10,6 +10,7 @@ from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.depth import depth_from_buffer, points_in_table
+from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, label_pixels
 from push_ident.perception.pipeline import Perception, observe_offline
 from push_ident.perception.segments import find_segments
@@ -35,10 +36,11 @@ def see_hammer(pose, rng, n_frames=10):
     plane = fit_table(points_in_table(frames[0], CAMERA), SETTINGS)
     camera = plane.correct(CAMERA)
     points = points_in_table(frames[0], camera)
-    segments, _ = find_segments(points, label_pixels(points, (), SETTINGS), SETTINGS)
+    segments, _ = find_segments(frames[0], points, label_pixels(points, (), SETTINGS), SETTINGS)
     noise = plane.noise / np.sqrt(n_frames)
-    seen = see_object(mean_depth(frames), INTRINSICS, camera, segments[0], noise=noise, min_height=0.008, cell_count=80)
-    return seen, camera
+    mean = DepthFrame(0.0, mean_depth(frames), INTRINSICS)
+    seen = see_object(mean.depth, INTRINSICS, camera, segments[0], noise=noise, min_height=0.008, cell_count=80)
+    return fuse_views(seen, [View(mean, camera, seen.pose)], pose_known=True), camera
 
 
 @pytest.fixture(scope="module")
@@ -187,11 +189,12 @@ def test_an_object_beside_the_robot_is_no_whole_segment():
     touching = compose(FIRST, [-0.03, 0.029, 0.0])[:2]
     frame = render([*hammer(FIRST), Prism(circle(RADIUS) + touching, 0.11)], rng=rng)
     points = points_in_table(frame, CAMERA)
-    segments, counts = find_segments(points, label_pixels(points, (Cylinder(*touching, RADIUS),), SETTINGS), SETTINGS)
+    segments, counts = find_segments(frame, points, label_pixels(points, (Cylinder(*touching, RADIUS),), SETTINGS), SETTINGS)
     assert not any(segment.whole for segment in segments)
     assert counts["beside_robot_or_cut"] == len(segments) > 0
-    alone = points_in_table(render(hammer(FIRST), rng=rng), CAMERA)
-    segments, _ = find_segments(alone, label_pixels(alone, (), SETTINGS), SETTINGS)
+    frame = render(hammer(FIRST), rng=rng)
+    alone = points_in_table(frame, CAMERA)
+    segments, _ = find_segments(frame, alone, label_pixels(alone, (), SETTINGS), SETTINGS)
     assert len(segments) == 1 and segments[0].whole
     assert segments[0].area == pytest.approx(abs(polygon_area(HAMMER_OUTLINE)), rel=0.3)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import random
 import signal
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
+import yaml
 from depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, circle, render
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
@@ -24,6 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
+from shape_msgs.msg import SolidPrimitive
 
 from push_ident.geometry.outline import polygon_area
 from push_ident.nodes.convert import (
@@ -128,7 +131,7 @@ def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
 def node(domain: int, camera: Camera) -> Iterator[subprocess.Popen[str]]:
     process = start(domain, "-p", "rest_frames:=4", "-p", "rest_frame:=4")
     try:
-        wait_for(lambda: camera.diagnostics, 15.0)
+        wait_for(lambda: camera.diagnostics, 30.0)
         yield process
     finally:
         process.send_signal(signal.SIGINT)
@@ -143,7 +146,7 @@ def node(domain: int, camera: Camera) -> Iterator[subprocess.Popen[str]]:
 
 
 def send_until(camera: Camera, condition: Callable[[], object], **how: object) -> None:
-    deadline = time.monotonic() + 15.0
+    deadline = time.monotonic() + 30.0
     while not condition():
         assert time.monotonic() < deadline, camera.values()
         camera.send(**how)  # type: ignore[arg-type]
@@ -205,8 +208,24 @@ def test_wrong_images_are_counted_by_reason_and_the_node_goes_on(camera, node):
     def blind(image: Image, info: CameraInfo) -> None:
         image.data = type(image.data)("B", bytes(len(image.data)))
 
+    def other_size(image: Image, info: CameraInfo) -> None:
+        info.width = 320
+
+    def without_focal_length(image: Image, info: CameraInfo) -> None:
+        info.k, info.p = [0.0] * 9, [0.0] * 12
+
+    def distorted(image: Image, info: CameraInfo) -> None:
+        info.p, info.d = [0.0] * 12, [0.1, -0.2, 0.0, 0.0, 0.0]
+
+    def overflowing(image: Image, info: CameraInfo) -> None:
+        image.width = info.width = image.height = info.height = 2**31
+
     assert "'rgb8', expected one of 16UC1, 32FC1" in refused(camera, "frames_refused", wrong_encoding)
     assert "expected step * height" in refused(camera, "frames_refused", cut)
+    assert "640 x 480, camera info 320 x 480" in refused(camera, "frames_refused", other_size)
+    assert "focal lengths > 0" in refused(camera, "frames_refused", without_focal_length)
+    assert "not rectified" in refused(camera, "frames_refused", distorted)
+    assert "pixels, expected 1 to" in refused(camera, "frames_refused", overflowing)
     assert "'elsewhere'" in refused(camera, "frames_refused", other_frame)
     assert f"0 valid of {INTRINSICS.width * INTRINSICS.height} pixels" in refused(camera, "frames_without_result", blind)
     before = len(camera.poses)
@@ -234,3 +253,85 @@ def test_an_impossible_parameter_ends_the_process_with_one_line(domain):
     output, _ = process.communicate(timeout=15.0)
     assert process.returncode == 1
     assert "min_object_height of perception_node is 7.0: expected 0.002 to 0.5" in output and "Traceback" not in output
+
+
+def test_where_nothing_was_measured_the_workspace_is_unknown(camera, node):
+    def half_blind(image: Image, info: CameraInfo) -> None:
+        pixels = np.frombuffer(image.data, np.uint16).reshape(image.height, image.width).copy()
+        pixels[:, : image.width // 2] = 0
+        image.data = type(image.data)("B", pixels.tobytes())
+
+    before = len(camera.workspace)
+    send_until(camera, lambda: len(camera.workspace) > before + 1, change=half_blind)
+    grid = camera.workspace[-1]
+    cells = np.asarray(grid.data, np.int8).reshape(grid.info.height, grid.info.width)
+    # The camera looks along -x, so the left half of its image is the half of negative y.
+    assert np.mean(cells[: len(cells) // 2 - 20, 150:250] == -1) > 0.99
+    assert np.mean(cells[len(cells) // 2 + 20 : -60, 200:300] == -1) < 0.5
+
+
+def test_a_publisher_of_another_quality_of_service_is_named_with_the_policy(camera, node):
+    publisher = camera.create_publisher(SolidPrimitive, "pusher/shape", QoSProfile(depth=1))
+    try:
+        wait_for(lambda: int(camera.values().get("incompatible_qos", 0)) > 0)
+        assert "/pusher/shape" in camera.values()["last_error"] and "DURABILITY" in camera.values()["last_error"]
+    finally:
+        camera.destroy_publisher(publisher)
+
+
+def test_a_clock_that_does_not_tick_is_told_within_five_seconds(domain):
+    process = start(domain, "-r", "__ns:=/lonely", "-p", "use_sim_time:=true")
+    lines: list[str] = []
+    reader = threading.Thread(target=lambda: lines.extend(process.stdout or ()), daemon=True)
+    reader.start()
+    began = time.monotonic()
+    try:
+        wait_for(lambda: any("nothing comes on /clock" in line for line in lines), 12.0)
+        told = time.monotonic() - began
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(5.0)
+    # Counted from the start of the process, whose imports take a while on a busy machine.
+    assert told < 12.0
+
+
+def test_extrinsics_from_tf_without_tf_end_with_one_line(domain):
+    if importlib.util.find_spec("tf2_ros") is not None:
+        pytest.skip("tf2_ros is installed here")
+    process = start(domain, "-p", "extrinsics:=tf")
+    output, _ = process.communicate(timeout=20.0)
+    assert process.returncode == 1
+    assert "tf2_ros is not installed; give camera_position" in output and "Traceback" not in output
+
+
+def test_the_node_calibrates_itself_and_writes_what_it_found(domain, tmp_path):
+    outline, mark_pose = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)]), (0.05, -0.03, 0.7)
+    other = domain + 1
+    context = Context()
+    rclpy.init(context=context, domain_id=other)
+    camera = Camera(context)
+    rng = np.random.default_rng(1)
+    camera.frames = [render([Prism(outline, 0.03).at(mark_pose)], rng=rng) for _ in range(4)]
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(camera)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    file = tmp_path / "camera.yaml"
+    pose = ", ".join(str(value) for value in mark_pose)
+    arguments = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
+    process = start(other, *(word for argument in arguments for word in ("-p", argument)))
+    try:
+        send_until(camera, lambda: "note_extrinsics" in camera.values())
+        assert "outline of the mark 0." in camera.values()["note_extrinsics"]
+    finally:
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=5.0)
+        executor.shutdown()
+        thread.join(2.0)
+        camera.destroy_node()
+        context.try_shutdown()
+    found = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
+    difference = camera_pose(found["camera_position"], found["camera_quaternion"]) @ np.linalg.inv(CAMERA)
+    assert np.linalg.norm(difference[:3, 3]) < 0.002
+    assert np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)) < np.deg2rad(0.5)
+    assert "Traceback" not in output

@@ -15,29 +15,33 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import planar_pose_to_msg, shape_to_msgs, stamp_from_msg
+from push_ident.nodes.arm_lease import ArmLease
+from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg
+from push_ident.nodes.hand_port import RobotiqHand
 from push_ident.nodes.push_executor_parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
-from push_ident_msgs.msg import PushRecord
+from push_ident_msgs.msg import HandStatus, PushRecord
 from push_ident_sim.robot import HOME, robot_description
+from push_ident_sim.sim_hand_node import SimHandNode
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RADIUS = 0.018
@@ -54,11 +58,16 @@ QUICK = {
     "workspace": [-0.1, 0.2, -0.25, 0.25],
     "arm_timeout": ARM_TIMEOUT,
     "tracking_lag": ARM_TIMEOUT,
+    "lost_timeout": 0.4,  # twice the arm timeout, where that is more
+    "force_limit": 30.0,
+    "hand": "simulated",
+    "hand_timeout": 2.0,
 }
+FIST = {"g_act": 1, "g_mod": 0, "g_gto": 1, "g_imc": 3, "g_sta": 2, "g_flt": 0, "g_pra": 255}
 
 
 class Cell(Node):
-    """An arm that follows every trajectory exactly, and a box that the tool carries along while it overlaps."""
+    """An arm that follows every trajectory exactly, a hand that is a fist, and a box that the tool carries along while it overlaps."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("cell", context=context)
@@ -68,6 +77,10 @@ class Cell(Node):
         self._n_ticks = 0
         self.silent = False
         self.box_sticks = True
+        self.sees_box = True
+        self.force = 1.0
+        self.feels = True
+        self.fist = dict(FIST)
         self.box = np.array([0.0, 0.02, 0.3])
         self.commands: list[tuple[float, JointTrajectory]] = []
         self.tool: list[PoseStamped] = []
@@ -83,6 +96,9 @@ class Cell(Node):
         self._publish_once(PolygonStamped, "objects/box/outline", outline)
         self._states = self.create_publisher(JointState, "joint_states", 10)
         self._poses = self.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+        self._wrenches = self.create_publisher(WrenchStamped, "pusher/wrench", qos_profile_sensor_data)
+        self._hand = self.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
+        self.recording = self.create_publisher(DiagnosticStatus, "recording", LATCHED)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_command, 10)
         for kind, topic, kept, qos in (
             (PoseStamped, "tool/pose", self.tool, 10),
@@ -116,8 +132,12 @@ class Cell(Node):
             state = JointState(name=list(self.kinematics.joint_names), position=(self.q + self.offset).tolist())
             state.header.stamp = stamp
             self._states.publish(state)
+        if self.feels:
+            self._wrenches.publish(force_to_msg(stamp, np.array([0.6 * self.force, -0.8 * self.force])))
         self._n_ticks += 1
-        if self._n_ticks % 3 == 0:
+        if self._n_ticks % 10 == 0:
+            self._hand.publish(HandStatus(**self.fist))
+        if self._n_ticks % 3 == 0 and self.sees_box:
             self._poses.publish(planar_pose_to_msg(stamp, self.box, np.eye(3) * 1e-6))
 
 
@@ -134,7 +154,7 @@ class Call:
         return self.result.result().result
 
 
-def wait_for(condition: Callable[[], object], timeout: float = 5.0) -> None:
+def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "timed out"
@@ -186,12 +206,12 @@ def spinning_cell(domain: int) -> Iterator[Cell]:
 def node(domain: int, spinning_cell: Cell) -> Iterator[subprocess.Popen[str]]:
     process = start_node(domain)
     try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(spinning_cell.diagnostics)), 15.0)
+        wait_for(lambda: any("objects: box" in summary(m) for m in list(spinning_cell.diagnostics)), 60.0)
         yield process
     finally:
         process.send_signal(signal.SIGINT)
         try:
-            output, _ = process.communicate(timeout=3.0)
+            output, _ = process.communicate(timeout=10.0)
         finally:
             process.kill()
     assert process.returncode == 0 and "Traceback" not in output and "exception" not in output, output
@@ -206,12 +226,13 @@ def cell(node: subprocess.Popen[str], spinning_cell: Cell) -> Cell:
     """At home, with nothing recorded yet."""
     cell = spinning_cell
     cell.silent, cell.box_sticks, cell.offset = False, True, np.zeros(7)
+    cell.sees_box, cell.feels, cell.force, cell.fist = True, True, 1.0, dict(FIST)
     cell.box[:] = 0.0, 0.02, 0.3
     cell.q = np.array(PARKED)
     for kept in (cell.commands, cell.tool, cell.pusher, cell.records):
         kept.clear()
     cell._tip = cell.kinematics.forward(cell.q)[:3, 3]
-    time.sleep(0.1)
+    time.sleep(0.2)
     return cell
 
 
@@ -362,6 +383,154 @@ def test_arm_off_its_way_is_held(cell: Cell) -> None:
     assert len(cell.commands) == 2 and len(cell.commands[1][1].points) == 1
 
 
+def begin_push(cell: Cell, **fields: object) -> Call:
+    """A push whose tool is on its way through the box."""
+    call = send(cell, **(CONTACT | fields))
+    wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+    return call
+
+
+def is_hold(command: JointTrajectory) -> bool:
+    return len(command.points) == 1 and not np.any(command.points[0].velocities)
+
+
+def test_force_over_the_limit_is_held(cell: Cell, stalls: Stalls) -> None:
+    call = begin_push(cell)
+    cell.force, since = 31.0, time.monotonic()
+    result = call.end()
+    assert result.error_code == PushCode.FORCE and "31.0 N" in result.error_text, result.error_text
+    time.sleep(0.3)
+    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
+    assert cell.commands[1][0] - since < 0.1 + 2 * stalls.worst
+    wait_for(lambda: cell.records)
+    assert cell.records[0].error_code == PushCode.FORCE
+
+
+def test_force_that_is_not_measured_any_more_is_held(cell: Cell) -> None:
+    call = begin_push(cell)
+    cell.feels = False
+    result = call.end()
+    assert result.error_code == PushCode.FORCE and "silent" in result.error_text
+    time.sleep(0.2)
+    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
+
+
+@pytest.mark.parametrize("fault", ["not seen", "outside"])
+def test_object_lost_during_a_push_stops_it_and_the_arm_leaves_on_a_checked_path(cell: Cell, fault: str) -> None:
+    call = begin_push(cell, distance=0.12, speed=0.1)
+    before, n_pusher = cell.box.copy(), len(cell.pusher)
+    if fault == "not seen":
+        cell.sees_box = False
+    else:
+        cell.box_sticks = False
+        cell.box[0] = 0.35
+    result = call.end()
+    assert result.error_code == PushCode.OBJECT_LOST and "went home" in result.error_text, result.error_text
+    push, hold, retreat = (msg for _, msg in cell.commands)
+    assert is_hold(hold) and len(push.points) > 100 and len(retreat.points) > 50
+    assert cell.q == pytest.approx(PARKED, abs=0.02)
+    if fault == "not seen":
+        assert np.linalg.norm(cell.box[:2] - before[:2]) < 0.1  # half a second at most, of the twelve centimetres asked for
+    heights = [cell.kinematics.forward(point.positions)[2, 3] for point in retreat.points[::5]]
+    assert min(heights) > 0.011 and max(heights) > 0.11
+    wait_for(lambda: cell.records)
+    record = cell.records[0]
+    assert record.error_code == PushCode.OBJECT_LOST and stamp_from_msg(record.start) < stamp_from_msg(record.end)
+    assert n_pusher > 0
+    time.sleep(0.3)
+    assert len(cell.commands) == 3
+
+
+def test_arm_moved_by_hand_while_it_was_silent_starts_from_where_it_is_now(cell: Cell) -> None:
+    call = begin_push(cell)
+    cell.silent = True
+    assert call.end().error_code == PushCode.ARM_SILENT
+    assert is_hold(cell.commands[1][1])
+    cell.commands.clear()
+    cell.q = np.array(PARKED) + 0.15 * np.array([1.0, -1.0, 0.5, 0.0, 0.5, 0.0, 1.0])
+    cell._tip = cell.kinematics.forward(cell.q)[:3, 3]
+    moved = cell.q.copy()
+    cell.box[:] = 0.0, 0.02, 0.3
+    cell.silent = False
+    time.sleep(0.2)
+    assert send(cell, **CONTACT).end().error_code == 0
+    assert len(cell.commands) == 1
+    assert list(cell.commands[0][1].points[0].positions) == pytest.approx(moved, abs=1e-6)
+
+
+def test_hand_that_is_no_fist_refuses_a_push_and_holds_one_under_way(cell: Cell) -> None:
+    cell.fist["g_pra"] = 0
+    time.sleep(0.3)
+    result = send(cell, **CONTACT).end()
+    assert result.error_code == PushCode.HAND and "the hand is open" in result.error_text and cell.commands == []
+    assert send(cell, dry_run=True, **CONTACT).end().error_code == 0
+    cell.fist = dict(FIST)
+    time.sleep(0.3)
+    call = begin_push(cell, distance=0.12, speed=0.1)
+    cell.fist["g_flt"] = 0x0D
+    result = call.end()
+    assert result.error_code == PushCode.HAND and "0x0D" in result.error_text
+    time.sleep(0.2)
+    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
+
+
+def test_recording_that_fails_holds_the_push_and_refuses_the_next(cell: Cell) -> None:
+    call = begin_push(cell)
+    cell.recording.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full"))
+    result = call.end()
+    assert result.error_code == PushCode.RECORDING and "disk full" in result.error_text
+    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
+    assert send(cell, **CONTACT).end().error_code == PushCode.RECORDING and len(cell.commands) == 2
+    cell.recording.publish(DiagnosticStatus(level=DiagnosticStatus.OK))
+    time.sleep(0.2)
+    assert send(cell, dry_run=True, **CONTACT).end().error_code == 0
+
+
+def test_object_near_the_edge_is_first_pushed_back_to_the_middle_and_that_push_is_told_apart(cell: Cell) -> None:
+    cell.box[:] = 0.05, 0.20, 0.0
+    time.sleep(0.2)
+    call = send(cell, mode=ExecutePush.Goal.MODE_RANDOM, seed=1)
+    result = call.end(30.0)
+    assert result.error_code == 0, result.error_text
+    wait_for(lambda: len(cell.records) == 2)
+    first, second = cell.records
+    assert (first.push_id, second.push_id) == (result.recentre_push_id, result.push_id)
+    assert (first.purpose, second.purpose) == (PushRecord.PURPOSE_RECENTRE, PushRecord.PURPOSE_REQUESTED)
+    assert np.sin(first.direction) < -0.5  # towards the middle
+    assert ExecutePush.Feedback.PHASE_RECENTRE in call.feedback
+    assert call.feedback[-1] == ExecutePush.Feedback.PHASE_RETREAT
+    # A push that is possible nowhere moves nothing; one in the table frame is made as it was asked for, or not at all.
+    for kept in (cell.records, cell.commands):
+        kept.clear()
+    cell.box[:] = 0.05, 0.20, 0.0
+    time.sleep(0.2)
+    assert send(cell, **(CONTACT | {"direction": 0.0})).end().error_code == PushCode.INVALID_GOAL
+    in_table = {"object_id": "box", "contact_point": Point(x=0.05, y=0.23), "direction": -np.pi / 2}
+    assert send(cell, **in_table).end().error_code == PushCode.LIMIT
+    assert cell.commands == []
+    result = send(cell, mode=ExecutePush.Goal.MODE_RECENTRE).end()
+    assert result.error_code == 0 and result.recentre_push_id == 0
+    assert cell.box[1] < 0.14
+    wait_for(lambda: cell.records)
+    assert cell.records[0].purpose == PushRecord.PURPOSE_RECENTRE
+
+
+def test_command_is_what_a_trajectory_controller_of_ros2_control_takes(cell: Cell) -> None:
+    assert send(cell, **CONTACT).end().error_code == 0
+    command = cell.commands[0][1]
+    limits = cell.kinematics
+    times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in command.points])
+    position, velocity = (np.array([list(getattr(p, name)) for p in command.points]) for name in ("positions", "velocities"))
+    assert tuple(command.joint_names) == limits.joint_names and stamp_from_msg(command.header.stamp) == 0.0
+    assert times[0] == 0.0 and np.all(np.diff(times) > 0)
+    assert np.abs(velocity[[0, -1]]).max() < 1e-7  # the controller refuses to end in motion
+    assert np.all((position >= limits.position_lower) & (position <= limits.position_upper))
+    assert np.all(np.abs(velocity) <= 2.0 + 1e-3)
+    # Cubics through the points: velocities are the derivative of the positions.
+    slope = np.diff(position, axis=0) / np.diff(times)[:, None]
+    assert np.abs(slope - 0.5 * (velocity[1:] + velocity[:-1])).max() < 0.05
+
+
 def test_object_that_stays_is_no_contact(cell: Cell) -> None:
     cell.box_sticks = False
     result = send(cell, **CONTACT).end()
@@ -396,11 +565,12 @@ def test_bad_goal_is_refused_with_its_code_and_nothing_moves(cell: Cell, change:
 
 
 def test_arm_that_somebody_else_commands_is_left_alone(cell: Cell) -> None:
-    rival = cell.create_publisher(JointTrajectory, "joint_trajectory", 10)
+    rival = Node("rival", context=cell.context)
+    rival.create_publisher(JointTrajectory, "joint_trajectory", 10)
     time.sleep(0.5)
     result = send(cell, **CONTACT).end()
-    cell.destroy_publisher(rival)
-    assert result.error_code == PushCode.BUSY and "joint_trajectory" in result.error_text and cell.commands == []
+    rival.destroy_node()
+    assert result.error_code == PushCode.BUSY and "/rival commands the arm" in result.error_text and cell.commands == []
     time.sleep(0.5)
 
 
@@ -413,6 +583,54 @@ def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: 
     assert cell.commands[1][0] - asked < 0.2 and len(cell.commands[1][1].points) == 1
     wait_for(lambda: node.poll() is not None, 2.0)
     assert node.returncode == 0
+
+
+def test_of_two_executors_that_start_at_once_one_gets_the_arm_and_a_killed_one_leaves_it_free() -> None:
+    domain = 101  # without a cell: the lease needs none
+    both = [start_node(domain) for _ in range(2)]
+    try:
+        wait_for(lambda: any(process.poll() is not None for process in both), 20.0)
+        loser, winner = sorted(both, key=lambda process: process.poll() is None)
+        output, _ = loser.communicate(timeout=5.0)
+        assert loser.returncode == 1 and f"process {winner.pid}" in output and "Traceback" not in output
+        time.sleep(0.5)
+        assert winner.poll() is None
+        with pytest.raises(InputError, match=f"process {winner.pid}"):
+            ArmLease(domain, "/joint_trajectory")
+        ArmLease(domain, "/left/joint_trajectory").release()  # another arm
+        winner.kill()
+        winner.wait(5.0)
+        ArmLease(domain, "/joint_trajectory").release()
+    finally:
+        for process in both:
+            process.kill()
+            process.wait(5.0)
+
+
+def test_simulated_hand_is_activated_and_closed_to_a_fist() -> None:
+    context = Context()
+    rclpy.init(context=context, domain_id=random.randint(1, 100))
+    times = [f"{name}:=0.3" for name in ("activation_time", "closing_time")]
+    arguments = ["--ros-args", "-p", "closed:=false", *(item for time in times for item in ("-p", time))]
+    hand = SimHandNode(context=context, cli_args=arguments)
+    user = Node("user", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    for node in (hand, user):
+        executor.add_node(node)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    try:
+        port = RobotiqHand(user, "simulated", timeout=2.0, callback_group=user.default_callback_group)
+        wait_for(lambda: "not activated" in port.why_no_fist())
+        assert port.close_fist(5.0, lambda: False) == ""
+        with pytest.raises(InputError, match="robotiq_3f_gripper_ros2_interfaces"):
+            RobotiqHand(user, "robotiq_3f", timeout=2.0, callback_group=user.default_callback_group)
+    finally:
+        executor.shutdown()
+        thread.join(2.0)
+        for node in (hand, user):
+            node.destroy_node()
+        context.try_shutdown()
 
 
 def test_contradicting_parameters_end_the_process_with_one_line(domain: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,10 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push
+from push_ident.pushing.hand import HandState
+from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push, plan_retreat
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
-from push_ident.pushing.sampling import push_from_goal, sample_push
+from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
 from push_ident.types import CellGrid, ObjectShape
 from push_ident_sim.objects import make_object
 from push_ident_sim.robot import HOME, PUSHER_RADIUS, robot_description
@@ -211,6 +214,57 @@ def test_goal_inside_a_slot_and_goal_behind_another_object_are_unreachable() -> 
         push_from_goal(shape_of(BAR[:, ::-1].copy()), [0, 0, 0], [0, -0.08], np.pi / 2, 0.15, 0.1, SETTINGS, obstacles=[beyond])
 
 
+@pytest.mark.parametrize("name", ["hammer", "wrench", "crimp", "toolbox", "book"])
+def test_object_at_the_edge_has_a_push_that_brings_it_back_and_one_in_the_middle_needs_none(name: str) -> None:
+    tool = make_object(name)
+    shape = ObjectShape(CellGrid(tool.cells, tool.cell_size), tool.outline)
+    assert not is_near_edge(shape, [0.0, 0.0, 0.4], SETTINGS)
+    rng = np.random.default_rng(4)
+    for edge in ([0.2, 0.0], [-0.2, 0.05], [0.0, 0.25], [0.05, -0.25]):
+        yaw = rng.uniform(-3, 3)
+        # Moved out until the outline is 1 cm from the edge, on that side.
+        outward = np.sign(edge) * (np.abs(edge) >= 0.2)
+        reach = np.max(transform_points([0, 0, yaw], shape.outline) @ outward)
+        pose = np.array([*(np.array(edge) * (outward == 0) + outward * (np.abs(edge) @ np.abs(outward) - 0.01 - reach)), yaw])
+        if np.linalg.norm(pose[:2]) < SETTINGS.distance_range[0]:
+            continue  # as long as the workspace is wide: it is in the middle
+        assert is_near_edge(shape, pose, SETTINGS)
+        push = next(recentring_pushes(shape, pose, SETTINGS))
+        before, after = np.linalg.norm(pose[:2]), np.linalg.norm(pose[:2] + push.distance * push.heading)
+        assert after < before - 0.01
+        assert push.heading @ -pose[:2] > 0.5 * before
+
+
+def test_push_back_to_the_middle_prefers_to_carry_the_object_straight_there() -> None:
+    push = next(recentring_pushes(shape_of(BAR), [0.0, 0.17, 0.0], SETTINGS))
+    assert push.heading == pytest.approx([0.0, -1.0], abs=1e-9) and abs(push.contact_point[0]) < 0.002
+    assert push.distance == pytest.approx(0.17)
+
+
+# Hand
+
+FIST = HandState(activated=True, mode=0, going=True, readiness=3, motion=2, fault=0, request=255)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({}, ""),
+        ({"motion": 3}, ""),
+        ({"motion": 0}, "moving"),
+        ({"fault": 0x0D}, "0x0D"),
+        ({"activated": False}, "not activated"),
+        ({"readiness": 1}, "not activated"),
+        ({"mode": 1}, "mode 1"),
+        ({"request": 120}, "open"),
+        ({"going": False}, "open"),
+    ],
+)
+def test_hand_is_a_fist_only_when_it_stands_closed_and_sound(change: dict[str, int], text: str) -> None:
+    reason = replace(FIST, **change).why_no_fist
+    assert text in reason and bool(reason) == bool(text)
+
+
 # Motion
 
 
@@ -291,6 +345,26 @@ def test_start_beyond_a_joint_limit_is_refused_by_its_name(arm: ArmKinematics, p
     with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_4 would be at -2\.500 rad") as error:
         plan_push(arm, [0, 0, 0, -2.5, 0, 0, 0], push, MOTION)
     assert error.value.code == PushCode.LIMIT
+
+
+def test_link_that_would_come_near_the_table_is_refused_by_its_name(arm: ArmKinematics, push: PushPlan2D) -> None:
+    with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_\d would come 0\.\d+ m near the table, limit 0\.500") as error:
+        plan_push(arm, PARKED, push, replace(MOTION, link_height=0.5))
+    assert error.value.code == PushCode.LIMIT
+
+
+def test_retreat_backs_off_before_it_rises_and_ends_at_home(arm: ArmKinematics, plan: ArmPlan, push: PushPlan2D) -> None:
+    stopped = plan.trajectory.at(0.5 * (plan.contact + plan.stop))
+    retreat = plan_retreat(arm, stopped, push.heading, MOTION)
+    assert retreat.trajectory.position[0] == pytest.approx(stopped) and retreat.trajectory.position[-1] == pytest.approx(PARKED)
+    start = arm.forward(stopped)[:3, 3]
+    back = (retreat.tip[:, :2] - start[:2]) @ push.heading
+    low = retreat.tip[:, 2] < start[2] + 0.002
+    assert back[low].min() == pytest.approx(-MOTION.back_off, abs=1e-3) and back[low].max() < 1e-3
+    rising = ~low & (retreat.tip[:, 2] < MOTION.free_height)
+    assert np.ptp(back[rising]) < 1e-3
+    at_home = plan_retreat(arm, PARKED, push.heading, MOTION)
+    assert np.all(at_home.trajectory.position == np.array(PARKED))
 
 
 def test_every_random_push_of_every_object_can_be_planned(arm: ArmKinematics) -> None:

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,10 +19,11 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise, look_at, pose_from_quaternion
+from push_ident_sim.effects import Effects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
 from push_ident_sim.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
 from push_ident_sim.trajectory import JointTrajectory
-from push_ident_sim.world import CellWorld
+from push_ident_sim.world import CellWorld, WorldConfig
 
 G = 9.81
 CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
@@ -254,6 +255,42 @@ def test_object_goes_back_to_its_start_unless_the_pusher_stands_there() -> None:
         np.testing.assert_array_equal(world.object_pose(), np.zeros(3))
 
 
+def test_another_object_takes_the_place_of_the_first_unless_the_pusher_stands_there() -> None:
+    first, second = block(), make_object("book", 3)
+    with cell(first) as world:
+        world.replace_object(second, (0.05, 0.0, 0.4))
+        np.testing.assert_allclose(world.object_pose(), (0.05, 0.0, 0.4))
+        for _ in range(10):
+            world.step()
+        np.testing.assert_allclose(world.cell_loads(), second.mass * G, rtol=1e-3)
+        world.replace_object(first, (0.0, 0.0, 0.0))
+        rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
+        assert rows[-1, 5] == pytest.approx(0.08 - 0.11 + 0.06 + PUSHER_RADIUS, abs=1e-3)
+        with pytest.raises(InputError, match="pusher stands"):
+            world.replace_object(second, (0.0, 0.0, 0.0))
+        np.testing.assert_allclose(world.object_pose(), rows[-1, 5:8])
+
+
+def test_arm_wears_the_table_from_push_to_push() -> None:
+    thing = block(friction=0.35, mass=0.6)
+    world, forces = CellWorld(thing, WorldConfig(effects=Effects.of({"wear": 0.1}))), []
+    try:
+        for _ in range(2):
+            rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
+            forces.append(rows[len(rows) * 2 // 3 :, 8].mean())
+            # The tool stands where it is; the object is taken away from it, and put back once the tool has gone.
+            world.place_object((0.2, 0.2, 0.0))
+            for _ in range(150):
+                world.step()
+            world.set_joint_targets(HOME, np.zeros(7))
+            for _ in range(240):
+                world.step()
+            world.place_object((0.0, 0.0, 0.0))
+    finally:
+        world.close()
+    assert forces == pytest.approx([0.35 * 0.6 * G, 1.1 * 0.35 * 0.6 * G], rel=0.02)
+
+
 # --- robot ---------------------------------------------------------------------------------------------------------------
 
 
@@ -339,8 +376,10 @@ def test_depth_noise_has_the_published_spread_whole_millimetres_and_a_seed() -> 
     depth = np.full((480, 640), 1.2, dtype=np.float32)
     noisy = DepthNoise().apply(depth, np.random.default_rng(1))
     np.testing.assert_array_equal(noisy, DepthNoise().apply(depth, np.random.default_rng(1)))
-    # Nguyen, Izadi & Lovell 2012, and the spread of rounding to 1 mm.
-    assert noisy.std() == pytest.approx(np.hypot(0.0012 + 0.0019 * 0.8**2, 1e-3 / np.sqrt(12)), rel=0.02)
+    # Nguyen, Izadi & Lovell 2012, and the spread of rounding to steps of disparity (z^2 / 8 / 43.5 px m) and to 1 mm.
+    expected = np.sqrt((0.0012 + 0.0019 * 0.8**2) ** 2 + ((1.2**2 / 8 / 43.5) ** 2 + 1e-3**2) / 12)
+    assert noisy.std() == pytest.approx(expected, rel=0.06)
+    assert len(np.unique(np.round(43.5 * 8 / noisy))) == len(np.unique(noisy))
     np.testing.assert_allclose(noisy * 1e3, np.rint(noisy * 1e3), atol=1e-3)
     depth[:, 320:] = 1.1
     holes = np.isnan(DepthNoise(edge_dropout=0.5).apply(depth, np.random.default_rng(2)))
@@ -357,6 +396,70 @@ def test_camera_pose_is_the_same_from_a_target_and_from_a_quaternion() -> None:
 
 
 # --- node ----------------------------------------------------------------------------------------------------------------
+
+
+def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its_speed() -> None:
+    rclpy = pytest.importorskip("rclpy")
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+    from nav_msgs.msg import OccupancyGrid
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_srvs.srv import Trigger
+
+    domain = 92
+    chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
+    command = [sys.executable, "-m", "push_ident_sim.sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
+    node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    user = rclpy.create_node("user", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(user)
+    heard: dict[str, list] = {"cells": [], "pose": [], "health": []}
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    user.create_subscription(OccupancyGrid, "objects/truth/cells", heard["cells"].append, latched)
+    user.create_subscription(PoseWithCovarianceStamped, "objects/truth/pose", heard["pose"].append, 10)
+    user.create_subscription(DiagnosticArray, "/diagnostics", heard["health"].append, 10)
+
+    def wait(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < deadline and node.poll() is None, heard
+            executor.spin_once(timeout_sec=0.1)
+
+    def ask(kind: type, name: str, request: object) -> object:
+        answer = user.create_client(kind, f"/sim_cell_node/{name}").call_async(request)
+        wait(answer.done)
+        return answer.result()
+
+    try:
+        wait(lambda: bool(heard["cells"] and len(heard["pose"]) > 5 and len(heard["health"]) > 1))
+        values = {v.key: v.value for v in heard["health"][-1].status[0].values}
+        assert float(values["real time factor"]) > 0 and float(values["processor, physics [s/s]"]) > 0
+        assert "table_tilt" in heard["health"][-1].status[0].message and "truth, not seen" in heard["health"][-1].status[0].message
+        hammer = make_object("hammer")
+        assert sum(v == 100 for v in heard["cells"][0].data) == len(hammer)
+        assert ask(Trigger, "reset", Trigger.Request()).success
+        book = Parameter(name="object", value=ParameterValue(type=4, string_value="book"))
+        there = Parameter(name="start_pose", value=ParameterValue(type=8, double_array_value=[0.05, -0.1, 0.5]))
+        assert all(r.successful for r in ask(SetParameters, "set_parameters", SetParameters.Request(parameters=[book, there])).results)
+        assert ask(Trigger, "spawn", Trigger.Request()).success
+        wait(lambda: len(heard["cells"]) == 2)
+        assert sum(v == 100 for v in heard["cells"][1].data) == len(make_object("book"))
+        heard["pose"].clear()
+        wait(lambda: len(heard["pose"]) > 3)
+        at = heard["pose"][-1].pose.pose.position
+        assert (at.x, at.y) == pytest.approx((0.05, -0.1), abs=5e-3)
+    finally:
+        executor.shutdown(timeout_sec=0.5)
+        user.destroy_node()
+        rclpy.shutdown(context=context)
+        node.kill()
+        node.communicate()
 
 
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:

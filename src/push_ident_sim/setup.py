@@ -24,5 +24,10 @@ setup(
     maintainer_email="maintainers@push-ident.example",
     description="Simulated push cell (arm, hand, table, objects, depth camera) behind the ROS interface of the real one.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["sim_cell_node = push_ident_sim.sim_cell_node:main"]},
+    entry_points={
+        "console_scripts": [
+            "sim_cell_node = push_ident_sim.sim_cell_node:main",
+            "sim_hand_node = push_ident_sim.sim_hand_node:main",
+        ]
+    },
 )

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
 from push_ident.errors import InputError
+from push_ident_sim.effects import Effects
+from push_ident_sim.effects.support import SupportEffects
 from push_ident_sim.friction import cone_friction_correction
 from push_ident_sim.objects import SimObject, outline_rectangles
 
@@ -42,14 +44,16 @@ _FIRST_CELL_LINK = 4
 _FRAME_MASS = 1e-4
 """Of each link that is no cell [kg]: small against any cell."""
 _CORNER_RADIUS = 1e-4
+_NONE = Effects()
 _FOOT_RADIUS = 0.004
 """A cell stands on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
 
 
-def connect(time_step: float, solver_iterations: int, gravity: float) -> BulletClient:
+def connect(time_step: float, solver_iterations: int, gravity: float, effects: Effects = _NONE) -> BulletClient:
     """A new engine of its own, with the settings that Coulomb friction needs; `disconnect()` frees it."""
     client = BulletClient(connection_mode=bullet.DIRECT)
-    client.setGravity(0.0, 0.0, -gravity)
+    along = np.sin(effects["table_tilt"])
+    client.setGravity(*(gravity * along).tolist(), -_normal_gravity(gravity, effects))
     client.setPhysicsEngineParameter(
         fixedTimeStep=time_step,
         numSolverIterations=solver_iterations,
@@ -65,6 +69,12 @@ def connect(time_step: float, solver_iterations: int, gravity: float) -> BulletC
     return client
 
 
+def _normal_gravity(gravity: float, effects: Effects) -> float:
+    """Component along the table's normal."""
+    along = np.sin(effects["table_tilt"])
+    return float(gravity * np.sqrt(1.0 - along @ along))
+
+
 def add_table(client: BulletClient) -> int:
     """Put a table of 1.6 x 1.4 m with its top at z = 0; returns its body."""
     half = np.array([0.8, 0.7, 0.02])
@@ -72,7 +82,7 @@ def add_table(client: BulletClient) -> int:
     table: int = client.createMultiBody(0.0, shape, basePosition=[0.0, 0.0, -half[2]])
     # Bullet multiplies the coefficients of the two bodies: the table and the pusher have 1, the object's side the coefficient itself.
     client.changeDynamics(table, -1, lateralFriction=1.0, restitution=0.0)
-    client.setCollisionFilterGroupMask(table, -1, TABLE_GROUP, CELL_GROUP | ARM_GROUP | PUSHER_GROUP)
+    client.setCollisionFilterGroupMask(table, -1, TABLE_GROUP, CELL_GROUP | ARM_GROUP)
     return table
 
 
@@ -87,15 +97,19 @@ def checked_pose(pose: ArrayLike) -> FloatArray:
 class BulletObject:
     """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
 
-    def __init__(self, client: BulletClient, thing: SimObject, gravity: float) -> None:
-        """Put the object at (0, 0, 0), at rest."""
+    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: Effects = _NONE) -> None:
+        """Put the object at (0, 0, 0), at rest. `gravity` [m/s^2], `client` from `connect` with the same gravity and effects."""
         self.body: int
         """The engine's number of the chain."""
         self._client = client
         self._thing = thing
+        gravity = _normal_gravity(gravity, effects)
         self._limit = thing.friction * thing.mass * gravity
+        self._support = SupportEffects(thing, effects, gravity) if SupportEffects.needed(effects) else None
+        self._friction, self._mass = thing.friction, thing.mass
         n_cells = len(thing)
-        outline = self._outline_shape()
+        (growth,) = effects["outline_error"]
+        outline = self._outline_shape(growth)
         foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
         n_links = _FIRST_CELL_LINK + n_cells
         self.body = client.createMultiBody(
@@ -120,14 +134,15 @@ class BulletObject:
             client.changeDynamics(self.body, link, localInertiaDiagonal=[1e-8] * 3)
         for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
             client.changeDynamics(self.body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3)
-        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=thing.pusher_friction)
+        pusher_friction = max(0.0, thing.pusher_friction + effects["pusher_friction"][0])
+        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=effects["restitution"][0])
         client.setJointMotorControl2(
             self.body, OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
         )
         client.setCollisionFilterGroupMask(self.body, OUTLINE_LINK, OUTLINE_GROUP, PUSHER_GROUP)
 
-    def _outline_shape(self) -> int:
-        """Collision shape of the outline: one box per rectangle and one thin post per convex corner.
+    def _outline_shape(self, growth: float) -> int:
+        """Collision shape of the outline, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
 
         Bullet rounds the edges of a box by its collision margin of 1 mm, which would put a pusher at a corner up to 0.4 mm off.
         """
@@ -137,11 +152,12 @@ class BulletObject:
         before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
         outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
         convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
-        posts = (thing.outline - _CORNER_RADIUS * outward)[convex]
+        posts = (thing.outline + (growth - _CORNER_RADIUS) * outward)[convex]
         centres = [*(centre for centre, _ in rectangles), *posts]
         shape: int = self._client.createCollisionShapeArray(
             shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
-            halfExtents=[[edges[0] / 2, edges[1] / 2, height / 2] for _, edges in rectangles] + [[0.0, 0.0, 0.0]] * len(posts),
+            halfExtents=[[edges[0] / 2 + growth, edges[1] / 2 + growth, height / 2] for _, edges in rectangles]
+            + [[0.0, 0.0, 0.0]] * len(posts),
             radii=[0.0] * len(rectangles) + [_CORNER_RADIUS] * len(posts),
             lengths=[0.0] * len(rectangles) + [height] * len(posts),
             collisionFramePositions=[[float(x), float(y), height / 2] for x, y in centres],
@@ -161,18 +177,50 @@ class BulletObject:
         for joint, speed in enumerate(np.asarray(velocity, dtype=np.float64)):
             self._client.resetJointState(self.body, joint, pose[joint], speed)
 
-    def correct_friction(self) -> None:
-        """Apply, for the next time step, what Bullet's cone friction lacks of Coulomb's law."""
+    def start_push(self) -> None:
+        """What remembers a push, under some effects, begins anew where the object is."""
+        if self._support is not None:
+            self._support.start(self.pose())
+
+    def set_pushes_done(self, n_pushes: int) -> None:
+        """How many pushes are over; some effects grow with them."""
+        if self._support is not None:
+            self._support.n_pushes = n_pushes
+
+    def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
+        """Apply, for the next time step, what Bullet's cone friction lacks of Coulomb's law, and the effects on table and object.
+
+        `push_force` is that of the pusher on the object in the last step [N], shape (2,); `time_step` [s].
+        """
         states = self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))
-        cosine, sine = np.cos(states[2][0]), np.sin(states[2][0])
-        wrench = cone_friction_correction(
-            self._thing.cells @ np.array([[cosine, sine], [-sine, cosine]]),
-            self._thing.mass,
-            self._thing.cell_size,
-            self._limit,
-            np.array([state[1] for state in states]),
-        )
+        velocity = np.array([state[1] for state in states])
+        if self._support is None:
+            cosine, sine = np.cos(states[2][0]), np.sin(states[2][0])
+            wrench = cone_friction_correction(
+                self._thing.cells @ np.array([[cosine, sine], [-sine, cosine]]),
+                self._thing.mass,
+                self._thing.cell_size,
+                self._limit,
+                velocity,
+            )
+        else:
+            action = self._support.advance(np.array([state[0] for state in states]), velocity, push_force, time_step)
+            wrench = action.wrench
+            self._set_cells(action.friction, action.mass)
+            cells = range(_FIRST_CELL_LINK, _FIRST_CELL_LINK + len(self._thing))
+            self._client.setJointMotorControlArray(self.body, cells, bullet.TORQUE_CONTROL, forces=(-action.load).tolist())
         self._client.setJointMotorControlArray(self.body, range(_N_PLANE_JOINTS), bullet.TORQUE_CONTROL, forces=wrench.tolist())
+
+    def _set_cells(self, friction: FloatArray, mass: FloatArray) -> None:
+        if not np.array_equal(mass, self._mass):
+            self._mass = mass
+            for link, value in enumerate(mass.tolist(), start=_FIRST_CELL_LINK):
+                inertia = [value * self._thing.cell_size**2 / 6.0] * 3
+                self._client.changeDynamics(self.body, link, mass=value, localInertiaDiagonal=inertia)
+        if not np.array_equal(friction, self._friction):
+            self._friction = friction
+            for link, value in enumerate(friction.tolist(), start=_FIRST_CELL_LINK):
+                self._client.changeDynamics(self.body, link, lateralFriction=value)
 
     def cell_loads(self, table: int) -> FloatArray:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""

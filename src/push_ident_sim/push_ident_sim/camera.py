@@ -27,6 +27,10 @@ INTRINSICS = CameraIntrinsics(width=640, height=480, fx=600.0, fy=600.0, cx=319.
 _TABLE_HALF = (0.8, 0.7)
 """Half edges of the table [m]."""
 _TRIANGLES_PER_LINK = 200
+_FOCAL_BASELINE = 43.5
+"""Of a Kinect [px m]: 580 px x 0.075 m."""
+_SPARSE = 8
+"""Every so many pixels are enough for the usual noise of an image."""
 _NEAREST = 0.05
 """What comes nearer to the camera may cover all of the image [m]."""
 
@@ -65,7 +69,12 @@ def pose_from_quaternion(position: ArrayLike, quaternion: ArrayLike) -> FloatArr
 
 @dataclass(frozen=True, slots=True)
 class DepthNoise:
-    """Errors of a depth sensor: axial noise after Nguyen, Izadi & Lovell (2012), holes along depth edges, whole millimetres."""
+    """Errors of a structured-light sensor (Kinect).
+
+    Axial noise that grows with range: Nguyen, Izadi & Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking"
+    (2012), 0.0012 m + 0.0019 (z - 0.4 m)^2. Whole steps of disparity: Khoshelham & Oude Elberink, "Accuracy and Resolution of Kinect Depth
+    Data" (2012). Holes along depth edges, where the pattern is hidden from the sensor. Whole millimetres, as 16UC1 has them.
+    """
 
     scale: float = 1.0
     """Of the axial noise; 0 is a perfect sensor but for the millimetres."""
@@ -73,14 +82,19 @@ class DepthNoise:
     """A jump of depth between neighbours that makes an edge [m]."""
     edge_dropout: float = 0.5
     """Share of the pixels at an edge that read nothing."""
+    disparity_step: float = 0.125
+    """[px], with focal length x baseline = 43.5 px m; 0 leaves it out, as does `scale` = 0. At 0.85 m a step is 2 mm of depth."""
 
     def apply(self, depth: DepthImage, rng: np.random.Generator) -> DepthImage:
         """Noisy depth [m], whole millimetres, NaN where nothing was seen; `depth` has shape (height, width)."""
         if self.scale > 0:
             sigma = self.scale * (np.float32(0.0012) + np.float32(0.0019) * (depth - np.float32(0.4)) ** 2)
             depth = depth + sigma * rng.standard_normal(depth.shape, dtype=np.float32)
-            edges = _at_edge(depth, self.edge_step + 4.0 * float(np.nanmedian(sigma)))
+            edges = _at_edge(depth, self.edge_step + 4.0 * float(np.nanmedian(sigma[::_SPARSE, ::_SPARSE])))
             depth[edges & (rng.random(depth.shape, dtype=np.float32) < self.edge_dropout)] = np.nan
+            if self.disparity_step > 0:
+                steps = np.float32(_FOCAL_BASELINE / self.disparity_step)
+                depth = np.asarray(steps / np.round(steps / depth), dtype=np.float32)
         return np.round(depth * np.float32(1000.0)) * np.float32(0.001)
 
 
@@ -99,12 +113,23 @@ class DepthCamera:
     """Renders table, object and robot. One instance may be used by one thread at a time."""
 
     def __init__(self, sim_object: SimObject, pose_camera_in_table: FloatArray, intrinsics: CameraIntrinsics = INTRINSICS) -> None:
+        """`sim_object` lies before it; the pose (4, 4) and the intrinsics are those that it really has."""
         self.intrinsics = intrinsics
         self.pose_camera_in_table = np.array(pose_camera_in_table, dtype=np.float64)
         self._rays = _pixel_rays(self.pose_camera_in_table, intrinsics)
         self._table = _table_depth(self._rays)
-        self._object = _object_mesh(sim_object)
+        self.sim_object = sim_object
         self._links = _robot_meshes(robot_description())
+
+    @property
+    def sim_object(self) -> SimObject:
+        """What lies before the camera."""
+        return self._sim_object
+
+    @sim_object.setter
+    def sim_object(self, thing: SimObject) -> None:
+        self._sim_object = thing
+        self._object = _object_mesh(thing)
 
     def render(self, pose_object: ArrayLike, robot_link_poses: dict[str, FloatArray]) -> DepthImage:
         """Perfect depth along the optical axis [m], shape (height, width), NaN where no surface is.

@@ -17,7 +17,14 @@ FloatArray = NDArray[np.float64]
 
 
 def cone_friction_correction(
-    arms: FloatArray, mass: FloatArray, cell_size: float, limit: FloatArray, velocity: FloatArray, *, lowest_speed: float = 1e-4
+    arms: FloatArray,
+    mass: FloatArray,
+    cell_size: float,
+    limit: FloatArray,
+    velocity: FloatArray,
+    *,
+    anisotropy: FloatArray | None = None,
+    lowest_speed: float = 1e-4,
 ) -> FloatArray:
     """Coulomb friction minus what Bullet applies on sliding cells: (fx, fy) [N] and torque about the frame origin [N m], shape (3,).
 
@@ -27,6 +34,7 @@ def cone_friction_correction(
         cell_size: edge of a cell [m].
         limit: friction force of each cell when it slides [N], shape (n_cells,).
         velocity: (vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s], shape (3,), axes of the table.
+        anisotropy: E of a table with grain, where friction is -L (I + E) v/|v|, shape (2, 2), axes of the table; None is 0.
         lowest_speed: a cell slower than this [m/s] is left to Bullet, which holds it.
     """
     slip = velocity[:2] + velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
@@ -40,5 +48,7 @@ def cone_friction_correction(
     # Both speeds are zero together, and then the cell is not counted.
     bullet = weighted / np.maximum(np.hypot(weighted[:, 0], weighted[:, 1]), 1e-12)[:, None]
     coulomb = slip / np.maximum(speed, lowest_speed)[:, None]
+    if anisotropy is not None:
+        coulomb += coulomb @ anisotropy.T
     force = (limit * sliding)[:, None] * (bullet - coulomb)
     return np.array([*force.sum(axis=0), np.sum(arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0])])

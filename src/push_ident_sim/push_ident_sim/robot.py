@@ -7,7 +7,16 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["BASE_POSITION", "HOME", "JOINT_NAMES", "PUSHER_LENGTH", "PUSHER_RADIUS", "robot_description"]
+__all__ = [
+    "BASE_POSITION",
+    "CONTACT_LINK",
+    "HOME",
+    "JOINT_NAMES",
+    "PUSHER_LENGTH",
+    "PUSHER_RADIUS",
+    "bullet_description",
+    "robot_description",
+]
 
 JOINT_NAMES = tuple(f"lbr_iiwa_joint_{i}" for i in range(1, 8))
 BASE_POSITION = (-0.44, 0.0, 0.43)
@@ -17,6 +26,10 @@ FLANGE_OFFSET = 0.045
 PUSHER_RADIUS = 0.018
 """Of the cylinder that pushes, as in `hand.urdf` [m]."""
 PUSHER_LENGTH = 0.080
+CONTACT_LINK = "hand_contact"
+"""Only in Bullet: what touches the object in place of the cylinder."""
+_CONTACT_ABOVE_TIP = 0.004
+"""[m]: low enough for the flattest object at the height at which the tool pushes."""
 HOME = (0.0, 1.001, 0.0, -1.923, 0.0, 0.2176, 0.0)
 """Joint positions [rad] with the tip 0.28 m above the middle of the workspace, tool down."""
 
@@ -49,6 +62,25 @@ def robot_description() -> str:
     return ET.tostring(robot, encoding="unicode", xml_declaration=True)
 
 
+def bullet_description(*, turning_finger: bool = False) -> str:
+    """The same with a ball in the pusher that touches objects in its place, on a fixed joint or on one that turns about the tool's axis.
+
+    A ball touches an upright wall where the cylinder would, but in one point. Of the contacts along a cylinder Bullet keeps some with the
+    normal that the wall had before it turned, and the pusher drags.
+    """
+    robot = ET.fromstring(robot_description())
+    link = ET.SubElement(robot, "link", name=CONTACT_LINK)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value="0.01")
+    ET.SubElement(inertial, "inertia", ixx="1e-6", ixy="0", ixz="0", iyy="1e-6", iyz="0", izz="1e-6")
+    ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "sphere", radius=str(PUSHER_RADIUS))
+    joint = _fixed_joint(robot, f"{CONTACT_LINK}_joint", "hand_pusher", CONTACT_LINK, f"0 0 {PUSHER_LENGTH - _CONTACT_ABOVE_TIP}")
+    if turning_finger:
+        joint.set("type", "continuous")
+        ET.SubElement(joint, "axis", xyz="0 0 1")
+    return ET.tostring(robot, encoding="unicode", xml_declaration=True)
+
+
 def _massless(link: ET.Element) -> None:
     """State that a fixed link weighs nothing; Bullet takes 1 kg for a link that says nothing."""
     inertial = ET.SubElement(link, "inertial")
@@ -56,8 +88,9 @@ def _massless(link: ET.Element) -> None:
     ET.SubElement(inertial, "inertia", ixx="0", ixy="0", ixz="0", iyy="0", iyz="0", izz="0")
 
 
-def _fixed_joint(robot: ET.Element, name: str, parent: str, child: str, xyz: str) -> None:
+def _fixed_joint(robot: ET.Element, name: str, parent: str, child: str, xyz: str) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type="fixed")
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     ET.SubElement(joint, "origin", xyz=xyz, rpy="0 0 0")
+    return joint

@@ -22,5 +22,7 @@ class TrueMotion:
     """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_steps + 1, 3), yaw not wrapped."""
     pusher: FloatArray
     """Axis of the pusher in `table` [m], shape (n_steps + 1, 2)."""
+    reported: FloatArray
+    """The same as the arm reports it, as `pusher`; another place only under effects that act on the pusher."""
     force: FloatArray
     """Of the pusher on the object in `table` [N], mean over the step that ends at `time`, shape (n_steps + 1, 2)."""

@@ -21,6 +21,8 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident_sim.effects import Effects
+from push_ident_sim.effects.sensing import correlated, flipped, kept_frames, seen_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.true_motion import TrueMotion
 
@@ -35,6 +37,8 @@ _VERSION = 3
 """Raise it when the same settings give other pushes."""
 _LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)
 _ARRAYS = ("time", "pose", "pusher", "force")
+_REPORTED = "reported"
+"""One more array, in files of pushes whose pusher is not where it is reported."""
 
 
 def _paper_pushes() -> PushSettings:
@@ -65,6 +69,8 @@ class TruthSettings:
     least_way: float = 0.010
     least_turn: float = 0.1
     """A push that moves the object's frame by less than this [m] and turns it by less than this [rad] is drawn again."""
+    effects: Effects = field(default_factory=Effects)
+    """Injected into the simulation and into what is seen of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +97,16 @@ def true_model(thing: SimObject) -> ObjectModel:
     return ObjectModel(shape, thing.mass, thing.friction, thing.pusher_friction)
 
 
-def make_pushes(thing: SimObject, seed: Sequence[int], settings: TruthSettings | None = None) -> list[TrueMotion]:
+def make_pushes(
+    thing: SimObject, seed: Sequence[int], settings: TruthSettings | None = None, *, in_a_row: bool = False
+) -> list[TrueMotion]:
     """Random pushes as in the paper: any pose on the table, contact uniform over the outline, direction in a cone about its normal.
 
     Args:
         thing: what is pushed; it is put down anew for each push.
         seed: integers >= 0; push number i depends on them and on i alone.
         settings: of the pushes.
+        in_a_row: the object is put down once, at (0, 0, 0), and each push starts from where the one before left it.
 
     Returns:
         `settings.n_train + settings.n_test` motions.
@@ -107,19 +116,27 @@ def make_pushes(thing: SimObject, seed: Sequence[int], settings: TruthSettings |
 
     settings = settings or TruthSettings()
     shape = true_model(thing).shape
-    world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step)
+    world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
     try:
-        return [_one_push(world, shape, [*seed, i], settings) for i in range(settings.n_train + settings.n_test)]
+        motions: list[TrueMotion] = []
+        for i in range(settings.n_train + settings.n_test):
+            pose = (motions[-1].pose[-1] if motions else np.zeros(3)) if in_a_row else None
+            motions.append(_one_push(world, shape, [*seed, i], i, settings, pose))
+        return motions
     finally:
         world.close()
 
 
-def _one_push(world: PushWorld, shape: ObjectShape, seed: Sequence[int], settings: TruthSettings) -> TrueMotion:
+def _one_push(
+    world: PushWorld, shape: ObjectShape, seed: Sequence[int], number: int, settings: TruthSettings, pose: FloatArray | None
+) -> TrueMotion:
     rng = np.random.default_rng(seed)
     while True:
-        pose = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
-        plan = sample_push(shape, pose, rng, settings.pushes)
-        motion = world.push(pose, _path(plan, settings))
+        start = pose
+        if start is None:
+            start = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
+        plan = sample_push(shape, start, rng, settings.pushes)
+        motion = world.push(start, _path(plan, settings), pushes_done=number)
         way = np.abs(motion.pose[-1] - motion.pose[0])
         if np.hypot(way[0], way[1]) >= settings.least_way or way[2] >= settings.least_turn:
             return motion
@@ -146,7 +163,11 @@ def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | Non
     """Where the pushes of `make_object(name, seed)` are kept; another name for other settings or another object."""
     thing = make_object(name, seed)
     values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
-    content = json.dumps([_VERSION, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
+    described = asdict(settings or TruthSettings())
+    if not described["effects"]["values"]:
+        # Pushes without effects keep the names that they had before there were any.
+        del described["effects"]
+    content = json.dumps([_VERSION, described], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
     return folder / f"{name}-{seed:04d}-{hashlib.sha256(content).hexdigest()[:12]}.npz"
 
 
@@ -159,7 +180,8 @@ def generate_truth(folder: Path, name: str, seed: int, settings: TruthSettings |
     if path.exists():
         return path
     motions = make_pushes(make_object(name, seed), [seed, OBJECT_NAMES.index(name)], settings)
-    arrays = {key: np.concatenate([getattr(m, key) for m in motions]) for key in _ARRAYS}
+    keys = _ARRAYS if all(m.reported is m.pusher for m in motions) else (*_ARRAYS, _REPORTED)
+    arrays = {key: np.concatenate([getattr(m, key) for m in motions]) for key in keys}
     partial = path.with_suffix(f".{os.getpid()}.partial")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -175,10 +197,11 @@ def _read_motions(path: Path) -> list[TrueMotion]:
     try:
         with np.load(path, allow_pickle=False) as file:
             ends = np.cumsum(file["n_rows"])[:-1]
-            columns = [np.split(file[key], ends) for key in _ARRAYS]
+            columns = {key: np.split(file[key], ends) for key in _ARRAYS}
+            columns[_REPORTED] = np.split(file[_REPORTED], ends) if _REPORTED in file else columns["pusher"]
     except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError(f"Cannot read the pushes in {path}: {error}; delete the file to simulate them again.") from None
-    return [TrueMotion(*arrays) for arrays in zip(*columns, strict=True)]
+    return [TrueMotion(**dict(zip(columns, arrays, strict=True))) for arrays in zip(*columns.values(), strict=True)]
 
 
 def load_truth(
@@ -198,19 +221,28 @@ def load_truth(
     motions = _read_motions(generate_truth(folder, name, seed, settings))
     shape = true_model(thing).shape
     radius, own = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
-    records = [
-        PushRecord(
-            name, shape, *observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1])), f"{name} {seed}, push {i}"
-        )
-        for i, motion in enumerate(motions)
-    ]
+    records = []
+    for i, motion in enumerate(motions):
+        seen = observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1]), settings.effects)
+        records.append(PushRecord(name, shape, *seen, f"{name} {seed}, push {i}"))
     return records[: settings.n_train], records[settings.n_train :], thing
 
 
 def observe_motion(
-    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator
+    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: Effects | None = None
 ) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
-    """What is seen of a motion; before and after it everything stands still."""
+    """What is seen of a motion; before and after it everything stands still.
+
+    Args:
+        motion: what happened.
+        radius: of the pusher [m].
+        noise: of camera and force sensor.
+        rng: of the noise.
+        effects: of which those are taken that act on what is seen.
+    """
+    effects = effects or Effects()
+    # Of its own, so that the noise is the same whatever is lost.
+    luck = rng.spawn(1)[0]
     rest, end = noise.rest, float(motion.time[-1])
     clock = np.concatenate([[0.0], rest + motion.time, [2 * rest + end]])
     hold = np.r_[0, 0 : len(motion.time), len(motion.time) - 1]
@@ -220,8 +252,14 @@ def observe_motion(
 
     frames = np.arange(0.0, clock[-1], 1.0 / noise.rate)
     std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
-    seen = at(frames, motion.pose) + std * rng.normal(size=(len(frames), 3))
-    poses = PoseTrack(frames, seen, np.broadcast_to(np.diag(std**2), (len(frames), 3, 3)))
+    (delay,) = effects["pose_latency"]
+    seen = at(frames - delay, motion.pose)
+    if effects.acting_on("camera"):
+        seen = seen_poses(effects, seen)
+    seen = seen + std * correlated(effects, rng.normal(size=(len(frames), 3)))
+    seen = flipped(effects, seen, luck)
+    kept = kept_frames(effects, len(frames), luck)
+    poses = PoseTrack(frames[kept], seen[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
     wrench = None
     if noise.force_std is not None:
         # The sensor averages over its sampling time: a difference of the impulse so far.
@@ -230,4 +268,4 @@ def observe_motion(
         bounds = np.arange(0.0, clock[-1], 1.0 / noise.force_rate)
         force = np.diff(at(bounds, impulse), axis=0) * noise.force_rate
         wrench = WrenchTrack(bounds[1:], force + noise.force_std * rng.normal(size=force.shape))
-    return poses, PusherPath(clock, motion.pusher[hold], radius), wrench
+    return poses, PusherPath(clock, motion.reported[hold], radius), wrench

@@ -195,7 +195,7 @@ class BagWriter:
     ) -> None:
         """Say that a push lasted from `start` to `end` [s]; what only its plan knows is left empty."""
         times = (self._time(start), self._time(0.0), self._time(end), self._time(end))
-        plan = (self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+        plan = (self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0)
         self._write(Role.PUSH_RECORD, end, self._header(end, TABLE_FRAME), push_id, object_id, error_code, error_text, *times, *plan)
 
     @property

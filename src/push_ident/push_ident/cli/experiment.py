@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from push_ident.cli.output import JsonOption, console, warn
 from push_ident.errors import InputError
 
-__all__ = ["experiment_command"]
+__all__ = ["experiment_command", "sim_module"]
 
 _REPORT = "report"
 _FOLDER = Path("out/experiments")
@@ -24,7 +24,8 @@ def experiment_command(
     name: Annotated[
         str,
         typer.Argument(
-            help="convergence, maps, training, real-protocol, coverage, next-push; `report` writes the page of their results.",
+            help="convergence, maps, training, real-protocol, coverage, next-push, cell, perception, pushing; "
+            "`report` writes the page of their results.",
             show_default=False,
         ),
     ],
@@ -36,18 +37,19 @@ def experiment_command(
     jobs: Annotated[int, typer.Option(help="Processes, each with one thread.")] = 2,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Of single results; a run that was cut off goes on from them.")] = _FOLDER,
     truth: Annotated[Path | None, typer.Option(metavar="DIR", help="Of the pushes. Default: truth/ in --out.", show_default=False)] = None,
+    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
     json: JsonOption = None,
     page: Annotated[Path, typer.Option(metavar="FILE", help="Of `report`; reads the JSON files in the folder of the same name.")] = _PAGE,
 ) -> None:
     """Run one of the paper's experiments on simulated ground truth, or write the page of all results."""
-    known = _module("push_ident_sim.experiments").EXPERIMENTS
+    known = sim_module("push_ident_sim.experiments").EXPERIMENTS
     if name == _REPORT:
-        written = _module("push_ident_sim.experiments.report").write_report(known, page, "push-ident experiment report")
+        written = sim_module("push_ident_sim.experiments.report").write_report(known, page, "push-ident experiment report")
         console.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
         return
     if name not in known:
         raise InputError(f"There is no experiment `{name}`; choose one of {', '.join(known)}, or {_REPORT}.")
-    running = _module("push_ident_sim.experiments.running")
+    running = sim_module("push_ident_sim.experiments.running")
     options = running.RunOptions(
         folder=out,
         truth_folder=truth or out / "truth",
@@ -57,6 +59,7 @@ def experiment_command(
         variants=_words(variants),
         jobs=jobs,
         max_seconds=seconds,
+        recordings=recordings,
     )
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
@@ -76,9 +79,9 @@ def _words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
-def _module(name: str) -> ModuleType:
+def sim_module(name: str) -> ModuleType:
     """Part of the simulated cell, which stands beside this package and is looked up only here: the core works without it."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"Experiments need the simulated cell, but {error.name} is not installed; run `make setup`.") from None
+        raise InputError(f"This needs the simulated cell, but {error.name} is not installed; run `make setup`.") from None

@@ -17,6 +17,7 @@ from push_ident.cli.importing import import_command
 from push_ident.cli.live import doctor_command, replay_command, up_command
 from push_ident.cli.output import console, warn
 from push_ident.cli.predict import predict_command
+from push_ident.cli.simulate import simulate_command
 from push_ident.errors import PushIdentError
 
 __all__ = ["app", "main"]
@@ -29,6 +30,7 @@ app.command("replay")(replay_command)
 app.command("import")(import_command)
 app.command("up")(up_command)
 app.command("experiment")(experiment_command)
+app.command("simulate")(simulate_command)
 app.command("bench")(bench_command)
 app.command("demo")(demo_command)
 app.command("doctor")(doctor_command)

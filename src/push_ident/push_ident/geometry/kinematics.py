@@ -73,6 +73,13 @@ class ArmKinematics:
         pin.forwardKinematics(self._model, self._data, self.check_configuration(q))
         return np.array(pin.updateFramePlacement(self._model, self._data, self._tip).homogeneous)
 
+    def lowest_joint(self) -> tuple[str, float]:
+        """Name and height [m], root frame, of the lowest moving joint in the configuration of the last `forward`; the first joint does
+        not move and is left out."""
+        heights = [float(self._data.oMi[j].translation[2]) for j in range(2, self._model.njoints)]
+        lowest = int(np.argmin(heights))
+        return self.joint_names[lowest + 1], heights[lowest]
+
     def jacobian(self, q: ArrayLike) -> Float64Array:
         """Geometric Jacobian of the tip, axes of the root frame: rows (linear, angular), shape (6, n_joints)."""
         q = self.check_configuration(q)

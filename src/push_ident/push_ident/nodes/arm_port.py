@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.pushing.motion import ArmPlan
+from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
@@ -28,6 +28,8 @@ __all__ = ["ArmPort", "ArmState"]
 
 _HOLD_WITHIN = 0.1
 """Time the arm is given to come to a halt [s]."""
+_MARGIN = 0.03
+"""[s] by which a silent arm is given up early, so that it is held within the timeout: three looks of the watch."""
 _GRACE = 0.03
 """[s] for states that have arrived but were not taken in yet."""
 _PATIENCE = 1.0
@@ -92,17 +94,19 @@ class ArmPort:
         """Wall time since the last joint state [s]."""
         return math.inf if self.state is None else time.monotonic() - self.state.received
 
-    def fresh_state(self, timeout: float) -> ArmState:
-        """Latest state; raises PlanningError ARM_SILENT when it is older than `timeout` [s] by wall time.
+    def fresh_state(self, timeout: float, *, is_late: bool = False) -> ArmState:
+        """Latest state; raises PlanningError ARM_SILENT early enough for the arm to be held `timeout` [s] of wall time after the last one.
 
-        On a busy machine it may be this process that is late: states that wait to be taken in get a moment before the arm is blamed.
+        `is_late`: this process did not get to run for a while, so it is not the arm that is to blame: states that wait to be taken in
+        get a moment.
         """
-        deadline = time.monotonic() + _GRACE
-        while self.silence > timeout and time.monotonic() < deadline:
+        limit = timeout - _MARGIN
+        deadline = time.monotonic() + (_GRACE if is_late else 0.0)
+        while self.silence > limit and time.monotonic() < deadline:
             time.sleep(0.002)
         state, silence = self.state, self.silence
-        if state is None or silence > timeout:
-            since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, limit {1e3 * timeout:.0f} ms"
+        if state is None or silence > limit:
+            since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, and the arm must be held after {1e3 * timeout:.0f} ms"
             raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}.")
         return state
 
@@ -118,19 +122,25 @@ class ArmPort:
             time.sleep(0.002)
         return self.state
 
-    def has_rival(self) -> bool:
-        """Whether another node commands the same arm."""
-        return self._node.count_publishers(self._node.resolve_topic_name("joint_trajectory")) > 1
+    def rivals(self) -> tuple[str, ...]:
+        """Other nodes that command the same arm, by full name: what the lease of this machine cannot see."""
+        infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("joint_trajectory"))
+        names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
+        own = self._node.get_fully_qualified_name()
+        if own in names:
+            names.remove(own)
+        return tuple(sorted(names))
 
-    def prepare(self, plan: ArmPlan) -> JointTrajectoryMsg:
+    def prepare(self, motion: ArmMotion) -> JointTrajectoryMsg:
         """Message that starts a planned motion; filling it takes tens of milliseconds, so it is not left to the last moment."""
-        return self._message(plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity)
+        return self._message(motion.trajectory.time, motion.trajectory.position, motion.trajectory.velocity)
 
-    def send(self, command: JointTrajectoryMsg) -> float:
-        """Start a prepared motion; time of the node's clock just before [s]."""
-        started = 1e-9 * float(self._node.get_clock().now().nanoseconds)
+    def send(self, command: JointTrajectoryMsg) -> ArmState:
+        """Start a prepared motion; the arm's latest state just before. There is one once `next_state` has returned."""
+        state = self.state
+        assert state is not None
         self._publisher.publish(command)
-        return started
+        return state
 
     def hold(self, q: Float64Array) -> None:
         """Replace whatever is being executed by standing still at `q` [rad].
@@ -165,6 +175,10 @@ class ArmPort:
     def _on_joint_states(self, msg: JointState) -> None:
         received = time.monotonic()
         if self._kinematics is None:
+            return
+        if self.state is not None and msg.header.stamp == self.state.stamp != Time():
+            # A driver that repeats itself has lost its arm: it counts as silent.
+            self.n_dropped += 1
             return
         position = dict(zip(msg.name, msg.position, strict=False))
         missing = [name for name in self._kinematics.joint_names if not math.isfinite(position.get(name, math.nan))]

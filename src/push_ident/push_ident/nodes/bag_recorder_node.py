@@ -20,15 +20,18 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.perception_node import camera_pose
+from push_ident.nodes.recording_port import RECORDING_QOS, RECORDING_TOPIC
 from push_ident.nodes.run import run_node
 from push_ident.types import Float64Array
 
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
-_MIN_FREE_BYTES: Final = 200 << 20
+_CHECK_PERIOD: Final = 0.5
+"""[s] between two looks at the free disk."""
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
+    Parameter("min_free_mib", 200, "free disk below which nothing is recorded, and a bag under way is closed [MiB]", 1, 10_000_000),
     Parameter("depth", True, "Record depth images too (some 18 MB/s before compression)", read_only=True),
     Parameter("camera_position", [0.0] * 3, "Optical frame in the table frame, written to the bag, x y z [m]", -10.0, 10.0, read_only=True),
     Parameter("camera_quaternion", [0.0] * 4, "Its orientation, x y z w; zeros: not known, not written", -1.0, 1.0, read_only=True),
@@ -36,50 +39,77 @@ PARAMETERS: Final = (
 
 
 class BagRecorderNode(Node):
-    """Subscribes to every topic of the contract that appears and writes its messages as they are."""
+    """Subscribes to every topic of the contract that appears and writes its messages as they are.
+
+    On the latched topic `recording` it says whether it can: where it cannot any more, the bag is closed at once, readable up to there,
+    and an executor that hears it stops pushing.
+    """
 
     def __init__(self) -> None:
         super().__init__("bag_recorder_node")
-        parameters = Parameters(self, PARAMETERS)
-        if not parameters["bag"]:
+        self._settings = Parameters(self, PARAMETERS)
+        if not self._settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
-        path = Path(parameters["bag"])
-        self._depth = parameters["depth"]
+        path = Path(self._settings["bag"])
         existing = next(p for p in [path.absolute(), *path.absolute().parents] if p.exists())
         self._disk = existing if existing.is_dir() else existing.parent
         self._check_disk()
         self._writer = BagWriter(path)
         self._writer.__enter__()
-        quaternion = np.array(parameters["camera_quaternion"])
+        quaternion = np.array(self._settings["camera_quaternion"])
         if np.any(quaternion):
-            self._extrinsics: Float64Array | None = camera_pose(parameters["camera_position"], parameters["camera_quaternion"])
+            self._extrinsics: Float64Array | None = camera_pose(self._settings["camera_position"], self._settings["camera_quaternion"])
         else:
             self._extrinsics = None
         self._counts: Counter[str] = Counter()
         self._failed = ""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._recording = self.create_publisher(DiagnosticStatus, RECORDING_TOPIC, RECORDING_QOS)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.5, self._discover, clock=wall)
+        self.create_timer(_CHECK_PERIOD, self._look_around, clock=wall)
         self.create_timer(1.0, self._report, clock=wall)
         self._discover()
+        self._recording.publish(self._status())
         self.get_logger().info(f"recording to {path}")
 
     def close(self) -> None:
         """Finish the bag."""
-        self._writer.__exit__(None, None, None)
-        self.get_logger().info(f"{sum(self._counts.values())} messages in {self._writer.path}")
+        if not self._failed:
+            self._writer.__exit__(None, None, None)
+        self.get_logger().info(f"{self._counts.total()} messages in {self._writer.path}")
+
+    def _look_around(self) -> None:
+        if self._failed:
+            return
+        try:
+            self._check_disk()
+        except BagError as error:
+            self._fail(error)
+        else:
+            self._discover()
 
     def _check_disk(self) -> None:
-        free = shutil.disk_usage(self._disk).free
-        if free < _MIN_FREE_BYTES:
-            raise BagError(f"{self._disk} has {free >> 20} MiB free, expected at least {_MIN_FREE_BYTES >> 20}; make room first.")
+        free, least = shutil.disk_usage(self._disk).free >> 20, self._settings["min_free_mib"]
+        if free < least:
+            raise BagError(f"{self._disk} has {free} MiB free, expected at least {least}; make room first.")
+
+    def _fail(self, error: BagError) -> None:
+        """Tell everyone, and close the bag: what is written stays readable."""
+        self._failed = str(error)
+        self._recording.publish(self._status())
+        self.get_logger().error(self._failed)
+        try:
+            self._writer.__exit__(None, None, None)
+        except BagError as failure:
+            self.get_logger().error(f"the bag has no index, its chunks can be read nevertheless: {failure}")
+        self._report()
 
     def _discover(self) -> None:
         for topic, types in self.get_topic_names_and_types():
             found = role_of(topic)
             if found is None or topic in self._counts or found.role.msgtype not in types or self.count_publishers(topic) == 0:
                 continue
-            if found.role is Role.DEPTH and not self._depth:
+            if found.role is Role.DEPTH and not self._settings["depth"]:
                 continue
             package, name = found.role.msgtype.split("/msg/")
             try:
@@ -101,8 +131,6 @@ class BagRecorderNode(Node):
         if self._failed:
             return
         try:
-            if self._counts.total() % 1000 == 0:
-                self._check_disk()
             now = self.get_clock().now().nanoseconds
             if self._extrinsics is not None and topic.endswith(Role.DEPTH.value.name):
                 self._writer.write_extrinsics(1e-9 * now, self._extrinsics)
@@ -110,16 +138,17 @@ class BagRecorderNode(Node):
             self._writer.write_raw(topic, msgtype, now, data)
             self._counts[topic] += 1
         except BagError as error:
-            # The bag stays readable up to here.
-            self._failed = str(error)
-            self.get_logger().error(self._failed)
+            self._fail(error)
 
-    def _report(self) -> None:
+    def _status(self) -> DiagnosticStatus:
         level = DiagnosticStatus.ERROR if self._failed else DiagnosticStatus.OK if self._counts else DiagnosticStatus.WARN
         text = self._failed or (f"{self._counts.total()} messages" if self._counts else "no topic of the bag contract is published")
         status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
         status.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(self._counts.items())]
-        msg = DiagnosticArray(status=[status])
+        return status
+
+    def _report(self) -> None:
+        msg = DiagnosticArray(status=[self._status()])
         msg.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(msg)
 

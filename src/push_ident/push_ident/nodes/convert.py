@@ -232,10 +232,16 @@ def intrinsics_from_msg(info: CameraInfo) -> CameraIntrinsics:
     """Pinhole camera of a rectified image: the left 3 x 3 of P, or K where P is empty.
 
     Raises:
-        FrameError: Zero, negative or not finite focal length, or an empty size.
+        FrameError: Zero, negative or not finite focal length, an empty size, or distortion that nothing has taken out.
     """
     projection = np.asarray(info.p, dtype=np.float64).reshape(3, 4)[:, :3]
-    matrix = projection if np.any(projection != 0) else np.asarray(info.k, dtype=np.float64).reshape(3, 3)
+    rectified = bool(np.any(projection != 0))
+    matrix = projection if rectified else np.asarray(info.k, dtype=np.float64).reshape(3, 3)
+    if not rectified and np.any(np.abs(info.d) > 0):
+        raise FrameError(
+            f"Camera info has distortion {info.distortion_model} {[round(float(d), 4) for d in info.d]} and no projection matrix P, so the "
+            "depth image is not rectified; publish it through image_proc (rectify)."
+        )
     if info.width == 0 or info.height == 0:
         raise FrameError(f"Camera info is for {info.width} x {info.height} pixels; the camera driver has not filled it.")
     intrinsics = CameraIntrinsics(

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter, deque
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -11,13 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import String
 
 from push_ident.errors import FrameError, InputError, PerceptionError
+from push_ident.geometry.arm_shape import ArmShape
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     cylinder_radius_from_msg,
@@ -30,12 +36,13 @@ from push_ident.nodes.convert import (
 )
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
-from push_ident.perception.labels import Cylinder
-from push_ident.perception.pipeline import Observation, Perception
+from push_ident.perception.calibration import Calibration, Mark, calibrate
+from push_ident.perception.labels import Cylinder, RobotPart
+from push_ident.perception.pipeline import Observation, ObservedObject, Perception
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.types import Float64Array
+from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["PARAMETERS", "PerceptionNode", "camera_pose", "main"]
+__all__ = ["PARAMETERS", "PerceptionNode", "camera_pose", "main", "mark_of", "quaternion_of"]
 
 _DEFAULTS: Final = PerceptionSettings()
 
@@ -45,7 +52,8 @@ _SETTINGS: Final = (
     Parameter("min_object_height", _DEFAULTS.min_object_height, "lower things are table [m]", 0.002, 0.5),
     Parameter("max_object_height", _DEFAULTS.max_object_height, "higher things are robot [m]", 0.01, 1.0),
     Parameter("min_object_area", _DEFAULTS.min_object_area, "smaller things are ignored [m^2]", 1e-5, 1.0),
-    Parameter("mask_margin", _DEFAULTS.mask_margin, "added to the radius of the tool when it is masked [m]", 0.0, 0.1),
+    Parameter("min_step", _DEFAULTS.min_step, "surfaces that meet at a higher step are two objects [m]", 0.002, 1.0),
+    Parameter("mask_margin", _DEFAULTS.mask_margin, "added to tool and arm when they are masked [m]", 0.0, 0.1),
     Parameter("rest_frames", _DEFAULTS.rest_frames, "frames at rest before an object is taken in", 1, 300),
     Parameter("rest_distance", _DEFAULTS.rest_distance, "an object that moves less between frames is at rest [m]", 1e-4, 0.05),
     Parameter("cell_count", _DEFAULTS.cell_count, "cells aimed at per object", 1, 2000),
@@ -58,7 +66,7 @@ _DEFAULT_OF: Final = {row.name: row.default for row in _SETTINGS}
 
 PARAMETERS: Final = (
     *_SETTINGS,
-    Parameter("extrinsics", "parameters", "where the camera pose comes from", choices=("parameters", "tf"), read_only=True),
+    Parameter("extrinsics", "parameters", "where the camera pose comes from", choices=("parameters", "tf", "calibrate"), read_only=True),
     Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),
     Parameter(
         "camera_quaternion",
@@ -71,6 +79,15 @@ PARAMETERS: Final = (
     Parameter("tool_radius", 0.02, "radius of the tool that is masked until pusher/shape says otherwise [m]", 0.0, 0.3),
     Parameter("tool_length", 0.08, "from the tip of the tool to the hand that holds it, until pusher/shape says otherwise [m]", 0.0, 1.0),
     Parameter("hand_radius", 0.09, "radius of the hand above the tool that is masked [m]", 0.0, 0.5),
+    Parameter("link_radius", 0.1, "thickness of the arm's links that its description gives as meshes [m]", 0.01, 0.5, read_only=True),
+    Parameter("extrinsics_timeout", 10.0, "without extrinsics for so long the node reports an error [s]", 0.1, 3600.0),
+    Parameter(
+        "mark_outline", "0,0 0.15,0 0,0.1", "corners x,y x,y ... of the calibration mark in its own frame, no symmetry [m]", read_only=True
+    ),
+    Parameter("mark_height", 0.03, "of the calibration mark [m]", 0.02, 0.3, read_only=True),
+    Parameter("mark_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the calibration mark in `table`", -10.0, 10.0, read_only=True),
+    Parameter("calibration_frames", 30, "frames at rest that give the extrinsics", 1, 1000, read_only=True),
+    Parameter("calibration_file", "", "where calibrated extrinsics are written as a parameter file; empty: nowhere", read_only=True),
     Parameter("max_skew", 0.05, "a depth image and a camera info further apart do not belong together [s]", 0.0, 10.0),
 )
 
@@ -79,6 +96,10 @@ _TOOL_MEMORY: Final = 200
 """Tool poses kept to look up where the tool was when an image was taken."""
 _TOOL_OLD: Final = 0.5
 """A tool pose that much older than the image is reported [s]."""
+_ARM_MEMORY: Final = 400
+"""Joint states kept to look up where the arm was when an image was taken."""
+_LOG_PERIOD: Final = 5.0
+"""Between two log lines of the same kind [s]."""
 _SILENT: Final = 2.0
 """Without a depth image for so long the node reports it [s], receive time."""
 
@@ -103,6 +124,28 @@ def camera_pose(position: list[float], quaternion: list[float]) -> Float64Array:
     return pose
 
 
+def quaternion_of(pose: Float64Array) -> list[float]:
+    """Unit quaternion (x, y, z, w) of a homogeneous transform, shape (4, 4): the inverse of `camera_pose`."""
+    from scipy.spatial.transform import Rotation
+
+    return [float(value) for value in Rotation.from_matrix(pose[:3, :3]).as_quat()]
+
+
+def mark_of(values: dict[str, Any]) -> Mark:
+    """The calibration mark of the parameters.
+
+    Raises:
+        InputError: The outline is not a list of corners, or has a symmetry.
+    """
+    try:
+        corners = [[float(number) for number in corner.split(",")] for corner in values["mark_outline"].split()]
+        outline = np.array(corners, dtype=np.float64)
+    except ValueError:
+        raise InputError(f"mark_outline is {values['mark_outline']!r}, expected corners such as '0,0 0.15,0 0,0.1' in metres.") from None
+    x, y, yaw = values["mark_pose"]
+    return Mark(outline, values["mark_height"], (x, y, yaw))
+
+
 def _settings(values: dict[str, Any]) -> PerceptionSettings:
     names = [row.name for row in _SETTINGS]
     chosen: dict[str, Any] = {name: tuple(values[name]) if isinstance(_DEFAULT_OF[name], list) else values[name] for name in names}
@@ -116,21 +159,29 @@ class PerceptionNode(Node):
         super().__init__("perception_node", **kwargs)
         self._configured = Parameters(self, PARAMETERS, check=_settings, on_change=self._on_parameters)
         self._perception: Perception | None = None
-        self._tf = _TfExtrinsics(self) if self._configured["extrinsics"] == "tf" else None
-        if self._tf is None:
+        source = self._configured["extrinsics"]
+        self._tf = _TfExtrinsics(self) if source == "tf" else None
+        self._mark = mark_of(self._configured.as_dict()) if source == "calibrate" else None
+        self._calibration_frames: list[DepthFrame] = []
+        if source == "parameters":
             extrinsics = camera_pose(self._configured["camera_position"], self._configured["camera_quaternion"])
             self._perception = Perception(extrinsics, _settings(self._configured.as_dict()))
         self._tool_radius, self._tool_length = float(self._configured["tool_radius"]), float(self._configured["tool_length"])
         self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=_TOOL_MEMORY)
+        self._arm: ArmShape | None = None
+        self._joints: deque[tuple[float, tuple[str, ...], Float64Array]] = deque(maxlen=_ARM_MEMORY)
         self._infos: deque[CameraInfo] = deque(maxlen=10)
         self._unpaired: Image | None = None
         self._counter: Counter[str] = Counter()
         self._last_error = ""
+        self._logged: dict[str, float] = {}
         self._last_seen: Observation | None = None
         self._notes: dict[str, str] = {}
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._last_image_at = self._diagnosed_at = self._wall.now()
+        self._started_at = self._last_image_at = self._diagnosed_at = self._wall.now()
         self._frames_diagnosed = 0
+        self._latencies: list[float] = []
+        self._last_stamp = -np.inf
 
         self._object_publishers: dict[str, tuple[Publisher, Publisher, Publisher]] = {}
         self._occupancy_publisher = self.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
@@ -138,7 +189,14 @@ class PerceptionNode(Node):
         self.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
         self.create_subscription(Image, "depth/image_rect", self._on_image, qos_profile_sensor_data)
         self.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
-        self.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
+        self.create_subscription(JointState, "joint_states", self._on_joints, qos_profile_sensor_data)
+        for kind, topic, callback in (
+            (SolidPrimitive, "pusher/shape", self._on_tool_shape),
+            (String, "robot_description", self._on_description),
+        ):
+            name = self.resolve_topic_name(topic)
+            events = SubscriptionEventCallbacks(incompatible_qos=lambda info, name=name: self._on_incompatible(name, info))
+            self.create_subscription(kind, topic, callback, _LATCHED, event_callbacks=events)
         self.create_timer(1.0, self._diagnose, clock=self._wall)
 
     def _on_parameters(self, changed: dict[str, Any]) -> None:
@@ -164,6 +222,26 @@ class PerceptionNode(Node):
         except InputError as error:
             self._refuse("tool_shape_refused", f"pusher/shape: {error}")
 
+    def _on_description(self, msg: String) -> None:
+        try:
+            self._arm = ArmShape(msg.data, self._configured["link_radius"])
+        except InputError as error:
+            self._refuse("description_refused", f"{self.resolve_topic_name('robot_description')}: {error}")
+
+    def _on_joints(self, msg: JointState) -> None:
+        stamp, position = stamp_from_msg(msg.header.stamp), np.array(msg.position, dtype=np.float64)
+        if len(position) != len(msg.name) or not np.isfinite(position).all():
+            topic = self.resolve_topic_name("joint_states")
+            self._refuse("joint_states_refused", f"{topic}: {len(position)} positions for {len(msg.name)} joints, or not finite")
+            return
+        if self._joints and (stamp < self._joints[-1][0] or tuple(msg.name) != self._joints[-1][1]):
+            self._joints.clear()
+        self._joints.append((stamp, tuple(msg.name), position))
+
+    def _on_incompatible(self, topic: str, info: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(info.last_policy_kind)
+        self._refuse("incompatible_qos", f"{topic}: a publisher offers an incompatible {policy}; it must be reliable and transient local")
+
     def _on_info(self, info: CameraInfo) -> None:
         self._infos.append(info)
         if self._unpaired is not None and self._skew(self._unpaired, info) <= self._configured["max_skew"]:
@@ -171,7 +249,7 @@ class PerceptionNode(Node):
             self._on_pair(image, info)
 
     def _on_image(self, image: Image) -> None:
-        self._last_image_at = self._wall.now()
+        self._last_image_at, self._received = self._wall.now(), time.perf_counter()
         self._counter["images"] += 1
         if self._unpaired is not None:
             self._drop_unpaired(self._unpaired)
@@ -203,10 +281,16 @@ class PerceptionNode(Node):
     def _on_pair(self, image: Image, info: CameraInfo) -> None:
         try:
             frame = depth_frame_from_msgs(image, info, max_skew=None)
-            if self._perception is None and not self._ask_tf(frame.frame_id):
+            if self._perception is None and not self._find_extrinsics(frame):
                 return
             assert self._perception is not None
-            seen = self._perception.observe(frame, self._robot_at(frame.stamp))
+            if frame.stamp < self._last_stamp:
+                self._restart(frame.stamp)
+            self._last_stamp = frame.stamp
+            followed: list[str] = []
+            seen = self._perception.observe(
+                frame, self._robot_at(frame.stamp), lambda objects: followed.extend(self._publish_poses(objects, image))
+            )
         except FrameError as error:
             self._refuse("frames_refused", str(error))
             return
@@ -214,21 +298,60 @@ class PerceptionNode(Node):
             self._refuse("frames_without_result", str(error))
             return
         self._counter["frames"] += 1
-        self._publish(seen, image)
+        self._publish(seen, image, followed)
 
-    def _ask_tf(self, camera_frame: str) -> bool:
+    def _find_extrinsics(self, frame: DepthFrame) -> bool:
+        """Look for the camera pose; the next frame asks again when there is none yet."""
+        if self._mark is not None:
+            return self._calibrate(frame, self._mark)
         assert self._tf is not None
-        pose, why = self._tf.camera_in_table(camera_frame)
+        pose, why = self._tf.camera_in_table(frame.frame_id)
         if pose is None:
             self._refuse("without_extrinsics", why)
             return False
         self._perception = Perception(pose, _settings(self._configured.as_dict()))
         return True
 
-    def _robot_at(self, stamp: float) -> tuple[Cylinder, ...]:
-        """Tool and hand where they were at `stamp`, between the poses before and after."""
+    def _calibrate(self, frame: DepthFrame, mark: Mark) -> bool:
+        """Collect frames; when there are enough, calibrate from them, or start over and say why it failed."""
+        self._calibration_frames.append(frame)
+        n, needed = len(self._calibration_frames), self._configured["calibration_frames"]
+        self._notes["calibration"] = f"{n} of {needed} frames" if n < needed else ""
+        if n < needed:
+            return False
+        frames, self._calibration_frames = self._calibration_frames, []
+        try:
+            found = calibrate(frames, mark)
+        except PerceptionError as error:
+            self._refuse("calibrations_failed", f"no extrinsics from the mark: {error}")
+            return False
+        self._use(found)
+        return True
+
+    def _use(self, found: Calibration) -> None:
+        position, quaternion = [float(value) for value in found.camera_in_table[:3, 3]], quaternion_of(found.camera_in_table)
+        self._notes["extrinsics"] = (
+            f"calibrated from {found.n_frames} frames: outline of the mark {found.outline_residual * 1e3:.2f} mm, "
+            f"its height {found.height_error * 1e3:+.2f} mm, table {found.plane_noise * 1e3:.2f} mm off"
+        )
+        lines = [f"camera_position: {[round(v, 6) for v in position]}", f"camera_quaternion: {[round(v, 8) for v in quaternion]}"]
+        self.get_logger().info(f"Extrinsics {self._notes['extrinsics']}. {lines[0]} {lines[1]}")
+        if self._configured["calibration_file"]:
+            # For every node that has these parameters: perception, recorder, simulated cell.
+            text = "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines)
+            try:
+                Path(self._configured["calibration_file"]).write_text(text, encoding="utf-8")
+            except OSError as error:
+                self._refuse("calibration_not_written", f"cannot write {self._configured['calibration_file']}: {error.strerror}")
+        self._perception = Perception(found.camera_in_table, _settings(self._configured.as_dict()))
+
+    def _robot_at(self, stamp: float) -> tuple[RobotPart, ...]:
+        """Tool, hand and arm where they were at `stamp`, between the states before and after."""
+        return self._tool_at(stamp) + self._arm_at(stamp)
+
+    def _tool_at(self, stamp: float) -> tuple[RobotPart, ...]:
         if not self._tool:
-            self._notes["tool"] = f"nothing on {self.resolve_topic_name('tool/pose')}: the tool is not masked"
+            self._notes["tool"] = f"nothing on {self.resolve_topic_name('tool/pose')}: the tool is not masked by its pose"
             return ()
         times = np.array([time for time, _ in self._tool])
         positions = np.array([position for _, position in self._tool])
@@ -237,26 +360,59 @@ class PerceptionNode(Node):
         self._notes["tool"] = f"tool pose is {late:.2f} s older than the image" if late > _TOOL_OLD else ""
         return Cylinder(x, y, self._tool_radius, z), Cylinder(x, y, self._configured["hand_radius"], z + self._tool_length)
 
-    def _publish(self, seen: Observation, image: Image) -> None:
+    def _arm_at(self, stamp: float) -> tuple[RobotPart, ...]:
+        missing = [
+            self.resolve_topic_name(topic)
+            for topic, there in (("robot_description", self._arm is not None), ("joint_states", bool(self._joints)))
+            if not there
+        ]
+        if self._arm is None or missing:
+            self._notes["arm"] = f"nothing on {' and '.join(missing)}: the links of the arm are not masked"
+            return ()
+        times = np.array([time for time, _, _ in self._joints])
+        late = stamp - times[-1]
+        self._notes["arm"] = f"joint states are {late:.2f} s older than the image" if late > _TOOL_OLD else ""
+        after = int(np.searchsorted(times, stamp).clip(1, len(times) - 1)) if len(times) > 1 else 0
+        position = self._joints[after][2]
+        if after:
+            share = float(np.clip((stamp - times[after - 1]) / max(times[after] - times[after - 1], 1e-9), 0.0, 1.0))
+            position = (1.0 - share) * self._joints[after - 1][2] + share * position
+        rods = self._arm.at(dict(zip(self._joints[0][1], position.tolist(), strict=True)))
+        # What is higher than every object is robot anyway.
+        reach = self._configured["max_object_height"] + self._configured["mask_margin"]
+        return tuple(rod for rod in rods if rod.lowest < reach)
+
+    def _publish_poses(self, objects: Iterable[ObservedObject], image: Image) -> list[str]:
+        """Publish what has a pose; the ids of those."""
+        tracked = []
+        for known in objects:
+            if known.pose is not None and known.covariance is not None:
+                self._publishers_of(known.object_id)[0].publish(planar_pose_to_msg(image.header.stamp, known.pose, known.covariance))
+                tracked.append(known.object_id)
+        if tracked:
+            self._counter["poses"] += len(tracked)
+            self._latencies.append(time.perf_counter() - self._received)
+        return tracked
+
+    def _publish(self, seen: Observation, image: Image, followed: list[str]) -> None:
         stamp = image.header.stamp
-        if seen.restarted:
-            self._counter["restarts"] += 1
-            self.get_logger().warning(f"Time went back to {seen.stamp:.3f} s; all objects are looked for anew.")
-            self._forget_objects()
         for object_id, shape in seen.new_shapes.items():
             self.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
             _, cells_publisher, outline_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
             outline_publisher.publish(outline)
-        for known in seen.objects:
-            if known.pose is not None and known.covariance is not None:
-                self._publishers_of(known.object_id)[0].publish(planar_pose_to_msg(stamp, known.pose, known.covariance))
-                self._counter["poses"] += 1
+        self._publish_poses((known for known in seen.objects if known.object_id not in followed), image)
         if seen.occupancy is not None:
             grid = seen.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
         self._last_seen = seen
+
+    def _restart(self, stamp: float) -> None:
+        """Time went back, as when a bag starts again: `Perception` forgets all objects, and so do the topics."""
+        self._counter["restarts"] += 1
+        self.get_logger().warning(f"Time went back to {stamp:.3f} s; all objects are looked for anew.")
+        self._forget_objects()
 
     def _publishers_of(self, object_id: str) -> tuple[Publisher, Publisher, Publisher]:
         if object_id not in self._object_publishers:
@@ -276,7 +432,14 @@ class PerceptionNode(Node):
     def _refuse(self, kind: str, why: str) -> None:
         self._counter[kind] += 1
         self._last_error = why
-        self.get_logger().warning(why, throttle_duration_sec=5.0)
+        self._log(kind, why)
+
+    def _log(self, kind: str, why: str) -> None:
+        """One line, each kind at most every few seconds; rclpy would throttle all kinds together."""
+        now = time.monotonic()
+        if now >= self._logged.get(kind, -np.inf) + _LOG_PERIOD:
+            self._logged[kind] = now
+            self.get_logger().warning(why)
 
     def _diagnose(self) -> None:
         now = self._wall.now()
@@ -284,7 +447,12 @@ class PerceptionNode(Node):
         rate = (self._counter["frames"] - self._frames_diagnosed) / max(elapsed, 1e-3)
         silent = (now - self._last_image_at).nanoseconds * 1e-9 > _SILENT
         why = self._why_nothing(silent, rate)
+        if silent or rate == 0:
+            self._log("nothing", why)
         values: dict[str, Any] = {"rate_hz": f"{rate:.1f}", **self._counter, "last_error": self._last_error, "why_nothing": why}
+        if self._latencies:
+            values["latency_ms"] = f"{1e3 * float(np.median(self._latencies)):.1f} median, {1e3 * max(self._latencies):.1f} worst"
+            self._latencies.clear()
         if self._last_seen is not None:
             values |= {f"stage_{name}": count for name, count in self._last_seen.counts.items()}
             values |= {f"object_{known.object_id}": known.status.value for known in self._last_seen.objects}
@@ -298,9 +466,14 @@ class PerceptionNode(Node):
         self._diagnosed_at, self._frames_diagnosed = now, self._counter["frames"]
 
     def _why_nothing(self, silent: bool, rate: float) -> str:
+        if self.get_parameter("use_sim_time").value and self.get_clock().now().nanoseconds == 0:
+            return f"use_sim_time is set but nothing comes on /clock ({self.count_publishers('/clock')} publishers)"
         if silent:
             topic = self.resolve_topic_name("depth/image_rect")
             return f"no depth image on {topic} ({self.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
+        waited = (self._wall.now() - self._started_at).nanoseconds * 1e-9
+        if self._perception is None and waited > self._configured["extrinsics_timeout"]:
+            return f"still no extrinsics ({self._configured['extrinsics']}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_seen is None:
             return self._last_error or "no depth frame has been taken in yet"
         return self._last_seen.why_nothing()

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.geometry.arm_shape import Rod
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray
 
-__all__ = ["OBJECT", "ROBOT", "TABLE", "UNKNOWN", "Cylinder", "in_cylinders", "label_pixels"]
+__all__ = ["OBJECT", "ROBOT", "TABLE", "UNKNOWN", "Cylinder", "RobotPart", "in_robot", "label_pixels"]
 
 UNKNOWN: Final = -1
 TABLE: Final = 0
@@ -35,16 +36,34 @@ class Cylinder:
     """Where it begins."""
 
 
-def in_cylinders(points: NDArray[np.float32], robot: Sequence[Cylinder], margin: float) -> BoolArray:
-    """Which of `points`, shape (..., 3), lie in a cylinder grown by `margin` [m]."""
+RobotPart = Cylinder | Rod
+"""Tool and hand as the node knows them from the pose of the tool, links of the arm from its joint states."""
+
+
+def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: float) -> BoolArray:
+    """Which of `points`, shape (..., 3), lie in a part of the robot grown by `margin` [m]."""
     inside = np.zeros(points.shape[:-1], dtype=bool)
-    for cylinder in robot:
-        distance = (points[..., 0] - cylinder.x) ** 2 + (points[..., 1] - cylinder.y) ** 2
-        inside |= (distance < (cylinder.radius + margin) ** 2) & (points[..., 2] > cylinder.z_min - margin)
+    for part in robot:
+        inside |= _in_cylinder(points, part, margin) if isinstance(part, Cylinder) else _in_rod(points, part, margin)
     return inside
 
 
-def label_pixels(points: NDArray[np.float32], robot: Sequence[Cylinder], settings: PerceptionSettings) -> NDArray[np.int8]:
+def _in_cylinder(points: NDArray[np.float32], part: Cylinder, margin: float) -> BoolArray:
+    distance = (points[..., 0] - part.x) ** 2 + (points[..., 1] - part.y) ** 2
+    return np.asarray((distance < (part.radius + margin) ** 2) & (points[..., 2] > part.z_min - margin))
+
+
+def _in_rod(points: NDArray[np.float32], rod: Rod, margin: float) -> BoolArray:
+    axis = rod.end - rod.start
+    length = float(np.linalg.norm(axis))
+    direction = (axis / length).astype(np.float32)
+    from_start = points - rod.start.astype(np.float32)
+    along = from_start @ direction
+    across = np.sum(np.square(from_start), axis=-1) - along**2
+    return np.asarray((across < (rod.radius + margin) ** 2) & (along > -margin) & (along < length + margin))
+
+
+def label_pixels(points: NDArray[np.float32], robot: Sequence[RobotPart], settings: PerceptionSettings) -> NDArray[np.int8]:
     """Label every pixel by the height of its point above the table plane.
 
     A median over 3 x 3 pixels takes single outliers off the heights and keeps edges where they are.
@@ -66,5 +85,8 @@ def label_pixels(points: NDArray[np.float32], robot: Sequence[Cylinder], setting
         labels = np.full(heights.shape, UNKNOWN, dtype=np.int8)
         labels[seen & (heights > _BELOW)] = TABLE
         labels[seen & in_workspace & (smooth > settings.min_object_height)] = OBJECT
-        labels[seen & ((smooth > settings.max_object_height) | in_cylinders(points, robot, settings.mask_margin))] = ROBOT
+        labels[seen & (smooth > settings.max_object_height)] = ROBOT
+        # The table itself is not robot, and leaving it out leaves little to look at.
+        raised = seen & (smooth > 0.5 * settings.min_object_height) & (smooth <= settings.max_object_height)
+    labels[raised] = np.where(in_robot(points[raised], robot, settings.mask_margin), ROBOT, labels[raised])
     return labels

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError, PerceptionError
 from push_ident.geometry.se2 import rotation
 from push_ident.perception.depth import points_in_table
-from push_ident.perception.labels import ROBOT, TABLE, Cylinder, label_pixels
+from push_ident.perception.fusion import View, fuse_views
+from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import mean_depth, see_object
@@ -55,7 +56,8 @@ class Observation:
     """Of the objects taken in with this frame."""
     counts: dict[str, int]
     """What each stage let through: `pixels`, `valid`, `tracked`, `lost`, and of the last search `table`, `robot`, `object_pixels`,
-    `segments`, `too_small`, `beside_robot_or_cut`, `waiting`; `table_hidden` counts the checks of the plane that saw too little of it."""
+    `segments`, `too_small`, `beside_robot_or_cut`, `behind_another`, `waiting`; `table_hidden` counts the checks of the plane that
+    saw too little of it."""
     occupancy: TopDownGrid | None
     """At its own, lower rate."""
     restarted: bool = False
@@ -72,6 +74,8 @@ class Observation:
             return f"{counts['waiting']} new objects are watched until they are at rest"
         if counts["beside_robot_or_cut"]:
             return f"{counts['beside_robot_or_cut']} segments touch the robot, the image border or the workspace border"
+        if counts["behind_another"]:
+            return f"{counts['behind_another']} segments are partly hidden behind another; move the nearer one out of the way"
         if counts["too_small"]:
             return f"{counts['too_small']} segments are smaller than min_object_area"
         return f"nothing on the table is higher than min_object_height ({counts['table']} pixels see the table)"
@@ -82,6 +86,7 @@ class _Tracked:
     template: Template
     shape: ObjectShape
     area: float
+    first_pose: Float64Array
     pose: Float64Array
     stamp: float
     velocity: Float64Array = field(default_factory=lambda: np.zeros(3))
@@ -128,7 +133,7 @@ class Perception:
         self._tracked: dict[str, _Tracked] = {}
         self._waiting: list[_Waiting] = []
         self._search_counts = dict.fromkeys(
-            ("table", "robot", "object_pixels", "segments", "too_small", "beside_robot_or_cut", "waiting"), 0
+            ("table", "robot", "object_pixels", "segments", "too_small", "beside_robot_or_cut", "behind_another", "waiting"), 0
         )
         self._table_hidden = 0
         self._last_stamp = self._last_search = self._last_occupancy = -np.inf
@@ -138,12 +143,22 @@ class Perception:
         """The table plane in use; None before the first frame."""
         return self._plane
 
-    def observe(self, frame: DepthFrame, robot: Sequence[Cylinder] = ()) -> Observation:
+    def first_pose(self, object_id: str) -> Float64Array:
+        """Pose (x, y, yaw) of a known object when it was taken in, table frame: it defines the object frame."""
+        return self._tracked[object_id].first_pose
+
+    def observe(
+        self,
+        frame: DepthFrame,
+        robot: Sequence[RobotPart] = (),
+        on_poses: Callable[[tuple[ObservedObject, ...]], None] | None = None,
+    ) -> Observation:
         """Take in one frame.
 
         Args:
             frame: Later than the one before; an earlier one drops everything known (a bag that starts again).
-            robot: Where the tool is, so that it is taken neither for an object nor for free table.
+            robot: Where tool and arm are, so that they are taken neither for an object nor for free table.
+            on_poses: Called with the objects followed into this frame, before the slower search for others and the occupancy.
 
         Raises:
             FrameError: The frame repeats a stamp, or its size does not fit its camera info.
@@ -162,6 +177,8 @@ class Perception:
         self._last_stamp = frame.stamp
 
         fits = self._track(frame, robot)
+        if on_poses is not None and fits:
+            on_poses(tuple(_observed(name, fit) for name, fit in fits.items()))
         # A millisecond less than the period, so that a camera at just that rate does not miss every other turn by rounding.
         occupancy_due = frame.stamp - self._last_occupancy >= self.settings.occupancy_period - 1e-3
         search_due = not self._tracked or frame.stamp - self._last_search >= self.settings.search_period - 1e-3
@@ -176,7 +193,7 @@ class Perception:
             if occupancy_due:
                 occupancy = top_down(points, labels, self.settings)
                 self._last_occupancy = frame.stamp
-                self._check_plane(frame)
+                self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         n_tracked = sum(seen.status is TrackStatus.TRACKED for seen in objects)
         counts = {
@@ -189,12 +206,12 @@ class Perception:
         }
         return Observation(frame.stamp, objects, new_shapes, counts, occupancy, restarted)
 
-    def fit(self, object_id: str, frame: DepthFrame, robot: Sequence[Cylinder] = ()) -> PoseFit:
+    def fit(self, object_id: str, frame: DepthFrame, robot: Sequence[RobotPart] = ()) -> PoseFit:
         """Pose of a known object in another frame near the latest, for frames seen before the object was known."""
         known = self._tracked[object_id]
         return fit_pose(known.template, frame, self._camera, known.pose, robot=robot, mask_margin=self.settings.mask_margin)
 
-    def _track(self, frame: DepthFrame, robot: Sequence[Cylinder]) -> dict[str, PoseFit]:
+    def _track(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> dict[str, PoseFit]:
         fits = {}
         for name, known in self._tracked.items():
             start = known.predicted(frame.stamp)
@@ -216,11 +233,11 @@ class Perception:
         ]
 
     def _search(
-        self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[Cylinder]
+        self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]
     ) -> dict[str, PoseFit]:
         """Look for lost and new objects over the whole image; fits of the objects found again."""
         self._last_search = frame.stamp
-        segments, counts = find_segments(points, labels, self.settings)
+        segments, counts = find_segments(frame, points, labels, self.settings)
         unexplained = [segment for segment in segments if not self._explained(segment, points)]
         found: dict[str, PoseFit] = {}
         for name, known in self._tracked.items():
@@ -266,17 +283,20 @@ class Perception:
         new_shapes = {}
         for waiting in [w for w in self._waiting if len(w.frames) >= self.settings.rest_frames]:
             self._waiting.remove(waiting)
+            last = waiting.frames[-1]
+            mean = DepthFrame(last.stamp, mean_depth(waiting.frames), last.intrinsics, last.frame_id)
             seen = see_object(
-                mean_depth(waiting.frames),
-                waiting.frames[-1].intrinsics,
+                mean.depth,
+                last.intrinsics,
                 self._camera,
                 waiting.segment,
                 noise=self._plane.noise / np.sqrt(len(waiting.frames)),
                 min_height=self.settings.min_object_height,
                 cell_count=self.settings.cell_count,
             )
+            seen = fuse_views(seen, [View(mean, self._camera, seen.pose)], pose_known=True)
             name = f"o{len(self._tracked) + 1}"
-            self._tracked[name] = _Tracked(Template(seen), seen.shape, waiting.segment.area, seen.pose, stamp)
+            self._tracked[name] = _Tracked(Template(seen), seen.shape, waiting.segment.area, seen.pose, seen.pose, stamp)
             new_shapes[name] = seen.shape
         return new_shapes
 
@@ -284,26 +304,23 @@ class Perception:
         self._plane = plane
         self._camera = plane.correct(self._extrinsics)
 
-    def _check_plane(self, frame: DepthFrame) -> None:
+    def _check_plane(self, frame: DepthFrame, points: NDArray[np.float32]) -> None:
         """Follow a table or camera that was moved; smaller differences are noise and would only make the poses jump."""
-        assert self._plane is not None
         try:
-            plane = fit_table(points_in_table(frame, self._extrinsics), self.settings)
+            moved = fit_table(points, self.settings)
+            (x0, y0), (x1, y1) = self.settings.workspace_low, self.settings.workspace_high
+            if max(abs(moved.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1))) > _MOVED:
+                self._use_plane(fit_table(points_in_table(frame, self._extrinsics), self.settings))
         except PerceptionError:
             # The robot may cover the table for a while; the plane in use still holds.
             self._table_hidden += 1
-            return
-        (x0, y0), (x1, y1) = self.settings.workspace_low, self.settings.workspace_high
-        corners = [(x0, y0), (x0, y1), (x1, y0), (x1, y1)]
-        if max(abs(plane.height(x, y) - self._plane.height(x, y)) for x, y in corners) > _MOVED:
-            self._use_plane(plane)
 
 
 def observe_offline(
     frames: Iterable[DepthFrame],
     camera_in_table: ArrayLike,
     *,
-    robot_at: Callable[[float], Sequence[Cylinder]] | None = None,
+    robot_at: Callable[[float], Sequence[RobotPart]] | None = None,
     settings: PerceptionSettings | None = None,
 ) -> dict[str, tuple[ObjectShape, PoseTrack]]:
     """Shapes and tracks of all objects in a recording that holds only depth.
@@ -312,7 +329,7 @@ def observe_offline(
 
     Args:
         frames: In order of their stamps.
-        robot_at: Cylinders of the robot at a time [s].
+        robot_at: Parts of the robot at a time [s].
 
     Raises:
         PerceptionError: Nothing came out; the text says at which stage.

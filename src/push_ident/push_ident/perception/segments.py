@@ -1,4 +1,4 @@
-"""Candidate objects: connected pixels that stand off the table."""
+"""Candidate objects: connected pixels that stand off the table, divided where objects touch."""
 
 from __future__ import annotations
 
@@ -8,15 +8,22 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from push_ident.perception.labels import OBJECT, ROBOT, UNKNOWN
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.types import BoolArray, Float64Array
+from push_ident.perception.surfaces import split_surfaces
+from push_ident.types import BoolArray, DepthFrame, Float64Array
 
 __all__ = ["Segment", "find_segments"]
 
 _NEAR: Final = 4
 """Pixels within which a robot pixel or the image border counts as touching."""
+_UNKNOWN: Final = 0.5
+"""Share of the pixels around that may be unknown: structured light leaves a shadow along one side of everything."""
+_SMALLEST: Final = 12
+"""Pixels below which a patch is noise."""
+_COUNTS: Final = ("segments", "too_small", "beside_robot_or_cut", "behind_another")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,44 +40,85 @@ class Segment:
     area: float
     """About what it covers, seen from above [m^2]."""
     whole: bool
-    """Neither cut by the image border or the workspace, nor beside robot or unknown pixels."""
+    """Neither cut by the image border or the workspace, nor beside robot or unknown pixels, nor behind another surface."""
 
 
 def find_segments(
-    points: NDArray[np.float32], labels: NDArray[np.int8], settings: PerceptionSettings
+    frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], settings: PerceptionSettings
 ) -> tuple[list[Segment], dict[str, int]]:
-    """Connected components of the object pixels that are large enough, largest first.
+    """Surfaces among the object pixels that are large enough, largest first.
+
+    Args:
+        frame: The depth image.
+        points: Its points [m], shape (height, width, 3), table frame with the plane at z = 0.
+        labels: As `label_pixels` gives them.
 
     Returns:
-        The segments and the counts `object_pixels`, `segments`, `too_small`, `beside_robot_or_cut`.
+        The segments and the counts `object_pixels`, `segments`, `too_small`, `beside_robot_or_cut`, `behind_another`.
     """
-    n, components, boxes, _ = cv2.connectedComponentsWithStats((labels == OBJECT).astype(np.uint8), connectivity=8)
-    counts = {"object_pixels": int(np.count_nonzero(labels == OBJECT)), "segments": 0, "too_small": 0, "beside_robot_or_cut": 0}
+    surfaces = _surfaces(frame, labels == OBJECT, settings.min_step)
+    counts = {"object_pixels": int(np.count_nonzero(labels == OBJECT)), **dict.fromkeys(_COUNTS, 0)}
     segments = []
     low, high = np.array(settings.workspace_low), np.array(settings.workspace_high)
     height, width = labels.shape
-    for index in range(1, n):
-        left, top, columns, rows, size = (int(value) for value in boxes[index])
-        if size < 12:
+    for index, box in enumerate(_boxes(surfaces), start=1):
+        if box is None:
             continue
-        box = (slice(top, top + rows), slice(left, left + columns))
-        mask = components[box] == index
+        mask = surfaces[box] == index
         seen = points[box][mask].astype(np.float64)
         area = _area_from_above(seen)
         if area < settings.min_object_area:
             counts["too_small"] += 1
             continue
-        wide = (slice(max(0, top - _NEAR), top + rows + _NEAR), slice(max(0, left - _NEAR), left + columns + _NEAR))
-        near = cv2.dilate((components[wide] == index).astype(np.uint8), np.ones((2 * _NEAR + 1, 2 * _NEAR + 1), np.uint8)) > 0
+        rows, columns = box
+        wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
+        own = surfaces[wide] == index
+        near = cv2.dilate(own.astype(np.uint8), np.ones((2 * _NEAR + 1, 2 * _NEAR + 1), np.uint8)) > 0
         beside_robot = bool(np.any(near & (labels[wide] == ROBOT)))
-        beside_unknown = np.count_nonzero(near & (labels[wide] == UNKNOWN)) > 0.25 * np.count_nonzero(near & (components[wide] != index))
-        in_image = top >= _NEAR and left >= _NEAR and top + rows <= height - _NEAR and left + columns <= width - _NEAR
+        beside_unknown = np.count_nonzero(near & (labels[wide] == UNKNOWN)) > _UNKNOWN * np.count_nonzero(near & ~own)
+        behind = _behind_another(frame.depth[wide], own, near & (surfaces[wide] > 0) & ~own, settings.min_step)
+        in_image = min(rows.start, columns.start) >= _NEAR and rows.stop <= height - _NEAR and columns.stop <= width - _NEAR
         in_workspace = bool(np.all(seen[:, :2].min(axis=0) > low + 0.004) and np.all(seen[:, :2].max(axis=0) < high - 0.004))
-        whole = in_image and in_workspace and not beside_robot and not beside_unknown
+        cut = bool(not in_image or not in_workspace or beside_robot or beside_unknown)
         counts["segments"] += 1
-        counts["beside_robot_or_cut"] += not whole
-        segments.append(Segment(*box, mask, seen[:, :2].mean(axis=0), area, whole))
+        counts["beside_robot_or_cut"] += cut
+        counts["behind_another"] += behind and not cut
+        segments.append(Segment(*box, mask, seen[:, :2].mean(axis=0), area, not cut and not behind))
     return sorted(segments, key=lambda segment: -segment.area), counts
+
+
+def _surfaces(frame: DepthFrame, mask: BoolArray, step: float) -> NDArray[np.int32]:
+    """Number of the surface of each pixel, 0 for none; each connected patch is divided by itself."""
+    n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    surfaces = np.zeros(mask.shape, dtype=np.int32)
+    count = 0
+    for index in range(1, n):
+        left, top, columns, rows, size = (int(value) for value in boxes[index])
+        if size < _SMALLEST:
+            continue
+        box = (slice(top, top + rows), slice(left, left + columns))
+        divided = split_surfaces(frame.depth[box], components[box] == index, frame.intrinsics.fx, step)
+        surfaces[box][divided > 0] = count + divided[divided > 0]
+        count += int(divided.max())
+    return surfaces
+
+
+def _boxes(surfaces: NDArray[np.int32]) -> list[tuple[slice, slice] | None]:
+    """Rows and columns of surface 1, 2, ...; None for one without pixels."""
+    found: list[tuple[slice, slice] | None] = ndimage.find_objects(surfaces)
+    return found
+
+
+def _behind_another(depth: NDArray[np.float32], own: BoolArray, others: BoolArray, step: float) -> bool:
+    """Whether some of the surface may be hidden: another one beside it is nearer to the camera by more than a step."""
+    if np.count_nonzero(others) < _SMALLEST:
+        return False
+    away, nearest = cv2.distanceTransformWithLabels((~own).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    depth_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
+    depth_of[nearest[own]] = depth[own]
+    with np.errstate(invalid="ignore"):
+        hides = others & (away <= _NEAR) & (depth < depth_of[nearest] - step)
+    return bool(np.count_nonzero(hides) >= _SMALLEST)
 
 
 def _area_from_above(points: Float64Array) -> float:

@@ -23,6 +23,8 @@ class PerceptionSettings:
     """Whatever reaches higher is robot [m]."""
     min_object_area: float = 4e-4
     """Smaller things are ignored [m^2]."""
+    min_step: float = 0.02
+    """Surfaces that meet at a higher step are two objects [m]; steps within one object must be lower."""
     mask_margin: float = 0.006
     """Added to the radius of the tool when it is masked [m]: delay, calibration and noise."""
     rest_frames: int = 10
@@ -43,5 +45,7 @@ class PerceptionSettings:
             raise InputError(f"Workspace from {self.workspace_low} to {self.workspace_high} is empty; low must be below high.")
         if not 0 < self.min_object_height < self.max_object_height:
             raise InputError(f"Object heights {self.min_object_height} to {self.max_object_height} m; expected 0 < min < max.")
+        if not self.min_step > 0:
+            raise InputError(f"min_step is {self.min_step} m, expected a positive height; steps within one object must be lower.")
         if self.rest_frames < 1 or self.cell_count < 1:
             raise InputError(f"rest_frames {self.rest_frames} and cell_count {self.cell_count} must be at least 1.")

@@ -23,7 +23,7 @@ from push_ident.perception.segments import Segment
 from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["SeenObject", "mean_depth", "see_object"]
+__all__ = ["SeenObject", "centroid", "mean_depth", "see_object"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
@@ -39,6 +39,12 @@ _PASSES: Final = 3
 """Of tracing the outline: the first decides for each line of sight which of its ends matters."""
 _REACH: Final = 10
 """Pixels around the upper side whose lines of sight are used."""
+_BEFORE_WALL: Final = 0.004
+"""How far before a wall the lower level it stands on is looked for [m]."""
+_SHADOW: Final = 13
+"""Pixels around a line of sight that passes, in which a lower level may begin behind a higher one."""
+_WINDOW: Final = 7
+"""Pixels in which the levels of the upper side beside a pixel are looked for."""
 _PAD: Final = 16
 """Pixels looked at around a segment."""
 
@@ -99,13 +105,14 @@ def see_object(
     top, left = segment.rows.start - rows.start, segment.columns.start - columns.start
     body[top : top + segment.mask.shape[0], left : left + segment.mask.shape[1]] = segment.mask
     pixel = float(np.nanmedian(depth[rows, columns])) / intrinsics.fx
-    stopped, passing = _lines_of_sight(points, centre, rays, body, pixel=pixel, noise=noise, min_height=min_height)
+    stopped, passing, walls = _lines_of_sight(points, centre, rays, body, pixel=pixel, noise=noise, min_height=min_height)
     full = stopped.places(None)
-    outline, origin = _balance(full, passing.places(None))
+    inner = _inner_walls(walls, full, centre[:2])
+    outline, origin = _balance(np.vstack([full, inner]), passing.places(None))
     for _ in range(_PASSES - 1):
         full = stopped.places(outline)
-        outline, origin = _balance(full, passing.places(outline))
-    x, y = _centroid(outline)
+        outline, origin = _balance(np.vstack([full, inner]), passing.places(outline))
+    x, y = centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
     grid, grid_origin = _height_grid(full, stopped.level, origin)
     return SeenObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
@@ -138,8 +145,8 @@ def _lines_of_sight(
     pixel: float,
     noise: float,
     min_height: float,
-) -> tuple[_Lines, _Lines]:
-    """Lines of sight stopped by the upper side of `body`, and those that pass it."""
+) -> tuple[_Lines, _Lines, Float64Array]:
+    """Lines of sight stopped by the upper side of `body`, those that pass it, and points on walls [m], shape (n, 2)."""
     z = points[..., 2]
     seen = np.isfinite(z)
     body = body & seen & (z > min_height)
@@ -150,10 +157,12 @@ def _lines_of_sight(
     flat = body & (slope < 0.7 * pixel)
     if np.count_nonzero(flat) < 20:
         raise PerceptionError(f"{np.count_nonzero(flat)} of {np.count_nonzero(body)} pixels see an upper side, expected at least 20.")
-    smooth = cv2.blur(np.where(flat, filled, np.float32(0.0)), (3, 3)) / np.maximum(cv2.blur(flat.astype(np.float32), (3, 3)), 1e-6)
-    window = np.ones((7, 7), np.uint8)
-    highest = cv2.dilate(np.where(flat, smooth, np.float32(-1.0)), window)
-    lowest = cv2.erode(np.where(flat, smooth, np.float32(1.0)), window)
+    smooth = _mean_of(filled, flat, 3)
+    window = np.ones((_WINDOW, _WINDOW), np.uint8)
+    # Means of what lies at the highest and lowest level nearby: the extremes themselves would be off by their noise.
+    at_highest = flat & (smooth > cv2.dilate(np.where(flat, smooth, np.float32(-1.0)), window) - step)
+    at_lowest = flat & (smooth < cv2.erode(np.where(flat, smooth, np.float32(1.0)), window) + step)
+    highest, lowest = _mean_of(smooth, at_highest, _WINDOW), _mean_of(smooth, at_lowest, _WINDOW, absent=1.0)
     near_highest, near_lowest = np.abs(z - highest) < step, np.abs(z - lowest) < step
     stopped = body & (flat | near_highest | near_lowest)
     # Level of the top beside the other pixels: the highest within the window, else that of the nearest flat pixel.
@@ -161,14 +170,43 @@ def _lines_of_sight(
     level_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     level_of[nearest[flat]] = smooth[flat]
     beside = np.where(highest > 0, highest, level_of[nearest])
-    passing = seen & ~stopped & (z < beside - step) & (away < _REACH)
+    # A wall between two levels of the upper side stands inside the outline and says nothing of it.
+    foot = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8))
+    # Beside two levels a line of sight proves empty only where it passes the lower one: the upper may not reach so far.
+    lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((_SHADOW, _SHADOW), np.uint8))
+    passing = seen & ~stopped & (z < np.minimum(foot, beside) - step) & (away < _REACH)
+    beside = np.minimum(lower, beside)
 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
         ray, top = rays[chosen].astype(np.float64), level[chosen].astype(np.float64)
         upper, lower = (centre[:2] + ray[:, :2] * ((height - centre[2]) / ray[:, 2])[:, None] for height in (top, top - step))
         return _Lines(upper, lower, top)
 
-    return lines(stopped, np.where(flat, smooth, np.where(near_highest, highest, lowest))), lines(passing, beside)
+    return (
+        lines(stopped, np.where(flat, smooth, np.where(near_highest, highest, lowest))),
+        lines(passing, beside),
+        points[body & ~stopped, :2].astype(np.float64),
+    )
+
+
+def _inner_walls(walls: Float64Array, full: Float64Array, camera: Float64Array) -> Float64Array:
+    """Those points on walls before which, towards the camera, the object goes on at a lower level: they are inside the outline."""
+    before = camera - walls
+    before = walls + _BEFORE_WALL * before / np.linalg.norm(before, axis=1, keepdims=True)
+    origin = np.vstack([full, before]).min(axis=0) - _GRID
+    columns, rows = (int(n) for n in np.ceil((np.vstack([full, before]).max(axis=0) + _GRID - origin) / _GRID))
+    # Beside a wall that runs along the line of sight the object ends: well inside only.
+    around = np.ones((5, 5), np.uint8)
+    seen = cv2.erode(cv2.morphologyEx((_counted(full, origin, rows, columns) > 0).astype(np.uint8), cv2.MORPH_CLOSE, around), around) > 0
+    index = ((before - origin) / _GRID).astype(np.int64)
+    return walls[seen[index[:, 1], index[:, 0]]]
+
+
+def _mean_of(values: NDArray[np.float32], chosen: BoolArray, window: int, absent: float = -1.0) -> NDArray[np.float32]:
+    """Mean of the chosen values in the window around each pixel; `absent` where there are none."""
+    share = cv2.blur(chosen.astype(np.float32), (window, window))
+    total = cv2.blur(np.where(chosen, values, np.float32(0.0)), (window, window))
+    return np.where(share > 1e-4, total / np.maximum(share, np.float32(1e-4)), np.float32(absent))
 
 
 def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -224,7 +262,8 @@ def _grown(polygon: Float64Array, distance: float) -> Float64Array:
     return polygon + distance * (normal + before) / np.maximum(1.0 + np.sum(normal * before, axis=1, keepdims=True), 0.5)
 
 
-def _centroid(polygon: Float64Array) -> tuple[float, float]:
+def centroid(polygon: Float64Array) -> tuple[float, float]:
+    """Of the area of a polygon, shape (n, 2)."""
     x, y = polygon.T
     x_next, y_next = np.roll(x, -1), np.roll(y, -1)
     cross = x * y_next - x_next * y

@@ -52,7 +52,11 @@ def top_down(points: NDArray[np.float32], labels: NDArray[np.int8], settings: Pe
         index = np.floor((chosen[:, :2] - low.astype(np.float32)) / np.float32(size)).astype(np.int32)
         inside = (index[:, 0] >= 0) & (index[:, 0] < columns) & (index[:, 1] >= 0) & (index[:, 1] < rows)
         flat = index[inside, 1] * columns + index[inside, 0]
-        np.maximum.at(height.reshape(-1), flat, chosen[inside, 2])
+        if label == OBJECT:
+            np.maximum.at(height.reshape(-1), flat, chosen[inside, 2])
+        else:
+            # All of the table is of one height: any of its points will do.
+            height.reshape(-1)[flat] = chosen[inside, 2]
         seen[label] = np.bincount(flat, minlength=rows * columns).reshape(rows, columns) > 0
     occupancy = np.full((rows, columns), UNSEEN, dtype=np.int8)
     occupancy[_closed(seen[TABLE])] = FREE

@@ -120,6 +120,11 @@ class PushAssembler:
         return pushes
 
     @property
+    def is_under_way(self) -> bool:
+        """Whether the pusher is pushing, as far as is known."""
+        return self._open is not None
+
+    @property
     def is_awaiting(self) -> bool:
         """Whether a push has ended after which no object was seen yet."""
         return bool(self._ended) and not self._seen_after(self._ended[0])

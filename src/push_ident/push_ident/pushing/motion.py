@@ -1,4 +1,4 @@
-"""The arm's motion for one push, checked whole before anything moves."""
+"""The arm's motion for one push, and away from one that was broken off, checked whole before anything moves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
 from push_ident.types import Float64Array
 
-__all__ = ["ArmPlan", "MotionSettings", "plan_push"]
+__all__ = ["ArmMotion", "ArmPlan", "MotionSettings", "plan_push", "plan_retreat"]
 
 _STEP = 0.004
 """Distance between inverse kinematics along a straight line [m]."""
@@ -21,6 +21,10 @@ _POSTURE_RATE = 3.0
 """Share of the way to the neutral posture per metre of tool travel [1/m]: slow beside the push itself."""
 _LEAD = 0.05
 """How far ahead of the clock the arm may seem to be [s]: the clock itself arrives late when time is simulated."""
+_AT_HOME = 1e-3
+"""The arm is at home when every joint is within this [rad]."""
+_HEIGHT_NOISE = 5e-4
+"""By which a way that should be level may dip [m]."""
 _LINE_TOLERANCE = 5e-4
 """How far the tool may leave its straight line between two inverse kinematics [m]."""
 
@@ -53,6 +57,8 @@ class MotionSettings:
     """Way back from the object before the tool rises [m]."""
     velocity_scale: float = 0.9
     """Share of a joint's velocity limit that may be used."""
+    link_height: float = 0.10
+    """Lowest that the axis of any moving joint may come, as the elbow's [m]: the tip is watched on its own."""
     max_joint_velocity: float = 1.3
     """Cap on every joint's velocity [rad/s], whatever the description allows."""
     max_joint_acceleration: float = 5.0
@@ -67,22 +73,11 @@ class MotionSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmPlan:
-    """Motion of the arm for one push. Times in seconds from the start of the motion."""
+class ArmMotion:
+    """Motion of the arm, checked. Times in seconds from its start."""
 
-    push: PushPlan2D
     joint_names: tuple[str, ...]
     trajectory: JointTrajectory
-    lowered: float
-    """Tool is down, object and tool at rest."""
-    departure: float
-    """The push line begins."""
-    contact: float
-    """First touch, by the plan."""
-    stop: float
-    """Tool stands still after the push."""
-    rested: float
-    """Rest is over, the tool leaves."""
     tip: Float64Array
     """Tip at every sample of the trajectory [m], shape (n, 3), root frame."""
 
@@ -90,13 +85,6 @@ class ArmPlan:
     def duration(self) -> float:
         """[s]"""
         return self.trajectory.duration
-
-    @property
-    def tool_path(self) -> tuple[Float64Array, Float64Array]:
-        """Time from 0 [s], shape (n,), and tip [m], shape (n, 3), of the pushing part."""
-        time = self.trajectory.time
-        pushing = (time >= self.departure - 1e-9) & (time <= self.stop + 1e-9)
-        return time[pushing] - self.departure, self.tip[pushing]
 
     def deviation(self, tip: Float64Array, time: float, lag: float) -> float:
         """Distance [m] of a measured `tip` (3,) to the part of the way from `time - lag` to just after `time` [s].
@@ -113,6 +101,30 @@ class ArmPlan:
         return float(np.min(np.linalg.norm(from_start - share[:, None] * edge, axis=1)))
 
 
+@dataclass(frozen=True, slots=True)
+class ArmPlan(ArmMotion):
+    """Motion of the arm for one push."""
+
+    push: PushPlan2D
+    lowered: float
+    """Tool is down, object and tool at rest."""
+    departure: float
+    """The push line begins."""
+    contact: float
+    """First touch, by the plan."""
+    stop: float
+    """Tool stands still after the push."""
+    rested: float
+    """Rest is over, the tool leaves."""
+
+    @property
+    def tool_path(self) -> tuple[Float64Array, Float64Array]:
+        """Time from 0 [s], shape (n,), and tip [m], shape (n, 3), of the pushing part."""
+        time = self.trajectory.time
+        pushing = (time >= self.departure - 1e-9) & (time <= self.stop + 1e-9)
+        return time[pushing] - self.departure, self.tip[pushing]
+
+
 def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings) -> ArmPlan:
     """Up, home, above the start of the push, down, push, rest, back off, up, home.
 
@@ -122,33 +134,22 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     q_now = kinematics.check_configuration(q_now)
     _check_positions(kinematics, q_now[None, :])
     home = kinematics.check_configuration(settings.home)
-    max_velocity = np.minimum(settings.velocity_scale * kinematics.velocity_limit, settings.max_joint_velocity)
+    max_velocity = _max_velocity(kinematics, settings)
 
-    def point(xy: Float64Array, height: float) -> Float64Array:
-        return np.array([xy[0], xy[1], height])
-
-    def straight(q: Float64Array, target: Float64Array, axis: Float64Array = TOOL_DOWN) -> JointTrajectory:
-        postures, length = _line(kinematics, q, target, axis)
-        return path_move(postures, length, settings.free_speed, settings.acceleration, max_velocity)
-
-    start, end = push.tool_start(settings.clearance), push.tool_end
-    approach: list[JointTrajectory] = []
-    pose_now = kinematics.forward(q_now)
-    q = q_now
-    if pose_now[2, 3] < settings.safe_height - 1e-3:
-        approach.append(straight(q, point(pose_now[:2, 3], settings.safe_height), pose_now[:3, 2]))
-        q = approach[-1].position[-1]
-    if np.max(np.abs(q - home)) > 1e-3:
-        approach.append(_free_move(kinematics, q, home, max_velocity, settings))
+    approach = _up(kinematics, q_now, settings)
+    q = approach[-1].position[-1] if approach else q_now
+    if np.max(np.abs(q - home)) > _AT_HOME:
+        approach.append(_free_move(kinematics, q, home, settings))
         q = home
-    above = _reach(kinematics, point(start, settings.safe_height), kinematics.neutral)
-    approach.append(_free_move(kinematics, q, above, max_velocity, settings))
-    approach.append(straight(above, point(start, settings.push_height)))
+    start, end = push.tool_start(settings.clearance), push.tool_end
+    above = _reach(kinematics, _point(start, settings.safe_height), kinematics.neutral)
+    approach.append(_free_move(kinematics, q, above, settings))
+    approach.append(_straight(kinematics, above, _point(start, settings.push_height), settings))
     settle = stand_still(approach[-1].position[-1], settings.settle)
 
     # A spinning tool would drag the object along its face; a line with the spin held pushes as a sliding one does.
     x_axis = kinematics.forward(settle.position[-1])[:3, 0]
-    postures, length = _line(kinematics, settle.position[-1], point(end, settings.push_height), TOOL_DOWN, x_axis)
+    postures, length = _line(kinematics, settle.position[-1], _point(end, settings.push_height), TOOL_DOWN, x_axis)
     pushing = path_at_speed(postures, length, push.speed, settings.acceleration)
     ramp = push.speed / settings.acceleration
     if 0.5 * push.speed * ramp > settings.clearance:
@@ -156,30 +157,82 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
             PushCode.LIMIT, f"{push.speed:.3f} m/s is not reached within the clearance of {settings.clearance:.3f} m; push slower."
         )
     rest = stand_still(pushing.position[-1], settings.rest)
-
-    back = straight(rest.position[-1], point(end - settings.back_off * push.heading, settings.push_height))
-    lift = straight(back.position[-1], point(end - settings.back_off * push.heading, settings.safe_height))
-    away = _free_move(kinematics, lift.position[-1], home, max_velocity, settings)
+    retreat = _away(kinematics, rest.position[-1], push.heading, settings)
 
     lowered = sum(part.duration for part in approach)
     departure = lowered + settle.duration
     stop = departure + pushing.duration
-    trajectory = join([*approach, settle, pushing, rest, back, lift, away])
-    _check_positions(kinematics, trajectory.position)
-    _check_velocities(kinematics, trajectory, max_velocity)
+    trajectory = join([*approach, settle, pushing, rest, *retreat])
     plan = ArmPlan(
-        push,
         kinematics.joint_names,
         trajectory,
+        _checked_way(kinematics, trajectory, max_velocity, settings),
+        push,
         lowered,
         departure,
         departure + settings.clearance / push.speed + 0.5 * ramp,
         stop,
         stop + rest.duration,
-        np.array([kinematics.forward(q)[:3, 3] for q in trajectory.position]),
     )
-    _check_tip(plan, settings)
+    # The way up from a start below the limit is the remedy, not a fault: heights count from where the tool comes down.
+    _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
+    _check_line(plan, settings)
     return plan
+
+
+def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike, settings: MotionSettings) -> ArmMotion:
+    """Back off, up, home: from where a push was broken off, at rest at `q_now` [rad].
+
+    `heading`, shape (2,), is the unit vector of that push in the table frame. Raises PlanningError as `plan_push`.
+    """
+    q_now = kinematics.check_configuration(q_now)
+    _check_positions(kinematics, q_now[None, :])
+    parts = _away(kinematics, q_now, np.asarray(heading, dtype=np.float64), settings)
+    if not parts:
+        parts = [stand_still(q_now, 0.0)]
+    trajectory = join(parts)
+    way = _checked_way(kinematics, trajectory, _max_velocity(kinematics, settings), settings)
+    _check_height(way, settings, float(way[0, 2]))
+    return ArmMotion(kinematics.joint_names, trajectory, way)
+
+
+def _max_velocity(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
+    return np.minimum(settings.velocity_scale * kinematics.velocity_limit, settings.max_joint_velocity)
+
+
+def _point(xy: Float64Array, height: float) -> Float64Array:
+    return np.array([xy[0], xy[1], height])
+
+
+def _up(kinematics: ArmKinematics, q: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
+    """Straight up to the height of free moves, keeping the tool's axis; nothing where the tip is up there."""
+    pose = kinematics.forward(q)
+    if pose[2, 3] >= settings.safe_height - 1e-3:
+        return []
+    return [_straight(kinematics, q, _point(pose[:2, 3], settings.safe_height), settings, pose[:3, 2])]
+
+
+def _away(kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
+    """Back off against `heading` and up, where the tip is low; then home, where the arm is not there."""
+    parts: list[JointTrajectory] = []
+    pose = kinematics.forward(q)
+    if pose[2, 3] < settings.free_height:
+        target = _point(pose[:2, 3] - settings.back_off * heading, float(pose[2, 3]))
+        parts.append(_straight(kinematics, q, target, settings, pose[:3, 2]))
+        q = parts[-1].position[-1]
+    parts += _up(kinematics, q, settings)
+    q = parts[-1].position[-1] if parts else q
+    home = kinematics.check_configuration(settings.home)
+    if np.max(np.abs(q - home)) > _AT_HOME:
+        parts.append(_free_move(kinematics, q, home, settings))
+    return parts
+
+
+def _straight(
+    kinematics: ArmKinematics, q: Float64Array, target: Float64Array, settings: MotionSettings, axis: Float64Array = TOOL_DOWN
+) -> JointTrajectory:
+    postures, length = _line(kinematics, q, target, axis)
+    return path_move(postures, length, settings.free_speed, settings.acceleration, _max_velocity(kinematics, settings))
 
 
 def _line(
@@ -222,10 +275,8 @@ def _reach(
     return q
 
 
-def _free_move(
-    kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Array, settings: MotionSettings
-) -> JointTrajectory:
-    move = joint_move(q_from, q_to, max_velocity, settings.max_joint_acceleration)
+def _free_move(kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Array, settings: MotionSettings) -> JointTrajectory:
+    move = joint_move(q_from, q_to, _max_velocity(kinematics, settings), settings.max_joint_acceleration)
     lowest = min((kinematics.forward(q)[2, 3] for q in move.position[::5]), default=np.inf)
     if lowest < settings.free_height:
         raise PlanningError(
@@ -246,7 +297,11 @@ def _check_positions(kinematics: ArmKinematics, postures: Float64Array) -> None:
         )
 
 
-def _check_velocities(kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array) -> None:
+def _checked_way(
+    kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array, settings: MotionSettings
+) -> Float64Array:
+    """Tip at every sample [m], shape (n, 3), of a trajectory within the limits of the joints and above the table with every link."""
+    _check_positions(kinematics, trajectory.position)
     share = np.abs(trajectory.velocity) / max_velocity
     row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
     if share[row, joint] > 1.0 + 1e-3:
@@ -255,14 +310,26 @@ def _check_velocities(kinematics: ArmKinematics, trajectory: JointTrajectory, ma
             f"{kinematics.joint_names[joint]} would turn at {abs(trajectory.velocity[row, joint]):.3f} rad/s, limit "
             f"{max_velocity[joint]:.3f} rad/s; push slower.",
         )
+    tip = np.empty((len(trajectory.time), 3))
+    for i, q in enumerate(trajectory.position):
+        tip[i] = kinematics.forward(q)[:3, 3]
+        name, height = kinematics.lowest_joint()
+        if height < settings.link_height:
+            raise PlanningError(
+                PushCode.LIMIT,
+                f"{name} would come {height:.3f} m near the table, limit {settings.link_height:.3f} m; bring the arm nearer to home.",
+            )
+    return tip
 
 
-def _check_tip(plan: ArmPlan, settings: MotionSettings) -> None:
-    time, tip = plan.trajectory.time, plan.tip
-    # The way up from a start below the limit is the remedy, not a fault: heights count from where the tool comes down.
-    lowest = float(np.min(tip[time > plan.lowered - 1e-9, 2]))
-    if lowest < settings.min_height:
-        raise PlanningError(PushCode.LIMIT, f"the tip would come {lowest:.4f} m near the table, limit {settings.min_height:.4f} m.")
+def _check_height(tip: Float64Array, settings: MotionSettings, start: float = np.inf) -> None:
+    """The lowest of `tip` (n, 3) keeps the limit, or the height [m] of a start that is lower."""
+    lowest, limit = float(np.min(tip[:, 2])), min(settings.min_height, start - _HEIGHT_NOISE)
+    if lowest < limit:
+        raise PlanningError(PushCode.LIMIT, f"the tip would come {lowest:.4f} m near the table, limit {limit:.4f} m.")
+
+
+def _check_line(plan: ArmPlan, settings: MotionSettings) -> None:
     _, path = plan.tool_path
     across = np.array([-plan.push.heading[1], plan.push.heading[0]])
     off = np.hypot((path[:, :2] - plan.push.tool_at_contact) @ across, path[:, 2] - settings.push_height)

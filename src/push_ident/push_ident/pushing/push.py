@@ -26,6 +26,10 @@ class PushCode(IntEnum):
     CANCELED = -7
     TRACKING = -8
     BUSY = -9
+    OBJECT_LOST = -10
+    FORCE = -11
+    HAND = -12
+    RECORDING = -13
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +54,8 @@ class PushSettings:
     """Longest travel after contact that a goal may ask for [m]."""
     max_speed: float = 0.25
     """Highest speed that a goal may ask for [m/s]."""
+    edge_margin: float = 0.03
+    """An object whose outline comes nearer to the edge of the workspace than this is pushed back to the middle [m]."""
 
     def __post_init__(self) -> None:
         x_min, x_max, y_min, y_max = self.workspace
@@ -59,8 +65,24 @@ class PushSettings:
             (low, high), most = getattr(self, f"{name}_range"), getattr(self, f"max_{name}")
             if not 0 < low <= high <= most:
                 raise InputError(f"{name}_range is ({low}, {high}), expected 0 < low <= high <= max_{name} = {most}.")
+        if not 0 <= self.edge_margin < 0.5 * min(x_max - x_min, y_max - y_min):
+            raise InputError(
+                f"edge_margin is {self.edge_margin} m, expected 0 up to less than half the width of workspace = {self.workspace}."
+            )
         if not 0 < self.lowering_gap < self.clearance:
             raise InputError(f"lowering_gap is {self.lowering_gap} m, expected more than 0 and less than clearance = {self.clearance} m.")
+
+    @property
+    def middle(self) -> Float64Array:
+        """Of the workspace [m], shape (2,)."""
+        x_min, x_max, y_min, y_max = self.workspace
+        return np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max)])
+
+    def excess(self, points: Float64Array, margin: float = 0.0) -> float:
+        """How far the outermost of `points`, shape (n, 2) [m], sticks out of the workspace less a `margin` [m]; 0 when none does."""
+        x_min, x_max, y_min, y_max = self.workspace
+        low, high = np.array([x_min, y_min]) + margin, np.array([x_max, y_max]) - margin
+        return float(np.max(np.maximum(low - points, points - high), initial=0.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
-"""Choosing where and how to push: from a goal, or at random over the whole outline as in the paper."""
+"""Choosing where and how to push: from a goal, at random over the whole outline as in the paper, or back to the middle."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,11 +14,15 @@ from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["check_push", "push_from_goal", "sample_push"]
+__all__ = ["check_push", "is_near_edge", "push_from_goal", "recentring_pushes", "sample_push"]
 
 _MAX_DRAWS = 1000
 _GRAZING = np.radians(80.0)
 """A pusher that comes in flatter than this slides past rather than pushes."""
+_N_RECENTRING = 120
+"""Contacts along the outline that are tried for a push back to the middle."""
+_STRAY = np.radians(60.0)
+"""A push back to the middle is at most this far off the way there."""
 _EARLY_TOUCH = 1e-4
 """Overlap [m] with the outline that still counts as the planned touch and not an earlier one."""
 
@@ -92,6 +96,55 @@ def sample_push(
     raise PlanningError(PushCode.UNREACHABLE, f"none of {_MAX_DRAWS} random pushes is possible ({counts}); move the object to the middle.")
 
 
+def is_near_edge(shape: ObjectShape, pose_object_in_table: ArrayLike, settings: PushSettings) -> bool:
+    """Whether the outline comes nearer to the edge of the workspace than `settings.edge_margin`, or sticks out of it.
+
+    Not so an object that is large rather than off the middle: no push would bring it further from the edge.
+    """
+    to_middle = float(np.linalg.norm(settings.middle - np.asarray(pose_object_in_table, dtype=np.float64)[:2]))
+    near = settings.excess(transform_points(pose_object_in_table, shape.outline), settings.edge_margin) > 0.0
+    return near and to_middle > settings.distance_range[0]
+
+
+def recentring_pushes(
+    shape: ObjectShape, pose_object_in_table: ArrayLike, settings: PushSettings, obstacles: Sequence[Float64Array] = ()
+) -> Iterator[PushPlan2D]:
+    """Pushes that carry the object towards the middle of the workspace, the best first; only those that `check_push` lets pass.
+
+    The best push goes straight to the middle through the centroid of the outline. A contact that faces another way is pushed as near to
+    that direction as `settings.cone` allows, and only as far as it comes nearer. All have the slowest speed of random pushes.
+    Yields nothing where no contact is within reach, or the object is in the middle.
+    """
+    outline = transform_points(pose_object_in_table, shape.outline)
+    centroid = np.asarray(pose_object_in_table, dtype=np.float64)[:2]  # the origin of an object frame
+    way = settings.middle - centroid
+    to_middle = float(np.arctan2(way[1], way[0]))
+    size = float(np.max(np.linalg.norm(outline - centroid, axis=1)))
+    candidates: list[tuple[float, PushPlan2D]] = []
+    for share in (np.arange(_N_RECENTRING) + 0.5) / _N_RECENTRING:
+        contact, normal = _point_on_outline(float(share), outline)
+        inward = float(np.arctan2(-normal[1], -normal[0]))
+        direction = inward + float(np.clip(wrap_angle(to_middle - inward), -settings.cone, settings.cone))
+        stray = abs(float(wrap_angle(direction - to_middle)))
+        if stray > _STRAY:
+            continue
+        distance = min(float(np.linalg.norm(way) * np.cos(stray)), settings.max_distance)
+        if distance < 0.5 * settings.distance_range[0]:
+            continue
+        push = PushPlan2D(
+            contact, contact + settings.pusher_radius * normal, float(wrap_angle(direction)), distance, settings.speed_range[0]
+        )
+        # A push beside the centroid turns the object rather than carries it.
+        across = np.array([-push.heading[1], push.heading[0]])
+        candidates.append((stray + abs(float((contact - centroid) @ across)) / size, push))
+    for _, push in sorted(candidates, key=lambda candidate: candidate[0]):
+        try:
+            check_push(push, outline, settings, obstacles)
+        except PlanningError:
+            continue
+        yield push
+
+
 def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, obstacles: Sequence[Float64Array] = ()) -> None:
     """Raise PlanningError unless the lowered pusher stays in the workspace and touches the object first where planned.
 
@@ -130,14 +183,8 @@ def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, 
 
 def _leaves_workspace(outline: Float64Array, push: PushPlan2D, settings: PushSettings) -> bool:
     """Whether the object, carried along the whole push, would stick out of the workspace and further than before."""
-    x_min, x_max, y_min, y_max = settings.workspace
-    low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
-    moved = outline + push.distance * push.heading
-
-    def excess(points: Float64Array) -> float:
-        return float(np.max(np.maximum(low - points, points - high), initial=0.0))
-
-    return excess(moved) > 0.0 and excess(moved) >= excess(outline)
+    after = settings.excess(outline + push.distance * push.heading)
+    return after > 0.0 and after >= settings.excess(outline)
 
 
 def _line(start: Float64Array, end: Float64Array, step: float = 1e-3) -> Float64Array:

@@ -46,6 +46,8 @@ class CaseSettings:
     """Of each solve."""
     truth: TruthSettings
     noise: CameraNoise
+    recordings: Path = Path("../shared/data")
+    """Of recorded scenes, for the experiments that use them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,3 +75,9 @@ class Experiment:
     """Markdown of a summary."""
     draw: Callable[[Json, Path], dict[str, str]]
     """Write pictures of a summary into a folder: file names and captions."""
+    needs_truth: bool = True
+    """Whether the ground-truth pushes of `CaseSettings.truth_folder` are made before the cases run."""
+    stages: tuple[str, ...] = ("geometry", "physics", "identification")
+    """Packages of the core that a result depends on: after a change there, cases run anew."""
+    once: tuple[str, ...] = ()
+    """Variants that are one case, of the first object and ground truth."""

@@ -28,8 +28,6 @@ Progress = Callable[[str, int, int], None]
 """Told what is under way, and how many of how many are done."""
 
 _CORE = Path(push_ident.__file__).parent
-_STAGES = ("geometry", "physics", "identification")
-"""Of the core that a result depends on."""
 _Calls = list[tuple[Callable[..., Any], tuple[Any, ...]]]
 
 
@@ -54,6 +52,8 @@ class RunOptions:
     """Budget of one solve, as in the paper [s of the processor]."""
     truth: TruthSettings = field(default_factory=TruthSettings)
     noise: CameraNoise = field(default_factory=CameraNoise)
+    recordings: Path = Path("../shared/data")
+    """Of recorded scenes, for the experiments that use them."""
 
     def __post_init__(self) -> None:
         if unknown := [name for name in self.objects if name not in OBJECT_NAMES]:
@@ -77,9 +77,14 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     if unknown := [v for v in options.variants if v not in experiment.variants]:
         raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
     models = [(name, options.seed + i) for i in range(options.n_models) for name in options.objects]
-    cases = [Case(name, model, variant) for name, model in models for variant in options.variants or experiment.variants]
+    cases = [
+        Case(name, model, variant)
+        for name, model in models
+        for variant in options.variants or experiment.variants
+        if variant not in experiment.once or (name, model) == models[0]
+    ]
     settings = CaseSettings(
-        options.truth_folder, Budget(max_seconds=options.max_seconds, processor_time=True), options.truth, options.noise
+        options.truth_folder, Budget(max_seconds=options.max_seconds, processor_time=True), options.truth, options.noise, options.recordings
     )
     folder = options.folder / experiment.name
     # Results of other settings or other code have other names, so that no mean is taken over both.
@@ -87,7 +92,9 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
     missing = [case for case in cases if not files[case].exists()]
     with single_threads(options.jobs) as pool:
-        unmade = [(n, m) for n, m in models if not truth_file(options.truth_folder, n, m, options.truth).exists()]
+        unmade = [
+            (n, m) for n, m in models if experiment.needs_truth and not truth_file(options.truth_folder, n, m, options.truth).exists()
+        ]
         calls: _Calls = [(generate_truth, (options.truth_folder, n, m, options.truth)) for n, m in unmade]
         for done in _finished(pool, calls):
             report("simulating pushes", done, len(calls))
@@ -115,8 +122,10 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
 def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     """Of all that a result depends on but its case: the settings, and the code but for its comments and layout."""
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
+    if experiment.once:
+        values.append({"recordings": str(settings.recordings.resolve())})
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    sources = [_CORE / "types.py", *(path for stage in _STAGES for path in (_CORE / stage).rglob("*.py"))]
+    sources = [_CORE / "types.py", *(path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py"))]
     sources += [Path(module.__file__ or "") for module in (truth, measuring)] + [Path(experiment.run.__code__.co_filename)]
     for path in sorted(sources):
         digest.update(ast.dump(ast.parse(path.read_text(encoding="utf-8"))).encode())

@@ -1,0 +1,77 @@
+"""`push-ident simulate`: a bag of simulated pushes, with effects that the model does not have where they are asked for."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from push_ident.cli.experiment import sim_module
+from push_ident.cli.output import console, write_json
+from push_ident.errors import InputError
+
+__all__ = ["simulate_command"]
+
+
+def simulate_command(
+    out: Annotated[Path | None, typer.Option(metavar="BAG", help="New bag.", show_default=False)] = None,
+    object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE[,VALUE]", help="Effect to inject; may be given again. See --effects.", show_default=False),
+    ] = None,
+    pushes: Annotated[int, typer.Option(help="Number of pushes.")] = 14,
+    model: Annotated[int, typer.Option(help="Ground truth of the object's masses and frictions.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the pushes and of all noise.")] = 0,
+    speed: Annotated[str, typer.Option(metavar="LOW,HIGH", help="Of the pushes [m/s].")] = "0.1,0.2",
+    position_noise: Annotated[float, typer.Option(help="Standard deviation of x and y [m].")] = 0.001,
+    yaw_noise: Annotated[float, typer.Option(help="[rad]")] = round(math.radians(0.5), 5),
+    force_noise: Annotated[float, typer.Option(help="Of each axis [N].")] = 0.05,
+    camera: Annotated[bool, typer.Option("--camera", help="Depth images in place of poses; 15 a second.")] = False,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write masses, frictions and effects here (JSON).", show_default=False)
+    ] = None,
+    effects: Annotated[bool, typer.Option("--effects", help="List the effects and end.")] = False,
+) -> None:
+    """Push an object in the simulated cell and write what is seen of it as a bag."""
+    catalogue = sim_module("push_ident_sim.effects")
+    if effects:
+        for entry in catalogue.EFFECTS.values():
+            sizes = ", ".join(f"{p.name} [{p.unit}] {p.lowest:g} to {p.highest:g}, typical {p.typical:g}" for p in entry.parameters)
+            console.print(f"{entry.name}: {entry.what}\n    {sizes}", highlight=False, markup=False, soft_wrap=True)
+        return
+    if out is None:
+        raise InputError("--out is missing; name the new bag, such as --out out/tilted.")
+    recording, pushing = sim_module("push_ident_sim.recording"), sim_module("push_ident_sim.truth")
+    settings = recording.RecordingSettings(
+        object_name=object_name,
+        model=model,
+        n_pushes=pushes,
+        seed=seed,
+        effects=catalogue.Effects.parse(effect or ()),
+        speed_range=_range(speed),
+        noise=pushing.CameraNoise(
+            position_std=position_noise,
+            yaw_std=yaw_noise,
+            force_std=force_noise,
+            **({"rate": 15.0, "rest": 1.0} if camera else {}),
+        ),
+        camera=camera,
+    )
+    # In a process of its own, where the engine's own lines go nowhere.
+    with console.status("pushing"), sim_module("push_ident_sim.workers").single_threads() as pool:
+        content = pool.submit(recording.record_pushes, out, settings).result()
+    console.print(f"written: {out}; SHA-256 of its truth: {recording.seal(content)}", highlight=False, soft_wrap=True)
+    if truth is not None:
+        write_json(truth, content)
+        console.print(f"written: {truth}", highlight=False, soft_wrap=True)
+
+
+def _range(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--speed is {text!r}, expected LOW,HIGH in m/s such as 0.1,0.2.") from None
+    return low, high

@@ -1,0 +1,122 @@
+"""Where the links of an arm are in space, as one cylinder per solid of its URDF: enough to tell arm from object in a depth image."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from push_ident.errors import InputError
+from push_ident.types import Float64Array
+
+__all__ = ["ArmShape", "Rod"]
+
+_ROOT: Final = "table"
+
+
+@dataclass(frozen=True, slots=True)
+class Rod:
+    """A cylinder with flat ends, in any direction."""
+
+    start: Float64Array
+    """Middle of one end [m], shape (3,)."""
+    end: Float64Array
+    """Middle of the other end [m], shape (3,)."""
+    radius: float
+    """[m]"""
+
+    def moved(self, pose: Float64Array) -> Rod:
+        """The same in the frame in which `pose`, shape (4, 4), places the frame of this one."""
+        return Rod(pose[:3, :3] @ self.start + pose[:3, 3], pose[:3, :3] @ self.end + pose[:3, 3], self.radius)
+
+    @property
+    def lowest(self) -> float:
+        """Height that the whole rod is above [m]."""
+        return float(min(self.start[2], self.end[2])) - self.radius
+
+
+class ArmShape:
+    """All solids of a URDF whose root link is `table`, placed by joint positions.
+
+    Cylinders are themselves, spheres and boxes are the cylinder around them. Meshes are not read: such a link is the piece
+    from its joint to the next one, thickened. Not safe to share between threads.
+    """
+
+    def __init__(self, urdf_xml: str, link_radius: float = 0.1) -> None:
+        """Read the text of a URDF; `link_radius` [m] is that of links given as meshes.
+
+        Raises InputError when it cannot be parsed or has no link `table`.
+        """
+        try:
+            self._model = pin.buildModelFromXML(urdf_xml)
+            links = ET.fromstring(urdf_xml).findall("link")
+        except (ValueError, RuntimeError, ET.ParseError) as error:
+            raise InputError(f"The robot description is not a URDF that can be read: {str(error).strip()}") from None
+        if _ROOT not in [link.get("name") for link in links]:
+            raise InputError(f"The robot description has no link `{_ROOT}`; root it there, so that its poses are in the table frame.")
+        self._data = self._model.createData()
+        self._index = {
+            name: self._model.joints[number].idx_q
+            for number, name in enumerate(self._model.names)
+            if number > 0 and self._model.joints[number].nq == 1
+        }
+        self._rods = [
+            (self._model.getFrameId(link.attrib["name"]), rod)
+            for link in links
+            for collision in link.iter("collision")
+            for rod in self._solid(link.attrib["name"], collision, link_radius)
+        ]
+
+    def at(self, positions: Mapping[str, float]) -> list[Rod]:
+        """The solids in the table frame for joint positions by name [rad]; joints that are not named are at zero."""
+        q = pin.neutral(self._model)
+        for name, value in positions.items():
+            if name in self._index:
+                q[self._index[name]] = value
+        pin.forwardKinematics(self._model, self._data, q)
+        pin.updateFramePlacements(self._model, self._data)
+        return [rod.moved(np.array(self._data.oMf[frame].homogeneous)) for frame, rod in self._rods]
+
+    def _solid(self, link: str, collision: ET.Element, link_radius: float) -> list[Rod]:
+        solid = collision.find("geometry/*")
+        if solid is None:
+            return []
+        origin = collision.find("origin")
+        placed = np.eye(4)
+        if origin is not None:
+            placed[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
+            placed[:3, :3] = pin.rpy.rpyToMatrix(*_numbers(origin.get("rpy", "0 0 0")))
+        if solid.tag == "mesh":
+            return self._between_joints(link, link_radius)
+        if solid.tag == "cylinder":
+            half, radius = 0.5 * float(solid.attrib["length"]), float(solid.attrib["radius"])
+            axis = 2
+        elif solid.tag == "sphere":
+            half = radius = float(solid.attrib["radius"])
+            axis = 2
+        else:
+            edges = _numbers(solid.attrib["size"])
+            axis = int(np.argmax(edges))
+            half, radius = 0.5 * float(edges[axis]), 0.5 * float(np.linalg.norm(np.delete(edges, axis)))
+        direction = half * np.eye(3)[axis]
+        return [Rod(-direction, direction, radius).moved(placed)]
+
+    def _between_joints(self, link: str, radius: float) -> list[Rod]:
+        """From the origin of the link to each of the joints it carries, or about its origin where it carries none."""
+        frame = self._model.frames[self._model.getFrameId(link)]
+        joint, in_link, start = frame.parentJoint, frame.placement.inverse(), np.zeros(3)
+        ends = [np.array(in_link.act(self._model.jointPlacements[child].translation)) for child in self._model.children[joint]]
+        rods = []
+        for end in ends or [start]:
+            length = float(np.linalg.norm(end - start))
+            direction = (end - start) / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+            rods.append(Rod(start - radius * direction, end + radius * direction, radius))
+        return rods
+
+
+def _numbers(text: str) -> Float64Array:
+    return np.array([float(word) for word in text.split()])

@@ -1,0 +1,117 @@
+"""The hand as the executor sees it: is it a closed fist, and close it. A Robotiq 3-finger hand, or none where the tool is fixed."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import time
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+
+from push_ident.errors import InputError
+from push_ident.pushing.hand import BASIC_MODE, CLOSED, HandState
+
+__all__ = ["HAND_KINDS", "FixedTool", "HandPort", "RobotiqHand", "make_hand"]
+
+_STATUS_TOPIC: Final = "Robotiq3FGripper/InputRegisters"
+_COMMAND_TOPIC: Final = "Robotiq3FGripper/OutputRegisters"
+_MESSAGES: Final = {
+    "robotiq_3f": ("robotiq_3f_gripper_ros2_interfaces", "Robotiq3FGripperInputRegisters", "Robotiq3FGripperOutputRegisters"),
+    "simulated": ("push_ident_msgs", "HandStatus", "HandCommand"),
+}
+"""Package, status and command of each kind of driver. Both have the registers of the hand's manual as fields."""
+HAND_KINDS: Final = ("none", *_MESSAGES)
+_REPEAT: Final = 0.2
+"""[s] between two commands while the hand closes: a driver may miss one, and activation comes before closing."""
+_SPEED: Final = 128
+
+
+class HandPort(Protocol):
+    """What the executor needs of a hand."""
+
+    def why_no_fist(self) -> str:
+        """Why the hand is no closed fist now; empty when it is one."""
+        ...
+
+    def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
+        """Activate and close the hand; blocks until it is a fist, `timeout` [s] has passed or `is_over` says so.
+
+        Answers as `why_no_fist`.
+        """
+        ...
+
+
+class FixedTool:
+    """A pusher that cannot open."""
+
+    def why_no_fist(self) -> str:
+        """Always empty."""
+        return ""
+
+    def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
+        """Always empty."""
+        return ""
+
+
+class RobotiqHand:
+    """A Robotiq 3-finger hand behind its Modbus driver: status in, commands out, each with the registers of the manual."""
+
+    def __init__(self, node: Node, kind: str, *, timeout: float, callback_group: CallbackGroup) -> None:
+        """`timeout` [s]: longest silence of the driver, by time of receipt. Raises InputError when its messages are not installed."""
+        package, status, command = _MESSAGES[kind]
+        try:
+            messages = importlib.import_module(f"{package}.msg")
+        except ImportError:
+            raise InputError(
+                f"Parameter hand is {kind}, but the messages of its driver, {package}, cannot be imported; build and source the "
+                "driver's workspace, or set hand to none for a fixed tool."
+            ) from None
+        self._command: Any = getattr(messages, command)
+        self._timeout = timeout
+        self._state: HandState | None = None
+        self._received = -math.inf
+        self._topic = node.resolve_topic_name(_STATUS_TOPIC)
+        self._publisher = node.create_publisher(self._command, _COMMAND_TOPIC, 1)
+        node.create_subscription(getattr(messages, status), _STATUS_TOPIC, self._on_status, 1, callback_group=callback_group)
+
+    def why_no_fist(self) -> str:
+        """As `HandPort`; a silent driver is a reason as well."""
+        if self._state is None:
+            return f"no status of the hand on {self._topic}; is its driver running?"
+        silence = time.monotonic() - self._received
+        if silence > self._timeout:
+            return f"no status of the hand on {self._topic} for {silence:.1f} s, limit {self._timeout:.1f} s"
+        return self._state.why_no_fist
+
+    def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
+        """As `HandPort`."""
+        deadline = time.monotonic() + timeout
+        while (reason := self.why_no_fist()) and time.monotonic() < deadline and not is_over():
+            is_active = self._state is not None and self._state.activated
+            self._publisher.publish(
+                self._command(
+                    r_act=1, r_mod=BASIC_MODE, r_gto=int(is_active), r_atr=0, r_pra=CLOSED if is_active else 0, r_spa=_SPEED, r_fra=0
+                )
+            )
+            time.sleep(_REPEAT)
+        return reason
+
+    def _on_status(self, msg: Any) -> None:
+        self._received = time.monotonic()
+        self._state = HandState(
+            activated=msg.g_act == 1,
+            mode=int(msg.g_mod),
+            going=msg.g_gto == 1,
+            readiness=int(msg.g_imc),
+            motion=int(msg.g_sta),
+            fault=int(msg.g_flt),
+            request=int(msg.g_pra),
+        )
+
+
+def make_hand(node: Node, kind: str, *, timeout: float, callback_group: CallbackGroup) -> HandPort:
+    """The hand of a kind, one of `HAND_KINDS`; arguments and errors as those of `RobotiqHand`."""
+    return FixedTool() if kind == "none" else RobotiqHand(node, kind, timeout=timeout, callback_group=callback_group)

@@ -1,0 +1,232 @@
+"""Extrinsics of the camera from what it sees: the plane of the table and a mark of known shape that lies at a known place on it.
+
+The plane gives tilt and height of the camera, three of its six coordinates, as well as thousands of pixels can. The mark gives the other
+three, place and heading on the table. It is a flat-topped block, 20 mm high or more, whose outline looks different in every heading, such
+as a right triangle or an L: a depth camera sees its edges in every light, needs no colour image that is aligned with the depth, and its
+height is known as well, which tells an error of scale. A printed mark would need all that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.errors import InputError, PerceptionError
+from push_ident.geometry.outline import cells_in_outline, points_in_polygon, polygon_area, signed_distance
+from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
+from push_ident.perception.depth import points_in_table
+from push_ident.perception.labels import label_pixels
+from push_ident.perception.segments import Segment, find_segments
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.shape import SeenObject, mean_depth, see_object
+from push_ident.perception.tracking import PoseFit, Template, TrackStatus, relocate
+from push_ident.types import DepthFrame, Float64Array, ObjectShape
+
+__all__ = ["Calibration", "Mark", "calibrate", "camera_over_table", "table_extent"]
+
+_STRIDE: Final = 4
+_HYPOTHESES: Final = 300
+_MIN_SHARE: Final = 0.15
+"""Of all points that must lie on the plane of the table."""
+_DIFFERENT: Final = 0.004
+"""Mean distance by which a turned mark must differ from itself [m]: below, its heading is open."""
+_AREA: Final = (0.6, 1.6)
+"""Range of the area of a segment, in areas of the mark, that may be the mark."""
+_MAX_RESIDUAL: Final = 0.003
+"""Larger distances between seen and known outline mean that something else was taken for the mark [m]."""
+_MAX_HEIGHT_ERROR: Final = 0.006
+"""[m]"""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """The block: its outline in its own frame, its height, and where it lies."""
+
+    outline: Float64Array
+    """Corners [m], shape (n, 2), frame of the mark."""
+    height: float
+    """[m]"""
+    pose_mark_in_table: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(x, y, yaw) [m, m, rad]."""
+
+    def __post_init__(self) -> None:
+        outline = np.array(self.outline, dtype=np.float64)
+        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3 or not np.isfinite(outline).all():
+            raise InputError(f"The outline of the mark has shape {outline.shape}, expected at least three finite corners (n, 2) in metres.")
+        if not self.height >= 0.02:
+            raise InputError(f"The mark is {self.height} m high, expected 0.02 m or more: lower edges drown in the noise of the camera.")
+        outline = outline if polygon_area(outline) > 0 else outline[::-1]
+        middle = outline.mean(axis=0)
+        edge = _dense(outline, 200) - middle
+        different = [
+            float(np.mean(np.abs(signed_distance(edge @ rotation(turn).T, outline - middle)))) for turn in np.linspace(0.35, np.pi, 33)
+        ]
+        if min(different) < _DIFFERENT:
+            raise InputError(
+                f"The mark looks the same within {min(different) * 1e3:.1f} mm when it is turned, so its heading stays open; "
+                "take an outline without symmetry, such as a right triangle or an L."
+            )
+        outline.setflags(write=False)
+        object.__setattr__(self, "outline", outline)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Extrinsics, and how well they explain what was seen."""
+
+    camera_in_table: Float64Array
+    """Optical frame in the table frame, homogeneous, shape (4, 4)."""
+    plane_noise: float
+    """Standard deviation of the table about its plane, in the mean of the frames [m]."""
+    outline_residual: float
+    """Root mean square distance of the mark's outline as seen from its known outline [m]."""
+    height_error: float
+    """Seen minus known height of the mark [m]: an error of scale, or of the plane."""
+    covariance: Float64Array
+    """Of (x, y, yaw) of the mark, shape (3, 3)."""
+    n_frames: int
+
+
+def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -> tuple[Float64Array, float, float]:
+    """Camera pose over the largest plane in view, with nothing known before: z is up, the origin lies under the middle of that plane.
+
+    Args:
+        frame: Best the mean of several.
+        tilt_limit: Largest angle between the line of sight and the plane's normal [rad]; leaves out walls.
+
+    Returns:
+        Optical frame in a frame of the plane, shape (4, 4); noise about the plane [m]; share of the points on it.
+
+    Raises:
+        PerceptionError: Nothing valid, or no plane that holds enough of it.
+    """
+    points = points_in_table(frame, np.eye(4))[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
+    points = points[np.isfinite(points[:, 2])]
+    if len(points) < 200:
+        raise PerceptionError(f"Depth image has {len(points) * _STRIDE**2} valid of {frame.depth.size} pixels; check the camera.")
+    normal, offset = _largest_plane(points, np.cos(tilt_limit))
+    # Noise grows with the square of the depth, so near points weigh more.
+    weight = 1.0 / points[:, 2] ** 2
+    noise, inliers = 0.01, np.abs(points @ normal - offset) < 0.02
+    for _ in range(6):
+        if np.count_nonzero(inliers) < _MIN_SHARE * len(points):
+            break
+        near, w = points[inliers], weight[inliers, None]
+        middle = np.sum(near * w**2, axis=0) / np.sum(w**2)
+        normal = np.linalg.svd((near - middle) * w, full_matrices=False)[2][2]
+        offset = float(normal @ middle)
+        distance = points @ normal - offset
+        noise = 1.4826 * float(np.median(np.abs(distance[inliers])))
+        inliers = np.abs(distance) < 3.0 * max(noise, 3e-4)
+    share = float(np.mean(inliers))
+    if share < _MIN_SHARE:
+        raise PerceptionError(f"{share:.0%} of {len(points)} points lie on one plane, expected {_MIN_SHARE:.0%}; show more of the table.")
+    if offset > 0:
+        normal, offset = -normal, -offset
+    origin = np.median(points[inliers], axis=0)
+    origin -= (origin @ normal - offset) * normal
+    x_axis = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    x_axis /= np.linalg.norm(x_axis)
+    table_in_camera = np.eye(4)
+    table_in_camera[:3, :3] = np.column_stack([x_axis, np.cross(normal, x_axis), normal])
+    table_in_camera[:3, 3] = origin
+    return np.asarray(np.linalg.inv(table_in_camera), dtype=np.float64), max(noise, 1e-4), share
+
+
+def table_extent(frame: DepthFrame, camera_in_table: Float64Array, noise: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Low and high corner [m] of the box that holds all but the outermost hundredth of the plane's points."""
+    points = points_in_table(frame, camera_in_table)[::_STRIDE, ::_STRIDE].reshape(-1, 3)
+    with np.errstate(invalid="ignore"):
+        flat = points[np.abs(points[:, 2]) < 4.0 * noise, :2].astype(np.float64)
+    low, high = np.quantile(flat, [0.005, 0.995], axis=0)
+    return (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
+
+
+def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
+    """Extrinsics from frames at rest in which the mark lies on the table in full view; other things may lie there as well.
+
+    Raises:
+        PerceptionError: No table, no segment of the mark's size, or a fit whose residual is too large; the text gives the counts.
+    """
+    if not frames:
+        raise PerceptionError("There are no depth frames to calibrate from; start the camera.")
+    depth = mean_depth(frames)
+    frame = DepthFrame(frames[-1].stamp, depth, frames[-1].intrinsics, frames[-1].frame_id)
+    camera, noise, _ = camera_over_table(frame)
+    low, high = table_extent(frame, camera, noise)
+    settings = PerceptionSettings(
+        workspace_low=low, workspace_high=high, min_object_height=max(0.35 * mark.height, 0.008), max_object_height=3.0 * mark.height
+    )
+    points = points_in_table(frame, camera)
+    segments, counts = find_segments(frame, points, label_pixels(points, (), settings), settings)
+    area = polygon_area(mark.outline)
+    similar = [segment for segment in segments if segment.whole and _AREA[0] * area < segment.area < _AREA[1] * area]
+    if not similar:
+        raise PerceptionError(
+            f"None of {counts['segments']} segments on the table is whole and of the area of the mark, {area * 1e4:.0f} cm^2 "
+            f"(they have {', '.join(f'{s.area * 1e4:.0f}' for s in segments[:5]) or 'none'}); show all of the mark."
+        )
+    centroid = transform_points(inverse([*mark.outline.mean(axis=0), 0.0]), mark.outline)
+    template = Template(_as_seen(centroid, mark.height))
+    fitted = [_fit(template, frame, camera, segment, noise) for segment in similar]
+    fit, residual, height = min(fitted, key=lambda found: (found[0].status is not TrackStatus.TRACKED, found[1]))
+    if fit.status is not TrackStatus.TRACKED or residual > _MAX_RESIDUAL or abs(height - mark.height) > _MAX_HEIGHT_ERROR:
+        raise PerceptionError(
+            f"What looks most like the mark differs from it by {residual * 1e3:.1f} mm in outline and "
+            f"{(height - mark.height) * 1e3:.1f} mm in height ({fit.status.value}), expected at most {_MAX_RESIDUAL * 1e3:.0f} and "
+            f"{_MAX_HEIGHT_ERROR * 1e3:.0f} mm; check its measures."
+        )
+    pose_mark_in_plane = compose(fit.pose, inverse([*mark.outline.mean(axis=0), 0.0]))
+    x, y, yaw = compose(mark.pose_mark_in_table, inverse(pose_mark_in_plane))
+    plane_in_table = np.eye(4)
+    plane_in_table[:2, :2] = rotation(yaw)
+    plane_in_table[:2, 3] = x, y
+    return Calibration(plane_in_table @ camera, noise, residual, height - mark.height, fit.covariance, len(frames))
+
+
+def _largest_plane(points: Float64Array, least_cosine: float) -> tuple[Float64Array, float]:
+    """Normal and offset of the plane through three points that has most others within 1 % of their depth."""
+    rng = np.random.default_rng(0)
+    scored = points[rng.integers(len(points), size=min(len(points), 3000))]
+    best, best_count = (np.array([0.0, 0.0, -1.0]), -1.0), -1
+    for triple in points[rng.integers(len(points), size=(_HYPOTHESES, 3))]:
+        normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
+        length = float(np.linalg.norm(normal))
+        if length < 1e-4 or abs(normal[2]) < least_cosine * length:
+            continue
+        normal /= length
+        offset = float(normal @ triple[0])
+        count = int(np.count_nonzero(np.abs(scored @ normal - offset) < 0.01 * scored[:, 2]))
+        if count > best_count:
+            best, best_count = (normal, offset), count
+    return best
+
+
+def _as_seen(outline: Float64Array, height: float) -> SeenObject:
+    """The mark as an object of even height, for the tracker."""
+    shape = ObjectShape(cells_in_outline(outline, float(np.sqrt(polygon_area(outline) / 50))), outline)
+    return SeenObject(shape, np.zeros(3), np.full((1, 1), height, dtype=np.float32), np.zeros(2), 1.0)
+
+
+def _fit(template: Template, frame: DepthFrame, camera: Float64Array, segment: Segment, noise: float) -> tuple[PoseFit, float, float]:
+    """Pose of the mark at the segment, the residual of its outline [m], and the height seen [m]."""
+    fit = relocate(template, frame, camera, segment.centre)
+    if fit.status is not TrackStatus.TRACKED:
+        return fit, np.inf, np.inf
+    outline = transform_points(fit.pose, template.outline)
+    seen = see_object(frame.depth, frame.intrinsics, camera, segment, noise=noise, min_height=0.008, cell_count=50)
+    edge = _dense(seen.shape.outline + seen.pose[:2], 30)
+    residual = float(np.sqrt(np.mean(np.square(signed_distance(edge, outline)))))
+    points = points_in_table(frame, camera)[segment.rows, segment.columns][segment.mask]
+    top: NDArray[np.float32] = points[points_in_polygon(points[:, :2], outline), 2]
+    return fit, residual, float(np.median(top[top > 0.5 * template.top_range[1]]))
+
+
+def _dense(polygon: Float64Array, n_per_edge: int) -> Float64Array:
+    """Points along the edges, shape (n_edges * n_per_edge, 2)."""
+    share = np.linspace(0.0, 1.0, n_per_edge, endpoint=False)[:, None]
+    return (polygon[:, None] + share * (np.roll(polygon, -1, axis=0) - polygon)[:, None]).reshape(-1, 2)

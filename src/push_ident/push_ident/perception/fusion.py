@@ -1,0 +1,193 @@
+"""The outline once more, as the tracker sees it: every edge moved to where the lines of sight of one or several views have it.
+
+Tracing (`shape`) finds form and corners from one view; its edges are a few tenths of a millimetre off, differently on the near and the
+far side. Here each edge gets one number, its offset along its normal, from the same comparison of stopped and passing lines of sight
+that gives the poses. Views of the object in other poses, or of a second camera, simply add their lines of sight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError, PerceptionError
+from push_ident.geometry.outline import cells_in_outline, polygon_area
+from push_ident.geometry.se2 import transform_points
+from push_ident.perception.labels import RobotPart
+from push_ident.perception.shape import SeenObject, centroid
+from push_ident.perception.straighten import straighten
+from push_ident.perception.tracking import Template, TrackStatus, fit_pose, lines_of_sight
+from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
+
+__all__ = ["View", "fuse_views"]
+
+_BAND: Final = 0.005
+"""Lines of sight this near to an edge are used [m]."""
+_WIDTH: Final = 0.0015
+"""Of the step from stopped to passing [m], as in the tracker."""
+_CORNER: Final = 0.004
+"""Lines of sight this near to the end of an edge are left out, as both edges of a corner matter to them [m]."""
+_PRIOR: Final = 0.001
+"""Standard deviation of the offset of an edge before any view [m]."""
+_MISFIT: Final = 0.05
+"""Variance of stopped or not against expected, near an edge."""
+_LARGEST: Final = 0.003
+"""Offset of an edge, all passes together [m]."""
+_ALIKE: Final = 0.35
+"""Neighbouring edges that differ in heading by less than this belong to one curve and share what is seen [rad]."""
+_REACH: Final = 0.008
+"""How far along such a curve [m]."""
+_LEAST_SINE2: Final = 0.12
+"""Squared sine of the angle between two edges below which they have no corner of use."""
+_PASSES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One sight of the object at rest."""
+
+    frame: DepthFrame
+    """Best the mean of several."""
+    camera_in_table: Float64Array
+    """Shape (4, 4)."""
+    pose: Float64Array
+    """(x, y, yaw) of the object in `table`, to within about a centimetre and ten degrees."""
+    robot: Sequence[RobotPart] = ()
+
+
+def fuse_views(seen: SeenObject, views: Sequence[View], *, pose_known: bool = False) -> SeenObject:
+    """Outline and cells that fit all views best.
+
+    The object frame stays where it was unless the centroid of the outline moves; then it follows, and `seen.pose` with it.
+
+    Args:
+        seen: The object from one view.
+        views: All views, that one included.
+        pose_known: Whether the first view is the one the object was traced in, whose pose holds as it stands.
+
+    Raises:
+        InputError: There are no views.
+        PerceptionError: The object is found in none of them.
+    """
+    if not views:
+        raise InputError("There are no views to fuse, expected at least the one in which the object was first seen.")
+    moved = np.zeros(len(seen.shape.outline))
+    outline = np.array(seen.shape.outline)
+    for _ in range(_PASSES):
+        template = Template(replace(seen, shape=ObjectShape(seen.shape.cells, outline)))
+        gradient, curvature = np.zeros(len(outline)), np.full(len(outline), _MISFIT / _PRIOR**2)
+        n_found = 0
+        for number, view in enumerate(views):
+            pose = view.pose
+            if not (pose_known and number == 0):
+                fit = fit_pose(template, view.frame, view.camera_in_table, view.pose, robot=view.robot)
+                if fit.status is not TrackStatus.TRACKED:
+                    continue
+                pose = fit.pose
+            n_found += 1
+            g, c = _pull(template, outline, view, pose)
+            gradient += g
+            curvature += c
+        if n_found == 0:
+            raise PerceptionError(f"The object is found in none of {len(views)} views; give poses near the true ones.")
+        shared = _alike(outline)
+        step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -_LARGEST, _LARGEST) - moved
+        outline, moved = _without_reversed(outline, _with_edges_moved(outline, step), moved + step)
+    straight = straighten(_dense(outline))
+    outline = straight if len(straight) >= 3 else outline
+    x, y = centroid(outline)
+    shape = ObjectShape(cells_in_outline(outline - (x, y), seen.shape.cells.size), outline - (x, y))
+    return replace(seen, shape=shape, pose=_shifted_frame(seen.pose, (x, y)), top_origin=seen.top_origin - (x, y))
+
+
+def _pull(template: Template, outline: Float64Array, view: View, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Gradient and curvature of the misfit by the offset of each edge, shapes (n_edges,)."""
+    lines = lines_of_sight(template, view.frame, view.camera_in_table, pose, _BAND, 1, view.robot)
+    gradient, curvature = np.zeros(len(outline)), np.zeros(len(outline))
+    if lines is None:
+        return gradient, curvature
+    points = lines.deciding(template, pose)
+    distance, _ = template.distance(points)
+    expected = 1.0 / (1.0 + np.exp(np.clip(distance / _WIDTH, -30.0, 30.0)))
+    slope = expected * (1.0 - expected) / _WIDTH
+    edge, clear = _nearest_edge(points, outline)
+    clear &= np.abs(distance) < _BAND
+    np.add.at(gradient, edge[clear], (slope * (lines.stopped - expected))[clear])
+    np.add.at(curvature, edge[clear], np.square(slope[clear]))
+    return gradient, curvature
+
+
+def _nearest_edge(points: Float64Array, outline: Float64Array) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], BoolArray]:
+    """Index of the edge next to each point, and whether the point is clear of the corners of a long edge."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    length = np.linalg.norm(edge, axis=1)
+    from_start = points[:, None] - outline
+    along = np.sum(from_start * edge, axis=2) / length
+    foot = np.clip(along, 0.0, length)
+    distance = np.linalg.norm(from_start - foot[..., None] * (edge / length[:, None]), axis=2)
+    index = np.argmin(distance, axis=1)
+    way, own = along[np.arange(len(points)), index], length[index]
+    # An edge of a curve has no corners of its own.
+    margin = np.minimum(_CORNER, 0.25 * own)
+    return index, (way > margin) & (way < own - margin)
+
+
+def _alike(outline: Float64Array) -> Float64Array:
+    """Which edges share what is seen of them, shape (n_edges, n_edges): pieces of one curve that are near to each other."""
+    n = len(outline)
+    edge = np.roll(outline, -1, axis=0) - outline
+    length, heading = np.linalg.norm(edge, axis=1), np.arctan2(edge[:, 1], edge[:, 0])
+    shared = np.eye(n)
+    for i in range(n):
+        for step in (1, -1):
+            j, way = i, 0.0
+            while True:
+                j = (j + step) % n
+                turned = abs((heading[j] - heading[i] + np.pi) % (2 * np.pi) - np.pi)
+                if j == i or turned > _ALIKE or way > _REACH:
+                    break
+                shared[i, j] = 1.0
+                way += length[j]
+    return shared
+
+
+def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:
+    """Every edge moved outwards by its offset; corners where the moved edges meet."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    normal = normal if polygon_area(outline) > 0 else -normal
+    before, offset_before = np.roll(normal, 1, axis=0), np.roll(offset, 1)
+    cosine = np.sum(normal * before, axis=1)
+    mean = 0.5 * (offset + offset_before)[:, None] * (normal + before) / np.maximum(1.0 + cosine, 0.5)[:, None]
+    # Nearly parallel edges meet nowhere useful; there the corner moves by the mean.
+    sine2 = np.maximum(1.0 - cosine**2, _LEAST_SINE2)
+    a, b = (offset_before - cosine * offset) / sine2, (offset - cosine * offset_before) / sine2
+    meeting = a[:, None] * before + b[:, None] * normal
+    return outline + np.where((1.0 - cosine**2 > _LEAST_SINE2)[:, None], meeting, mean)
+
+
+def _without_reversed(before: Float64Array, after: Float64Array, moved: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """The moved outline and the offsets of its edges, without the short edges that the moves of their neighbours turned round."""
+    kept = np.sum((np.roll(after, -1, axis=0) - after) * (np.roll(before, -1, axis=0) - before), axis=1) > 0
+    if np.count_nonzero(kept) < 3:
+        return before, np.zeros(len(before))
+    # Both ends of a dropped edge become one corner, in their middle.
+    merged = np.where(kept[:, None], after, 0.5 * (after + np.roll(after, -1, axis=0)))
+    corner = np.where(np.roll(kept, 1)[:, None], after, np.roll(merged, 1, axis=0))
+    return corner[kept], moved[kept]
+
+
+def _dense(outline: Float64Array) -> Float64Array:
+    """Points along the outline, a quarter of a millimetre apart, as a traced contour has them."""
+    ends = np.roll(outline, -1, axis=0)
+    counts = np.maximum(np.linalg.norm(ends - outline, axis=1) / 2.5e-4, 1.0).astype(np.int64)
+    return np.concatenate(
+        [a + np.linspace(0.0, 1.0, n, endpoint=False)[:, None] * (b - a) for a, b, n in zip(outline, ends, counts, strict=True)]
+    )
+
+
+def _shifted_frame(pose: Float64Array, origin: tuple[float, float]) -> Float64Array:
+    return np.array([*transform_points(pose, [origin])[0], pose[2]])

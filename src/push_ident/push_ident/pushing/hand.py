@@ -1,0 +1,61 @@
+"""When a Robotiq 3-finger hand is a closed fist, by the registers of its manual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+__all__ = ["BASIC_MODE", "CLOSED", "HandState", "HandMotion"]
+
+CLOSED: Final = 255
+"""Position of closed fingers; 0 is open."""
+BASIC_MODE: Final = 0
+"""Grasping mode in which three fingers close to a fist."""
+_READY: Final = 3
+"""Activation and change of mode are complete (gIMC)."""
+_MIN_REQUEST: Final = 240
+"""Requests below leave the fist open."""
+
+
+class HandMotion(IntEnum):
+    """What the fingers do (gSTA). Closing without an object, they stop at each other, before or at the requested position."""
+
+    MOVING = 0
+    SOME_STOPPED = 1
+    ALL_STOPPED = 2
+    ARRIVED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class HandState:
+    """One status of the hand."""
+
+    activated: bool
+    mode: int
+    """Grasping mode: 0 basic, 1 pinch, 2 wide, 3 scissor."""
+    going: bool
+    """The hand acts on the requested position."""
+    readiness: int
+    """0 reset, 1 activating, 2 changing mode, 3 ready."""
+    motion: int
+    """A `HandMotion`."""
+    fault: int
+    """0: none."""
+    request: int
+    """Requested position, 0 open to 255 closed."""
+
+    @property
+    def why_no_fist(self) -> str:
+        """Why the hand is no closed fist; empty when it is one."""
+        if self.fault:
+            return f"the hand reports fault 0x{self.fault:02X}; reset it"
+        if not self.activated or self.readiness != _READY:
+            return "the hand is not activated; call close_hand"
+        if self.mode != BASIC_MODE:
+            return f"the hand is in grasping mode {self.mode}, expected basic mode ({BASIC_MODE}); call close_hand"
+        if not self.going or self.request < _MIN_REQUEST:
+            return f"the hand is open (requested position {self.request} of {CLOSED}); call close_hand"
+        if self.motion == HandMotion.MOVING:
+            return "the fingers are moving"
+        return ""
