@@ -231,6 +231,8 @@ class PushRecord:
     wrench: WrenchTrack | None = None
     source: str = ""
     """Where it came from (bag and push number), for messages and reports."""
+    order: int = 0
+    """How many pushes of the object went before it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,7 @@ def load_pushes(
         object_id = object_id or chosen
         records += split_pushes(contents, chosen)
         notes += [f"{path.name}: {note}" for note in contents.notes]
+    records = [replace(record, order=order) for order, record in enumerate(records)]
     first = records[0]
     for record in records:
         if not np.array_equal(record.shape.cells.centres, first.shape.cells.centres):

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from push_ident.identification.result import ModelPosterior
-from push_ident.physics.rollout import PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
+from push_ident.physics.rollout import PARAM_CENTRE, PARAM_INERTIA, PARAM_MU
 from push_ident.physics.simulation import GRAVITY
 from push_ident.types import Float64Array
 
@@ -85,9 +85,10 @@ class Identifiability:
 def identifiability(posterior: ModelPosterior) -> Identifiability:
     """Compare a posterior with its prior, both linearised at the posterior's mean."""
     parameters, z, covariance = posterior.parameters, posterior.z, posterior.covariance
-    body, _, d_body = parameters.body(z)
+    mechanics = parameters.mechanics(z)
+    body, d_body = mechanics.body, mechanics.derivative
     n = parameters.n_modes
-    d_limit, total = d_body[PARAM_LIMIT:], float(body.limit.sum())
+    d_limit, total = mechanics.limit_derivative, float(body.limit.sum())
     arms = parameters.shape.cells.centres - posterior.model.centre_of_friction
     friction_rows = arms.T @ d_limit / total
     gyration = float(np.sqrt(body.inertia / body.mass))

@@ -54,6 +54,7 @@ def identify(
     seed: int = 0,
     starts: Sequence[Float64Array] = (),
     past: Summary | None = None,
+    effects: Sequence[str] = (),
     max_iterations: int = MAX_ITERATIONS,
     on_progress: Progress | None = None,
 ) -> Identification:
@@ -69,6 +70,7 @@ def identify(
         seed: of the solvers that draw at random.
         starts: `starts` of an earlier result of the same method for the first of these pushes.
         past: earlier pushes, summed up; for `gauss_newton` alone.
+        effects: names of effects (`physics/effects/`) that are fitted with the maps; for `gauss_newton` alone.
         max_iterations: of `gauss_newton`.
         on_progress: told of every better point.
 
@@ -76,12 +78,14 @@ def identify(
         The result; look at its `status` before its numbers.
 
     Raises:
-        InputError: no push, pushes of different objects, or an unknown method.
+        InputError: no push, pushes of different objects, an unknown method or effect, or effects with a method that fits none.
     """
     if method not in SOLVERS:
         raise InputError(f"There is no method `{method}`; choose one of {', '.join(SOLVERS)}.")
     if not records:
         raise InputError("There is no push to learn from; give at least one push record.")
+    if effects and method != "gauss_newton":
+        raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take gauss_newton.")
     prior = prior or Prior()
     shape = records[0].shape
     meter = Meter(budget, on_progress)
@@ -98,6 +102,7 @@ def identify(
             x_scalar=x_scalar,
             warm_starts=starts,
             past=past,
+            effects=effects,
             max_iterations=max_iterations,
         )
     else:
@@ -105,9 +110,9 @@ def identify(
         fit = _fit_cell_by_cell(records, prior, method, noise, settings, meter, np.random.default_rng(seed), starts)
     posterior, status = fit.posterior, fit.status
     if status is SolveStatus.SIMULATION_FAILED:
-        posterior = prior_posterior(shape, prior)
+        posterior = prior_posterior(shape, prior, MapParameters(shape, prior, effects=effects))
     elif not any(o.touched for o in fit.problem.observations):
-        posterior, status = prior_posterior(shape, prior), SolveStatus.NO_CONTACT
+        posterior, status = prior_posterior(shape, prior, MapParameters(shape, prior, effects=effects)), SolveStatus.NO_CONTACT
     else:
         posterior = with_measured_forces(posterior, fit.problem, fit.x, past.log_forces.tolist() if past else ())
     return Identification(

@@ -97,6 +97,7 @@ def fit_maps(
     x_scalar: Float64Array,
     warm_starts: Sequence[Float64Array] = (),
     past: Summary | None = None,
+    effects: Sequence[str] = (),
     max_iterations: int = MAX_ITERATIONS,
 ) -> MapFit:
     """Fit the maps under every amplitude that the pushes leave possible, and average.
@@ -110,13 +111,14 @@ def fit_maps(
         x_scalar: unknowns without maps: friction scale, pusher friction and first poses, shape (2 + 3 n_records,).
         warm_starts: `starts` of an earlier fit of fewer or as many pushes.
         past: pushes before these, summed up.
+        effects: names of effects that are fitted too.
         max_iterations: of each amplitude.
     """
-    parameters = MapParameters(records[0].shape, prior, modes=past.modes if past else None)
+    parameters = MapParameters(records[0].shape, prior, modes=past.modes if past else None, effects=effects)
     fits: list[_Fit] = []
     for i, amplitude in enumerate(_AMPLITUDES):
         own_prior = replace(prior, mass_map_std=amplitude * prior.mass_map_std, friction_map_std=amplitude * prior.friction_map_std)
-        own = MapParameters(records[0].shape, own_prior, modes=parameters.modes)
+        own = MapParameters(records[0].shape, own_prior, modes=parameters.modes, effects=effects)
         own_past = past.cost.scaled(own.unit(amplitude)) if past else None
         problem = FitProblem(records, own, noise=noise, settings=settings, meter=meter, past=own_past)
         x0 = np.zeros(problem.size)

@@ -41,6 +41,10 @@ class ModelContent(BaseModel):
     prior: dict[str, float]
     modes: list[list[float]]
     """Of the maps, one row a cell. Kept, since eigenvectors differ between machines."""
+    effects: list[str] = []
+    """Names of the effects that act beside the maps."""
+    effect_values: list[float] = []
+    """Of their parameters, as `z` has them too."""
     z: list[float]
     covariance: list[list[float]]
     total_mass: float
@@ -65,6 +69,8 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         outline=[(float(x), float(y)) for x, y in shape.outline],
         prior=asdict(posterior.prior),
         modes=posterior.parameters.modes.tolist(),
+        effects=list(posterior.effects.names),
+        effect_values=posterior.effects.values.tolist(),
         z=posterior.z.tolist(),
         covariance=posterior.covariance.tolist(),
         total_mass=posterior.total_mass.value,
@@ -114,7 +120,7 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:
         shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline))
-        parameters = MapParameters(shape, prior_of(content.prior), modes=np.array(content.modes))
+        parameters = MapParameters(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
     except (InputError, ValueError) as error:
         raise ModelFileError(f"{path} does not describe an object: {error}") from None
     z, covariance = np.array(content.z), np.array(content.covariance)

@@ -30,7 +30,7 @@ from push_ident.identification.observation import NoiseModel, Observation, obser
 from push_ident.identification.parameters import MapParameters
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.rollout import PARAM_MASS
-from push_ident.physics.simulation import SimulationSettings, simulate_body
+from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
@@ -244,9 +244,9 @@ def _imagined(
 ) -> tuple[PushRecord | None, SolveStatus]:
     """The push as it would be recorded if the mean model were true; no record where there would be nothing to see."""
     parameters, pusher = posterior.parameters, push.pusher
-    body, pusher_friction, _ = parameters.body(posterior.z)
+    mechanics = parameters.mechanics(posterior.z)
     time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
-    motion = simulate_body(parameters.shape, body, pusher_friction, pusher, push.pose_object_in_table, time, settings=settings)
+    motion = mechanics.simulate(pusher, push.pose_object_in_table, time, settings=settings)
     if motion.status is not SolveStatus.CONVERGED:
         return None, motion.status
     poses = PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3)))
@@ -257,10 +257,8 @@ def _sensitivity(
     parameters: MapParameters, z: Float64Array, push: PlannedPush, seen: Observation, settings: SimulationSettings
 ) -> Float64Array:
     """Rows G with H = G' G: how whitened frames depend on z beyond what another first pose would explain, shape (n_rows, n_unknowns)."""
-    body, pusher_friction, d_body = parameters.body(z)
-    motion = simulate_body(
-        parameters.shape, body, pusher_friction, push.pusher, push.pose_object_in_table, seen.time, settings=settings, jacobian=True
-    )
+    mechanics = parameters.mechanics(z)
+    motion = mechanics.simulate(push.pusher, push.pose_object_in_table, seen.time, settings=settings, jacobian=True)
     nothing = np.zeros((0, len(z)))
     if motion.status is SolveStatus.SIMULATION_FAILED:
         return nothing
@@ -269,7 +267,7 @@ def _sensitivity(
     in_deviations = by_first @ np.linalg.cholesky(seen.first_covariance)
     if np.sum(in_deviations**2) > _CHATTER**2 * len(seen.time):
         return nothing
-    by_z = (whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]).reshape(-1, len(z))
+    by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, len(z))
     explained, _ = np.linalg.qr(by_first)
     return np.asarray(by_z - explained @ (explained.T @ by_z))
 
@@ -278,26 +276,17 @@ def _reference_rows(
     parameters: MapParameters, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings
 ) -> Float64Array:
     """d(cell displacement at the end) / dz of the reference pushes that move the object of `z`, shape (n_moved, 3, n_unknowns)."""
-    body, pusher_friction, d_body = parameters.body(z)
+    mechanics = parameters.mechanics(z)
     cells = parameters.shape.cells
     rows = []
     for push in reference:
-        motion = simulate_body(
-            parameters.shape,
-            body,
-            pusher_friction,
-            push.pusher,
-            push.pose_object_in_table,
-            push.pusher.time[-1:],
-            settings=settings,
-            jacobian=True,
-        )
+        motion = mechanics.simulate(push.pusher, push.pose_object_in_table, push.pusher.time[-1:], settings=settings, jacobian=True)
         if motion.status is not SolveStatus.CONVERGED:
             continue
         by_body = _displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
         by_first = np.linalg.solve(_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
         if np.linalg.norm(by_first, 2) < _CHATTER:
-            rows.append(by_body[:, PARAM_MASS:] @ d_body[PARAM_MASS:])
+            rows.append(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])
     return np.array(rows)
 
 

@@ -10,21 +10,26 @@ Gaussian process over the object (Matern 3/2). In the coordinates `z` of its lea
 The scale s is that of the friction of the whole object, mu_0 exp(s) M g, whatever the maps: a heavy end that also rubs more must not
 look like more friction on the whole.
 
+Effects that the base model leaves out (`physics/effects/`) may be unknowns too: each parameter is its nominal value plus z_e times the
+scale of its prior.
+
 Scaling M scales every force and leaves every motion as it is, so M is no unknown here: see `posterior`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
-from push_ident.physics.simulation import BodyParameters, body_of_cells
-from push_ident.types import Float64Array, ObjectModel, ObjectShape
+from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
 
-__all__ = ["MapParameters", "Prior"]
+__all__ = ["MapParameters", "Mechanics", "Prior"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,21 +68,73 @@ class Prior:
                 raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
 
 
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """What moves, and how, for given unknowns."""
+
+    shape: ObjectShape
+    body: BodyParameters
+    pusher_friction: float
+    effects: EffectValues
+    derivative: Float64Array
+    """d(body parameters, limits of the cells, values of the effects) / dz, shape (8 + n_cells + n_values, size), rows as the columns of
+    `Motion.jacobian`."""
+
+    @property
+    def limit_derivative(self) -> Float64Array:
+        """The rows of the cells' friction limits, shape (n_cells, size)."""
+        return self.derivative[PARAM_LIMIT : PARAM_LIMIT + len(self.shape.cells)]
+
+    def simulate(
+        self,
+        pusher: PusherPath,
+        pose_object_in_table: Float64Array,
+        time: Float64Array,
+        *,
+        settings: SimulationSettings | None = None,
+        order: float = 0.0,
+        jacobian: bool = False,
+    ) -> Motion:
+        """As `simulate_body`."""
+        return simulate_body(
+            self.shape,
+            self.body,
+            self.pusher_friction,
+            pusher,
+            pose_object_in_table,
+            time,
+            settings=settings,
+            effects=self.effects,
+            order=order,
+            jacobian=jacobian,
+        )
+
+
 class MapParameters:
-    """The unknowns `z` of one object.
+    """The unknowns `z` of one object: those of the mass map, of the friction map, of the effects, friction scale, pusher friction.
 
     Args:
         shape: its cells.
         prior: beliefs.
         maps: False leaves equal cells and only the scales free (the `scalar` model).
         modes: of a map, where they are known already (from a file), shape (n_cells, n_modes).
+        effects: names of effects whose parameters are unknown too.
 
     Attributes:
         size: number of unknowns; the last two are the friction scale and the pusher friction.
         modes: of a map, shape (n_cells, n_modes): a = modes @ z_a.
+        effects: the effects, at their nominal values.
     """
 
-    def __init__(self, shape: ObjectShape, prior: Prior, *, maps: bool = True, modes: Float64Array | None = None) -> None:
+    def __init__(
+        self,
+        shape: ObjectShape,
+        prior: Prior,
+        *,
+        maps: bool = True,
+        modes: Float64Array | None = None,
+        effects: Sequence[str] = (),
+    ) -> None:
         self.shape = shape
         self.prior = prior
         if modes is None:
@@ -87,7 +144,23 @@ class MapParameters:
         # In one layout whatever it came from: products over another one differ in the last bit.
         self.modes = np.ascontiguousarray(modes)
         self.n_modes = self.modes.shape[1]
-        self.size = 2 * self.n_modes + 2
+        self.effects = effect_values(effects)
+        self.size = 2 * self.n_modes + len(self.effects) + 2
+
+    @property
+    def effect_slice(self) -> slice:
+        """Where the unknowns of the effects stand."""
+        return slice(2 * self.n_modes, 2 * self.n_modes + len(self.effects))
+
+    def effects_at(self, z: Float64Array) -> EffectValues:
+        """The effects with the values that `z` stands for; values out of their range are taken at its end."""
+        return self.effects.with_values(self._effect_values(z)[0])
+
+    def _effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Values of the effects and their derivative by their own unknowns, each shape (n_values,)."""
+        scale, low, high = (np.array([getattr(p, name) for p in self.effects.parameters]) for name in ("scale", "low", "high"))
+        free = self.effects.values + scale * z[self.effect_slice]
+        return np.clip(free, low, high), np.where((free >= low) & (free <= high), scale, 0.0)
 
     @property
     def map_remainder(self) -> Float64Array:
@@ -96,7 +169,7 @@ class MapParameters:
 
     def unit(self, amplitude: float) -> Float64Array:
         """Size of the unknowns when the maps' deviations are `amplitude` times those of the prior, in units of the prior, shape (size,)."""
-        return np.r_[np.full(2 * self.n_modes, amplitude), 1.0, 1.0]
+        return np.r_[np.full(2 * self.n_modes, amplitude), np.ones(len(self.effects) + 2)]
 
     def model(self, z: Float64Array) -> ObjectModel:
         """The object that `z`, shape (size,), stands for."""
@@ -142,25 +215,23 @@ class MapParameters:
         z[-1] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
         return z
 
-    def body(self, z: Float64Array) -> tuple[BodyParameters, float, Float64Array]:
-        """What moves, and how it depends on `z`.
-
-        Returns:
-            The body, the friction of the pusher, and d(body parameters)/dz, shape (8 + n_cells, size), rows as the columns of
-            `Motion.jacobian`.
-        """
+    def mechanics(self, z: Float64Array) -> Mechanics:
+        """What moves, and how it depends on `z`, shape (size,)."""
         model = self.model(z)
         body = body_of_cells(self.shape, model.mass, model.friction)
         weight = model.mass / body.mass
         arms = self.shape.cells.centres - body.centre
         moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
         d_mass, d_friction = self.log_derivatives(model)
-        derivative = np.zeros((N_BODY_PARAMETERS + len(weight), self.size))
+        values, d_values = self._effect_values(z)
+        n_cells, n_values = len(weight), len(values)
+        derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, self.size))
         derivative[PARAM_CENTRE : PARAM_CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
         derivative[PARAM_INERTIA] = body.mass * ((weight * moment) @ d_mass)
-        derivative[PARAM_LIMIT:] = body.limit[:, None] * (d_mass + d_friction)
+        derivative[PARAM_LIMIT : PARAM_LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
         derivative[PARAM_MU, -1] = model.pusher_friction * self.prior.pusher_friction_std
-        return body, model.pusher_friction, derivative
+        derivative[PARAM_LIMIT + n_cells :, self.effect_slice] = np.diag(d_values)
+        return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values), derivative)
 
 
 def _leading_modes(shape: ObjectShape, prior: Prior) -> Float64Array:

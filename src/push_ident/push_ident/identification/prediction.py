@@ -10,7 +10,8 @@ import numpy as np
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.result import ModelPosterior
-from push_ident.physics.simulation import SimulationSettings, simulate, simulate_body
+from push_ident.physics.effect_values import EffectsLike, true_pose
+from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PusherPath, PushRecord, SolveStatus
 
 __all__ = ["NINETY", "Prediction", "cell_error", "held_out_errors", "predict"]
@@ -49,6 +50,7 @@ def predict(
     first_covariance: Float64Array | None = None,
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
+    order: float = 0.0,
     n_samples: int = 32,
 ) -> Prediction:
     """Predict the motion of an object at rest.
@@ -61,7 +63,7 @@ def predict(
         first_covariance: of the first pose, shape (3, 3); default 0.5 mm, 0.3 degrees.
         noise: its discrepancy, which grows with the way gone, is added.
         settings: numerics.
-
+        order: how many pushes went before this one, for effects that wear.
         n_samples: models drawn from the posterior, with as many first poses.
 
     Returns:
@@ -80,12 +82,13 @@ def predict(
     z_root, first_root = _root(posterior.covariance), _root(first_covariance)
     poses = []
     for draw in draws:
-        body, pusher_friction, _ = parameters.body(posterior.z + z_root @ draw[:-3])
-        motion = simulate_body(shape, body, pusher_friction, pusher, first + first_root @ draw[-3:], time, settings=settings)
+        drawn = parameters.mechanics(posterior.z + z_root @ draw[:-3])
+        start = true_pose(drawn.effects, first + first_root @ draw[-3:])
+        motion = drawn.simulate(pusher, start, time, settings=settings, order=order)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
             poses.append(motion.pose)
-    body, pusher_friction, _ = parameters.body(posterior.z)
-    centre = simulate_body(shape, body, pusher_friction, pusher, first, time, settings=settings)
+    mean = parameters.mechanics(posterior.z)
+    centre = mean.simulate(pusher, true_pose(mean.effects, first), time, settings=settings, order=order)
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
         unknown = np.full((len(centre.time), 3, 3), np.nan)
         return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
@@ -123,15 +126,22 @@ def _cell_error_std(cells: CellGrid, pose: Float64Array, covariance: Float64Arra
 
 
 def held_out_errors(
-    model: ObjectModel, records: Sequence[PushRecord], *, noise: NoiseModel | None = None, settings: SimulationSettings | None = None
+    model: ObjectModel,
+    records: Sequence[PushRecord],
+    *,
+    effects: EffectsLike | None = None,
+    noise: NoiseModel | None = None,
+    settings: SimulationSettings | None = None,
 ) -> Float64Array:
     """Cell error at the end of each push [m], shape (n_records,): the object simulated from its observed first pose.
 
-    First and last pose are the means of the rest frames. NaN where the simulation failed.
+    First and last pose are the means of the rest frames. `effects` act beside the model. NaN where the simulation failed.
     """
     errors = []
     for record in records:
         seen = observe_push(record, noise)
-        motion = simulate(model, record.pusher, seen.pose[0], seen.time[-1:], settings=settings)
+        motion = simulate(
+            model, record.pusher, true_pose(effects, seen.pose[0]), seen.time[-1:], settings=settings, effects=effects, order=record.order
+        )
         errors.append(cell_error(record.shape.cells, motion.pose[-1], seen.pose[-1]))
     return np.array(errors)

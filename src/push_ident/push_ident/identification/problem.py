@@ -22,10 +22,10 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.identification.budget import Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import MapParameters
+from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.rollout import PARAM_MASS
-from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, simulate_body
+from push_ident.physics.simulation import Motion, SimulationSettings
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
 __all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms"]
@@ -112,18 +112,25 @@ class FitProblem:
 
     def simulate(self, x: Float64Array) -> list[Motion]:
         """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
-        body, pusher_friction, _ = self.parameters.body(x[: self.parameters.size])
+        mechanics = self.parameters.mechanics(x[: self.parameters.size])
         motions: list[Motion] = []
         for push in range(len(self.records)):
-            motions.append(self._simulate_push(body, pusher_friction, x, push))
+            motions.append(self._simulate_push(mechanics, x, push))
             if motions[-1].status is SolveStatus.SIMULATION_FAILED:
                 break
         return motions
 
-    def _simulate_push(self, body: BodyParameters, pusher_friction: float, x: Float64Array, push: int, jacobian: bool = False) -> Motion:
-        record, first, time = self.records[push], self.first_pose(x, push), self.observations[push].time
+    def _simulate_push(self, mechanics: Mechanics, x: Float64Array, push: int, jacobian: bool = False) -> Motion:
+        record = self.records[push]
         self.meter.count(1)
-        return simulate_body(record.shape, body, pusher_friction, record.pusher, first, time, settings=self.settings, jacobian=jacobian)
+        return mechanics.simulate(
+            record.pusher,
+            self.first_pose(x, push),
+            self.observations[push].time,
+            settings=self.settings,
+            order=record.order,
+            jacobian=jacobian,
+        )
 
     def residual(self, motion: Motion, push: int) -> Float64Array:
         """Whitened difference of a simulated push to the observed one, shape (n_frames, 3)."""
@@ -151,7 +158,7 @@ class FitProblem:
         """Cost and derivatives at `x`: one simulation a push, with its derivative."""
         n_z = self.parameters.size
         z = x[:n_z]
-        body = self.parameters.body(z)
+        mechanics = self.parameters.mechanics(z)
         cost = 0.5 * float(z @ z) + self.past(z)
         gradient = np.zeros(self.size)
         gradient[:n_z] = z + self.past.slope(z)
@@ -159,7 +166,7 @@ class FitProblem:
         hessian[:n_z, :n_z] = np.eye(n_z) + self.past.hessian
         residuals = []
         for push in range(len(self.records)):
-            terms = self._push_terms(body, x, push)
+            terms = self._push_terms(mechanics, x, push)
             if terms is None:
                 return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
             columns = np.r_[0:n_z, n_z + 3 * push : n_z + 3 * push + 3]
@@ -171,11 +178,10 @@ class FitProblem:
 
     def evaluate_push(self, x: Float64Array, push: int) -> PushTerms | None:
         """What one push adds to `evaluate`; None where its simulation fails."""
-        return self._push_terms(self.parameters.body(x[: self.parameters.size]), x, push)
+        return self._push_terms(self.parameters.mechanics(x[: self.parameters.size]), x, push)
 
-    def _push_terms(self, body: tuple[BodyParameters, float, Float64Array], x: Float64Array, push: int) -> PushTerms | None:
-        parameters, pusher_friction, d_body = body
-        motion = self._simulate_push(parameters, pusher_friction, x, push, jacobian=True)
+    def _push_terms(self, mechanics: Mechanics, x: Float64Array, push: int) -> PushTerms | None:
+        motion = self._simulate_push(mechanics, x, push, jacobian=True)
         if motion.status is SolveStatus.SIMULATION_FAILED:
             return None
         residual = self.residual(motion, push)
@@ -183,7 +189,7 @@ class FitProblem:
         whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
         # Columns: the body chained to z, then the first pose (scaled).
         own = whitened[:, :, :3] @ self.first_scale[push]
-        shared = whitened[:, :, PARAM_MASS:] @ d_body[PARAM_MASS:]
+        shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
         jacobian = np.concatenate([shared, own], axis=2).reshape(residual.size, -1)
         weighted = jacobian * np.repeat(weight, 3)[:, None]
         return PushTerms(cost, weighted.T @ residual.ravel(), weighted.T @ jacobian, residual)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
 __all__ = ["Checkpoint", "Estimate", "Identification", "ModelPosterior"]
@@ -44,6 +45,18 @@ class ModelPosterior:
     @property
     def prior(self) -> Prior:
         return self.parameters.prior
+
+    @property
+    def effects(self) -> EffectValues:
+        """What acts beside the maps, with its mean values."""
+        return self.parameters.effects_at(self.z)
+
+    @property
+    def effects_std(self) -> Float64Array:
+        """Standard deviation of the values of the effects, shape (n_values,)."""
+        own = self.parameters.effect_slice
+        scale = np.array([p.scale for p in self.parameters.effects.parameters])
+        return np.asarray(scale * np.sqrt(np.diag(self.covariance)[own]))
 
     def _log_std(self, rows: Float64Array, left_out: float, other: float) -> Float64Array:
         """Deviation of a logarithm with derivative `rows`; `left_out` and `other` are variances of the lost modes and of anything else."""

@@ -74,7 +74,14 @@ def score_push(
     """
     seen = observe_push(record, noise)
     prediction = predict(
-        before, record.pusher, seen.pose[0], seen.time[-1:], first_covariance=seen.first_covariance, noise=noise, settings=settings
+        before,
+        record.pusher,
+        seen.pose[0],
+        seen.time[-1:],
+        first_covariance=seen.first_covariance,
+        noise=noise,
+        settings=settings,
+        order=record.order,
     )
     plain = simulate(uniform_model(record.shape, before.prior), record.pusher, seen.pose[0], seen.time[-1:], settings=settings)
     cells = record.shape.cells

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +123,7 @@ class ObjectSession:
             return None
         if not observe_push(record, self.options.noise).touched:
             return None
+        record = replace(record, order=self.n_pushes)
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
         self.online.add(record)
         self._known.add(_key(record))

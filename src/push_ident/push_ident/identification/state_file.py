@@ -30,6 +30,7 @@ class _Part(BaseModel):
 
 class _Push(_Part):
     source: str
+    order: int
     pose_time: list[float]
     pose: list[tuple[float, float, float]]
     pose_covariance: list[list[list[float]]]
@@ -157,6 +158,7 @@ def _push(record: PushRecord) -> _Push:
     poses, pusher, wrench = record.poses, record.pusher, record.wrench
     return _Push(
         source=record.source,
+        order=record.order,
         pose_time=poses.time.tolist(),
         pose=poses.pose.tolist(),
         pose_covariance=poses.covariance.tolist(),
@@ -183,4 +185,5 @@ def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
         pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw),
         wrench=None if push.wrench_time is None else WrenchTrack(np.array(push.wrench_time), np.array(push.force)),
         source=push.source,
+        order=push.order,
     )

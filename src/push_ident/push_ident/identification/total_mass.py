@@ -88,7 +88,15 @@ def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push:
     record = problem.records[push]
     if record.wrench is None:
         return None
-    motion = simulate(model, record.pusher, problem.first_pose(x, push), record.pusher.time[-1:], settings=problem.settings)
+    motion = simulate(
+        model,
+        record.pusher,
+        problem.first_pose(x, push),
+        record.pusher.time[-1:],
+        settings=problem.settings,
+        effects=problem.parameters.effects_at(x[: problem.parameters.size]),
+        order=record.order,
+    )
     if motion.status is not SolveStatus.CONVERGED:
         return None
     wrench = record.wrench

@@ -28,11 +28,13 @@ from push_ident.types import Float64Array
 
 __all__ = [
     "NO_EFFECTS", "EffectValues", "EffectsLike", "active_effects", "changed_friction", "driven_path", "effect_values", "seen_poses",
-    "seen_times",
+    "seen_times", "true_pose",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
 _TURN = STEP_OF_INPUT * 1j
+_NEWTON_STEPS = 4
+"""Measurements change poses by little and smoothly: two steps reach rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +196,17 @@ def seen_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array,
             turned = see(effects.values[own].astype(np.complex128), turned)
         by_pose[:, :, axis] = turned.imag / STEP_OF_INPUT
     return value, by_pose, by_value
+
+
+def true_pose(effects: EffectsLike | None, reported: Float64Array) -> Float64Array:
+    """The pose that is reported as `reported`, shape (3,), table frame: the inverse of `seen_poses`."""
+    acting = effect_values(effects)
+    pose = np.array(reported, dtype=np.float64)
+    if any(isinstance(effect.acts, OnPoses) for effect in acting.effects):
+        for _ in range(_NEWTON_STEPS):
+            seen, by_pose, _ = seen_poses(acting, pose[None])
+            pose -= np.linalg.solve(by_pose[0], seen[0] - reported)
+    return pose
 
 
 def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cell_size: float, order: float) -> ActiveEffects:

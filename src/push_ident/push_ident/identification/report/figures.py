@@ -8,7 +8,6 @@ import numpy as np
 
 from push_ident.identification.picture import draw_cells
 from push_ident.identification.result import ModelPosterior
-from push_ident.physics.rollout import PARAM_LIMIT
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 
@@ -49,9 +48,9 @@ def draw_maps(posterior: ModelPosterior) -> Figure:
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
     """Edge of the 90 % region of the centre of friction [m], shape (n, 2), object frame."""
     parameters = posterior.parameters
-    body, _, d_body = parameters.body(posterior.z)
+    mechanics = parameters.mechanics(posterior.z)
     centre = posterior.model.centre_of_friction
-    rows = (parameters.shape.cells.centres - centre).T @ d_body[PARAM_LIMIT:] / float(body.limit.sum())
+    rows = (parameters.shape.cells.centres - centre).T @ mechanics.limit_derivative / float(mechanics.body.limit.sum())
     value, vector = np.linalg.eigh(rows @ posterior.covariance @ rows.T)
     angle = np.linspace(0, 2 * np.pi, 61)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
