@@ -10,6 +10,7 @@ import typer
 
 from push_ident.cli.bench import bench_command
 from push_ident.cli.demo import demo_command
+from push_ident.cli.diagnose import diagnose_command
 from push_ident.cli.experiment import experiment_command
 from push_ident.cli.export import export_command
 from push_ident.cli.identify import identify_command
@@ -25,6 +26,7 @@ __all__ = ["app", "main"]
 app = typer.Typer(name="push-ident", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.command("identify")(identify_command)
 app.command("predict")(predict_command)
+app.command("diagnose")(diagnose_command)
 app.command("export")(export_command)
 app.command("replay")(replay_command)
 app.command("import")(import_command)

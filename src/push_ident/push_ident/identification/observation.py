@@ -59,6 +59,8 @@ class Observation:
     """W with W' W = inverse covariance of a frame, shape (n_frames, 3, 3)."""
     first_covariance: Float64Array
     """Of the first pose, shape (3, 3)."""
+    last_covariance: Float64Array
+    """Of the last pose as it was seen, without the discrepancy that `whitening` has, shape (3, 3)."""
     touched: bool
     """Whether the pusher comes near the observed object at all."""
 
@@ -98,7 +100,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         stated[end] = stated[end] * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) / n)
     covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Observation(time, pose, whitening, covariance[0], bool(np.any(near)))
+    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, bool(np.any(near)))
 
 
 def _scatter(record: PushRecord, *rests: NDArray[np.intp]) -> float:

@@ -93,6 +93,7 @@ class FitProblem:
             if len(record.shape.cells) != n_cells:
                 raise InputError(f"{record.source or 'A push'} has {len(record.shape.cells)} cells, expected {n_cells} as the others.")
         self.records = list(records)
+        self.noise = noise
         self.parameters = parameters
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         self.settings = settings or SimulationSettings()

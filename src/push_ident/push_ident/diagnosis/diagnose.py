@@ -1,0 +1,283 @@
+"""From pushes to a verdict: one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from push_ident.diagnosis.fits import EffectFit, fit_base
+from push_ident.diagnosis.gates import Gate, check_data, check_fit
+from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, separating_push
+from push_ident.diagnosis.residuals import Group, group_frames, left_over
+from push_ident.diagnosis.selection import Candidate, Selection, select_effects
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.errors import InputError
+from push_ident.identification.observation import observe_push
+from push_ident.physics.effects import EFFECTS
+from push_ident.pushing.push import PushSettings
+from push_ident.types import PushRecord
+
+__all__ = ["Diagnosis", "FoundEffect", "Verdict", "diagnose"]
+
+Progress = Callable[[str], None]
+
+_SAME = ({"tool_offset", "camera_translation"},)
+"""Effects that no push can tell apart."""
+_VETO = -2.0
+"""Mean gain of held-out log density per push, in standard errors, below which an effect is not believed."""
+
+
+class Verdict(Enum):
+    """What the pushes say; the values are those of the JSON contract."""
+
+    NO_GAP = "no_gap"
+    NAMED = "named"
+    ONE_OF = "one_of"
+    SEVERAL = "several"
+    UNKNOWN = "unknown"
+    NOT_TRUSTWORTHY = "not_trustworthy"
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """An effect that the pushes speak for."""
+
+    name: str
+    parameters: dict[str, float]
+    std: dict[str, float]
+    evidence: float
+    """Gain of log evidence [nat]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The outcome."""
+
+    verdict: Verdict
+    sentence: str
+    """What an engineer needs to know, in one sentence."""
+    effects: tuple[FoundEffect, ...]
+    confusable: tuple[str, ...]
+    """Effects that these pushes cannot tell from the last one found."""
+    gap: Gap | None
+    """On pushes held out; None where nothing could be trusted."""
+    gates: tuple[Gate, ...]
+    selection: Selection | None
+    where: dict[str, list[Group]]
+    next_push: SeparatingPush | None
+    check: str
+    """What would settle it without a push."""
+
+    @property
+    def fit(self) -> EffectFit | None:
+        """Maps with the effects that were found."""
+        return self.selection.fit if self.selection else None
+
+
+def diagnose(
+    records: Sequence[PushRecord],
+    settings: DiagnosisSettings | None = None,
+    *,
+    push_settings: PushSettings | None = None,
+    on_progress: Progress | None = None,
+) -> Diagnosis:
+    """Say where and why the simulation parts from pushes of one object.
+
+    Args:
+        records: the pushes, in the order in which they were made.
+        settings: how.
+        push_settings: limits of the push that is proposed.
+        on_progress: told what is going on.
+
+    Raises:
+        InputError: no push, pushes of different objects, or an unknown effect in the base.
+    """
+    settings = settings or DiagnosisSettings()
+    report = on_progress or (lambda text: None)
+    if not records:
+        raise InputError("There is no push to diagnose; give at least three.")
+    if unknown := [name for name in settings.base_effects if name not in EFFECTS]:
+        raise InputError(f"There is no effect `{unknown[0]}`; choose from {', '.join(EFFECTS)}.")
+    gates = check_data(records, settings)
+    pushes = [record for record in records if observe_push(record, settings.noise).touched]
+    if not all(gate.passed for gate in gates):
+        return _untrusted(gates)
+    report("fitting the base model")
+    base = fit_base(pushes, settings)
+    gates += check_fit(base)
+    if not all(gate.passed for gate in gates):
+        return _untrusted(gates)
+    selection = select_effects(base, settings.thresholds, report)
+    report("holding pushes out")
+    gap = measure_gap(base, selection.fit, report)
+    if selection.found and _vetoed(gap):
+        selection = Selection(base, base, selection.steps)
+        gap = measure_gap(base, base, report)
+    effects = _found(selection)
+    confusable = _confusable(selection, settings)
+    verdict = _verdict(effects, confusable)
+    report("looking for the push that would settle it")
+    rivals = _rivals(selection, confusable)
+    last = pushes[-1].poses.pose[-1]
+    limits = push_settings or PushSettings(pusher_radius=pushes[-1].pusher.radius, workspace=(-1.0, 1.0, -1.0, 1.0))
+    proposal = separating_push(rivals, np.array(last), limits) if len(rivals) > 1 else None
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_sentence(verdict, effects, confusable, gap, selection),
+        effects=effects,
+        confusable=confusable,
+        gap=gap,
+        gates=tuple(gates),
+        selection=selection,
+        where=group_frames(left_over(base)),
+        next_push=proposal,
+        check=check_without_a_push([*(e.name for e in effects[-1:]), *confusable]) if effects else "",
+    )
+
+
+def _untrusted(gates: list[Gate]) -> Diagnosis:
+    failed = next(gate for gate in gates if not gate.passed)
+    return Diagnosis(
+        Verdict.NOT_TRUSTWORTHY,
+        f"These data cannot be diagnosed: {failed.found}. {failed.remedy}",
+        (), (), None, tuple(gates), None, {}, None, failed.remedy,
+    )  # fmt: skip
+
+
+def _vetoed(gap: Gap) -> bool:
+    gain = gap.log_density_gain
+    error = float(np.std(gain, ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+    return float(np.mean(gain)) < _VETO * error and float(np.mean(gap.after)) > float(np.mean(gap.before))
+
+
+def _found(selection: Selection) -> tuple[FoundEffect, ...]:
+    fit = selection.fit
+    values, std = fit.effects.values, fit.posterior.effects_std
+    gains = {step.best.name: step.best.gain for step in selection.steps if step.best}
+    effects = []
+    for name in selection.found:
+        own = fit.effects.slice_of(name)
+        names = [p.name for p in EFFECTS[name].parameters]
+        effects.append(
+            FoundEffect(
+                name,
+                dict(zip(names, map(float, values[own]), strict=True)),
+                dict(zip(names, map(float, std[own]), strict=True)),
+                float(gains[name]),
+            )
+        )
+    return tuple(effects)
+
+
+def _last_step(selection: Selection) -> Candidate | None:
+    """The candidate that was added last."""
+    added = [step.best for step in selection.steps if step.best and step.best.name in selection.found]
+    return added[-1] if added else None
+
+
+def _confusable(selection: Selection, settings: DiagnosisSettings) -> tuple[str, ...]:
+    last = _last_step(selection)
+    if last is None:
+        return ()
+    step = next(s for s in selection.steps if s.best is last)
+    thresholds = settings.thresholds
+    apart = thresholds.apart if last.gain >= thresholds.sure else max(thresholds.apart, last.gain - 1.0)
+    names = [c.name for c in step.rivals(apart) if c.gain > 1.0]
+    for same in _SAME:
+        if last.name in same:
+            names += [name for name in same if name != last.name and name not in names]
+    return tuple(names)
+
+
+def _rivals(selection: Selection, confusable: Sequence[str]) -> dict[str, EffectFit]:
+    """Explanations that are open, by name."""
+    last = _last_step(selection)
+    if last is None:
+        step = selection.steps[0] if selection.steps else None
+        return {"no effect": selection.base, **({c.name: c.fit for c in step.candidates[:2]} if step else {})}
+    step = next(s for s in selection.steps if s.best is last)
+    return {c.name: c.fit for c in step.candidates if c is last or c.name in confusable}
+
+
+def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdict:
+    if not effects:
+        return Verdict.NO_GAP
+    if len(effects) > 1:
+        return Verdict.SEVERAL
+    return Verdict.ONE_OF if confusable else Verdict.NAMED
+
+
+def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap, selection: Selection) -> str:
+    before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
+    if verdict is Verdict.NO_GAP:
+        return (
+            f"No gap beyond noise: pushes held out are predicted to {before:.1f} mm, and {noise:.1f} mm of that are the noise of the poses."
+        )
+    sizes = " and ".join(_size(effect) for effect in effects)
+    doubt = f" (or {', '.join(confusable)}: these pushes cannot tell)" if confusable else ""
+    closed = f"; with it the error on pushes held out falls from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm"
+    return f"The simulation leaves out {sizes}{doubt}{closed}."
+
+
+def _size(effect: FoundEffect) -> str:
+    shown = [p for p in EFFECTS[effect.name].parameters if not p.shape]
+    values = ", ".join(f"{p.name} {effect.parameters[p.name]:.3g} ± {effect.std[p.name]:.2g} {p.unit}".rstrip() for p in shown)
+    return f"{effect.name} ({values})"
+
+
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The outcome as the command-line contract has it; lengths in metres, angles in radians."""
+    gap, selection, proposal = diagnosis.gap, diagnosis.selection, diagnosis.next_push
+    first = selection.steps[0] if selection and selection.steps else None
+    refitted = {c.name: c for c in first.candidates} if first else {}
+    nan = float("nan")
+    return {
+        "verdict": diagnosis.verdict.value,
+        "sentence": diagnosis.sentence,
+        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.evidence} for e in diagnosis.effects],
+        "confusable": list(diagnosis.confusable),
+        "gap": {
+            "before_m": float(np.mean(gap.before)) if gap else nan,
+            "after_m": float(np.mean(gap.after)) if gap else nan,
+            "noise_m": float(np.mean(gap.noise)) if gap else nan,
+            "shrink": gap.shrink if gap else nan,
+            "shrink_interval": list(gap.shrink_interval) if gap else [nan, nan],
+            "before_per_push_m": gap.before.tolist() if gap else [],
+            "after_per_push_m": gap.after.tolist() if gap else [],
+        },
+        "where": {
+            by: [
+                {"name": g.name, "n": g.n, "along": g.rms[0], "across": g.rms[1], "rotation": g.rms[2], "mean_m": g.mean_m} for g in groups
+            ]
+            for by, groups in diagnosis.where.items()
+        },
+        "ranking": [
+            {
+                "name": score.name,
+                "evidence": refitted[score.name].gain if score.name in refitted else score.gain,
+                "refitted": score.name in refitted,
+                "smallest": score.smallest,
+                "unit": EFFECTS[score.name].parameters[0].unit,
+            }
+            for score in (first.scores if first else ())
+        ],
+        "next_push": None
+        if proposal is None or proposal.push.plan is None
+        else {
+            "contact_point_m": proposal.push.plan.contact_point.tolist(),
+            "direction_rad": float(proposal.push.plan.direction),
+            "distance_m": proposal.push.plan.distance,
+            "speed_mps": proposal.push.plan.speed,
+            "frame": "table",
+            "pose_object_in_table": proposal.push.pose_object_in_table.tolist(),
+            "between": list(proposal.between),
+            "distance2": proposal.distance2,
+        },
+        "check": diagnosis.check,
+        "gates": [{"passed": g.passed, "found": g.found, "remedy": g.remedy} for g in diagnosis.gates],
+    }

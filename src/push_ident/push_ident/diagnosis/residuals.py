@@ -1,0 +1,136 @@
+"""Where the gap lies: what is left of every frame, sorted by everything that a cause could depend on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.diagnosis.fits import EffectFit
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.types import Float64Array
+
+__all__ = ["Frames", "Group", "group_frames", "left_over"]
+
+_N_SECTORS = 8
+_STILL = 0.01
+"""Slower than this an object counts as resting [m/s]."""
+_DEGREES = ("along", "across", "rotation")
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """What is left of every frame of all pushes, standardised: of unit variance where the model is right."""
+
+    residual: Float64Array
+    """Along the way the object goes, across it, and in rotation, shape (n, 3)."""
+    off: Float64Array
+    """The same, not standardised [m, m, rad], shape (n, 3)."""
+    push: Float64Array
+    """Number of the push, shape (n,), as the others."""
+    phase: Float64Array
+    """0 contact (first tenth of the way), 1 steady, 2 stop, 3 rest."""
+    speed: Float64Array
+    """Of the object [m/s]."""
+    heading_in_table: Float64Array
+    """Of its motion [rad]."""
+    heading_in_body: Float64Array
+    position: Float64Array
+    """On the table [m], shape (n, 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Frames that have something in common."""
+
+    name: str
+    n: int
+    rms: tuple[float, float, float]
+    """Of the standardised residual along, across and in rotation: 1 is noise."""
+    mean_m: float
+    """Mean distance of the simulated object from the observed one [m]."""
+
+
+PHASES = ("contact", "steady", "stop", "rest")
+
+
+def left_over(fit: EffectFit) -> Frames:
+    """Residuals of a fit; the first pose of a push, which is fitted, is left out."""
+    problem = fit.problem
+    mechanics = fit.parameters.mechanics(fit.z)
+    parts = []
+    for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
+        motion = mechanics.simulate(
+            record.pusher, problem.first_pose(fit.x, push), seen.time, settings=problem.settings, order=record.order
+        )
+        off = seen.pose - motion.pose
+        velocity = np.gradient(motion.pose[:, :2], np.maximum.accumulate(seen.time + 1e-9 * np.arange(len(seen.time))), axis=0)
+        speed = np.linalg.norm(velocity, axis=1)
+        way = motion.pose[-1, :2] - motion.pose[0, :2]
+        heading = np.where(speed > _STILL, np.arctan2(velocity[:, 1], velocity[:, 0]), np.arctan2(way[1], way[0]))
+        cos, sin = np.cos(heading), np.sin(heading)
+        turned = np.column_stack([cos * off[:, 0] + sin * off[:, 1], -sin * off[:, 0] + cos * off[:, 1], off[:, 2]])
+        covariance = np.linalg.inv(np.einsum("fji,fjk->fik", seen.whitening, seen.whitening))
+        turn = np.zeros((len(off), 3, 3))
+        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, sin, -sin, cos, 1.0
+        deviation = np.sqrt(np.einsum("fij,fjk,fik->fi", turn, covariance, turn))
+        gone = np.linalg.norm(motion.pose[:, :2] - motion.pose[0, :2], axis=1)
+        total = max(float(gone[-1]), 1e-9)
+        phase = np.where(gone < 0.1 * total, 0, np.where(speed > _STILL, np.where(gone > 0.9 * total, 2, 1), 3))
+        phase[-1] = 3
+        n = len(off)
+        columns = [
+            turned / deviation,
+            turned,
+            np.full((n, 1), push),
+            phase[:, None],
+            speed[:, None],
+            heading[:, None],
+            wrap_angle(heading - motion.pose[:, 2])[:, None],
+            motion.pose[:, :2],
+        ]
+        parts.append(np.hstack(columns)[1:])
+    all_frames = np.vstack(parts)
+    return Frames(
+        residual=all_frames[:, :3],
+        off=all_frames[:, 3:6],
+        push=all_frames[:, 6],
+        phase=all_frames[:, 7],
+        speed=all_frames[:, 8],
+        heading_in_table=all_frames[:, 9],
+        heading_in_body=all_frames[:, 10],
+        position=all_frames[:, 11:13],
+    )
+
+
+def group_frames(frames: Frames) -> dict[str, list[Group]]:
+    """The same residuals, grouped by push, phase, speed, heading in table and body, and table region."""
+    moving = frames.speed > _STILL
+    quantiles = np.quantile(frames.speed[moving], [1 / 3, 2 / 3]) if np.any(moving) else np.zeros(2)
+    speeds = np.where(moving, 1 + np.searchsorted(quantiles, frames.speed), 0)
+    middle = np.median(frames.position, axis=0)
+    quarter = (frames.position[:, 0] > middle[0]) * 2 + (frames.position[:, 1] > middle[1])
+    return {
+        "push": _grouped(frames, frames.push, [str(int(p)) for p in np.unique(frames.push)], np.unique(frames.push)),
+        "phase": _grouped(frames, frames.phase, PHASES, range(4)),
+        "speed": _grouped(frames, speeds, ("at rest", "slow", "medium", "fast"), range(4)),
+        "heading_in_table": _sectors(frames, frames.heading_in_table),
+        "heading_in_body": _sectors(frames, frames.heading_in_body),
+        "table_region": _grouped(frames, quarter, ("x low, y low", "x low, y high", "x high, y low", "x high, y high"), range(4)),
+    }
+
+
+def _sectors(frames: Frames, heading: Float64Array) -> list[Group]:
+    sector = np.floor((heading + np.pi / _N_SECTORS) / (2 * np.pi / _N_SECTORS)).astype(int) % _N_SECTORS
+    return _grouped(frames, sector, [f"{360 * i // _N_SECTORS} deg" for i in range(_N_SECTORS)], range(_N_SECTORS))
+
+
+def _grouped(frames: Frames, key: Float64Array, names: object, values: object) -> list[Group]:
+    groups = []
+    for name, value in zip(names, values, strict=True):  # type: ignore[call-overload]
+        chosen = key == value
+        if np.any(chosen):
+            rms = np.sqrt(np.mean(frames.residual[chosen] ** 2, axis=0))
+            distance = float(np.mean(np.linalg.norm(frames.off[chosen, :2], axis=1)))
+            groups.append(Group(str(name), int(chosen.sum()), (float(rms[0]), float(rms[1]), float(rms[2])), distance))
+    return groups

@@ -1,0 +1,93 @@
+"""Tests of every absent effect from one fit, without refitting.
+
+The motion is differentiable by the parameters of an effect at their null, so how much an effect would gain is known at once to second order
+(Rao's score test with the maps, the scales and the first poses as nuisances):
+
+    S = H_ee - H_eb H_bb^-1 H_be,   g = g_e - H_eb H_bb^-1 g_b         e: parameters of the effect, b: everything that was fitted
+    estimate -(S + 1)^-1 g,   gain of log evidence 1/2 g' (S + 1)^-1 g - 1/2 log det(S + 1)      (parameters in units of their prior)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.diagnosis.fits import EffectFit
+from push_ident.identification.parameters import MapParameters
+from push_ident.identification.problem import FitProblem
+from push_ident.physics.effects import EFFECTS
+from push_ident.types import Float64Array
+
+__all__ = ["EffectScore", "score_effects"]
+
+_MAX_START = 2.0
+"""A guess is not taken further than so many prior deviations."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectScore:
+    """What one absent effect promises."""
+
+    name: str
+    gain: float
+    """Expected of log evidence [nat]; below 0 where the effect explains less than its freedom costs."""
+    start: Float64Array
+    """Guess of its unknowns, in units of their prior, shape (n_parameters,)."""
+    information: Float64Array
+    """S, what these data would tell of the unknowns beside everything else, shape (n_parameters, n_parameters)."""
+    smallest: float
+    """Size of its first parameter that would just have been seen, in the unit of that parameter; infinite where none would."""
+
+
+def score_effects(fit: EffectFit, seen: float) -> list[EffectScore]:
+    """Score all effects that `fit` does not have, the most promising first.
+
+    Args:
+        fit: converged.
+        seen: gain of log evidence from which an effect counts as seen [nat].
+    """
+    absent = [name for name in EFFECTS if name not in fit.names]
+    before = fit.parameters
+    parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
+    problem = FitProblem(fit.problem.records, parameters, noise=fit.problem.noise, settings=fit.problem.settings)
+    n_new = parameters.size - before.size
+    new = slice(2 * before.n_modes + len(before.effects), 2 * before.n_modes + len(before.effects) + n_new)
+    x = np.insert(fit.x, new.start, np.zeros(n_new))
+    end = problem.evaluate(x)
+    if not np.isfinite(end.cost):
+        return []
+    fitted = np.setdiff1d(np.arange(problem.size), np.arange(new.start, new.stop))
+    onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[fitted, new]).T
+    # The prior of the new unknowns is part of the Hessian already.
+    precision = end.hessian[new, new] - onto @ end.hessian[fitted, new]
+    slope = end.gradient[new] - onto @ end.gradient[fitted]
+    scores = []
+    for name in absent:
+        own = parameters.effects.slice_of(name)
+        place = slice(own.start - len(before.effects), own.stop - len(before.effects))
+        scores.append(_score(name, precision[place, place], slope[place], seen))
+    return sorted(scores, key=lambda score: -score.gain)
+
+
+def _score(name: str, precision: Float64Array, slope: Float64Array, seen: float) -> EffectScore:
+    free = np.array([not p.shape for p in EFFECTS[name].parameters])
+    start = np.zeros(len(free))
+    held = precision[np.ix_(free, free)]
+    start[free] = -np.linalg.solve(held, slope[free])
+    gain = 0.5 * float(slope[free] @ np.linalg.solve(held, slope[free])) - 0.5 * float(np.linalg.slogdet(held)[1])
+    information = precision - np.eye(len(free))
+    size = np.linalg.norm(start)
+    if size > _MAX_START:
+        start *= _MAX_START / size
+    return EffectScore(name, gain, start, information, _smallest(name, held, seen))
+
+
+def _smallest(name: str, precision: Float64Array, seen: float) -> float:
+    """Along the first parameter: 1/2 e^2 S^2 / (S + 1) - 1/2 log det(S + 1) = seen, the mean gain of a true value e."""
+    first = float(precision[0, 0])
+    told = first - 1.0
+    if told <= 1e-9:
+        return float("inf")
+    needed = seen + 0.5 * float(np.linalg.slogdet(precision)[1])
+    return float(np.sqrt(2.0 * needed * first) / told * EFFECTS[name].parameters[0].scale)

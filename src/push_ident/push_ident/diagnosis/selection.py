@@ -1,0 +1,119 @@
+"""Which effects are there: scores propose, refits decide, evidence counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.scores import EffectScore, score_effects
+from push_ident.diagnosis.settings import Thresholds
+
+__all__ = ["Candidate", "Selection", "Step", "select_effects"]
+
+_TOGETHER = (
+    frozenset({"pusher_lag", "pose_latency", "pusher_speed_scale"}),
+    frozenset({"table_tilt", "tether"}),
+    frozenset({"push_height", "moving_contents", "position_dependent_friction"}),
+)
+"""Effects whose scores mislead about one another: where one of them is refitted, all are."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect that was refitted together with what was there already."""
+
+    name: str
+    fit: EffectFit
+    gain: float
+    """Of log evidence over the fit without it [nat]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One round: every absent effect scored, the best refitted."""
+
+    before: EffectFit
+    scores: tuple[EffectScore, ...]
+    candidates: tuple[Candidate, ...]
+    """Refitted, the best first."""
+
+    @property
+    def best(self) -> Candidate | None:
+        return self.candidates[0] if self.candidates else None
+
+    def rivals(self, apart: float) -> tuple[Candidate, ...]:
+        """Those that explain the pushes nearly as well as the best."""
+        return tuple(c for c in self.candidates[1:] if c.gain > self.candidates[0].gain - apart)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The effects that were found, one a step."""
+
+    base: EffectFit
+    fit: EffectFit
+    """With all effects that were found."""
+    steps: tuple[Step, ...] = field(default=())
+    """The last one found nothing more, unless the number of effects was the limit."""
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """Effects beyond those of the base."""
+        return tuple(name for name in self.fit.names if name not in self.base.names)
+
+
+def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progress | None = None) -> Selection:
+    """Add effects while one is seen; drop one that another made needless.
+
+    Args:
+        base: converged.
+        thresholds: what counts as seen.
+        on_progress: told what is fitted.
+    """
+    report = on_progress or (lambda text: None)
+    fit, steps = base, []
+    while True:
+        report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
+        scores = tuple(score_effects(fit, thresholds.seen))
+        candidates = []
+        for score in _worth_refitting(scores, thresholds):
+            report(f"refitting with {score.name}")
+            candidates.append(_refitted(fit, score))
+        candidates.sort(key=lambda c: -c.gain)
+        steps.append(Step(fit, scores, tuple(candidates)))
+        n_found = len(fit.names) - len(base.names)
+        if not candidates or candidates[0].gain < thresholds.seen or n_found >= thresholds.n_effects:
+            return Selection(base, fit, tuple(steps))
+        fit = _without_needless(base, candidates[0].fit, thresholds)
+        if fit.log_evidence <= steps[-1].before.log_evidence:
+            return Selection(base, steps[-1].before, tuple(steps))
+
+
+def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds) -> list[EffectScore]:
+    chosen = {score.name for score in scores[: thresholds.n_refits]}
+    for group in _TOGETHER:
+        if chosen & group and any(s.gain > 0 for s in scores if s.name in group):
+            chosen |= group
+    return [score for score in scores if score.name in chosen]
+
+
+def _refitted(fit: EffectFit, score: EffectScore) -> Candidate:
+    names = (*fit.names, score.name)
+    start = list(fit.z[fit.parameters.effect_slice]) + list(score.start)
+
+    own = fit_effects(fit, names, np.array(start))
+    return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
+
+
+def _without_needless(base: EffectFit, fit: EffectFit, thresholds: Thresholds) -> EffectFit:
+    """Drop an effect found earlier that explains nothing any more."""
+    for name in [n for n in fit.names if n not in base.names][:-1]:
+        rest = fit_effects(fit, [n for n in fit.names if n != name])
+        if rest.log_evidence > fit.log_evidence - 0.5 * thresholds.seen:
+            return rest
+    return fit

@@ -1,0 +1,49 @@
+"""What a diagnosis takes for granted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from push_ident.identification.observation import NoiseModel
+from push_ident.identification.parameters import Prior
+from push_ident.physics.simulation import SimulationSettings
+
+__all__ = ["DiagnosisSettings", "Thresholds"]
+
+_FIXED = 1e-3
+"""Deviation of the logarithm of a pusher friction that counts as given."""
+_N_MODES = 16
+"""Of each map: more absorb effects and predict no better."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """Differences of log evidence that decide [nat]."""
+
+    seen: float = 5.0
+    """An effect that gains less is not there as far as these data go."""
+    apart: float = 6.0
+    """Effects nearer than this to the best cannot be told from it."""
+    sure: float = 12.0
+    """An effect that gains less is named with its runners-up only."""
+    n_effects: int = 3
+    """At most so many are added."""
+    n_refits: int = 5
+    """The best so many by their score are refitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisSettings:
+    """How a diagnosis is made. The base model has the nominal friction of the pusher: if it is not that, this is an effect too."""
+
+    prior: Prior = field(default_factory=Prior)
+    noise: NoiseModel = field(default_factory=lambda: NoiseModel(growth_position=0.008, growth_yaw=0.08))
+    numerics: SimulationSettings = field(default_factory=SimulationSettings)
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    base_effects: tuple[str, ...] = ()
+    """Effects that belong to the base model."""
+
+    @property
+    def base_prior(self) -> Prior:
+        """Smooth maps, and the friction of the pusher given."""
+        return replace(self.prior, pusher_friction_std=_FIXED, max_modes=min(self.prior.max_modes, _N_MODES))

@@ -1,0 +1,109 @@
+"""Why the simulation parts from what was seen: effects that are there are named with their size, those that are not are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from objects import hammer, random_records
+
+from push_ident.diagnosis.diagnose import Diagnosis, Verdict, diagnose, to_json
+from push_ident.diagnosis.report import write_report
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.errors import InputError
+from push_ident.physics.simulation import simulate
+from push_ident.types import ObjectModel, PoseTrack, PushRecord
+
+TRUTH = hammer(1)
+TRUTH = ObjectModel(TRUTH.shape, TRUTH.mass, TRUTH.friction, 0.3)
+DEVIATION = np.array([1e-3, 1e-3, np.radians(0.5)])
+
+
+def _pushes(n: int, seed: int, effects: dict[str, list[float]] | None = None) -> list[PushRecord]:
+    rng = np.random.default_rng([seed, 7])
+    records = []
+    for order, record in enumerate(random_records(TRUTH, n, seed)):
+        time = record.poses.time
+        pose = simulate(TRUTH, record.pusher, record.poses.pose[0], time, effects=effects, order=order).pose
+        seen = pose + rng.normal(size=pose.shape) * DEVIATION
+        track = PoseTrack(time, seen, np.broadcast_to(np.diag(DEVIATION**2), (len(time), 3, 3)))
+        records.append(replace(record, poses=track, order=order, source=f"push {order}"))
+    return records
+
+
+@pytest.fixture(scope="module")
+def nothing() -> Diagnosis:
+    return diagnose(_pushes(8, 1))
+
+
+@pytest.fixture(scope="module")
+def tilted() -> Diagnosis:
+    return diagnose(_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
+
+
+def test_no_effect_is_found_where_there_is_none(nothing: Diagnosis) -> None:
+    assert nothing.verdict is Verdict.NO_GAP
+    assert nothing.gap is not None and np.isnan(nothing.gap.shrink)
+    assert "No gap beyond noise" in nothing.sentence
+    # What was not seen, and would have been: one number an effect.
+    smallest = {entry["name"]: entry["smallest"] for entry in to_json(nothing)["ranking"]}
+    assert 1e-4 < smallest["outline_error"] < 2e-3
+    assert smallest["pose_latency"] < 0.02
+
+
+def test_tilted_table_is_named_with_its_size_and_closes_the_gap(tilted: Diagnosis) -> None:
+    assert tilted.effects[0].name in ("table_tilt", "tether")
+    assert "table_tilt" in (tilted.effects[0].name, *tilted.confusable)
+    assert tilted.gap is not None
+    assert tilted.gap.shrink > 0.7
+    low, high = tilted.gap.shrink_interval
+    assert low <= tilted.gap.shrink <= high
+
+
+@pytest.mark.parametrize(("name", "size"), [("pose_latency", 0.03), ("outline_error", 0.002), ("pusher_friction", 0.3)])
+def test_effect_is_named_with_its_size(name: str, size: float) -> None:
+    found = diagnose(_pushes(8, 2, {name: [size]}))
+    assert found.effects[0].name == name, found.sentence
+    (value,), (std,) = found.effects[0].parameters.values(), found.effects[0].std.values()
+    assert abs(value - size) < max(0.15 * size, 3 * std)
+
+
+def test_effect_that_is_put_into_the_base_is_no_gap_any_more() -> None:
+    found = diagnose(_pushes(8, 2, {"pose_latency": [0.03]}), DiagnosisSettings(base_effects=("pose_latency",)))
+    assert found.verdict is Verdict.NO_GAP
+    assert found.fit is not None and found.fit.names == ("pose_latency",)
+
+
+def test_twins_are_named_together() -> None:
+    found = diagnose(_pushes(8, 3, {"tool_offset": [0.003, 0.0]}))
+    assert found.verdict is Verdict.ONE_OF
+    assert {found.effects[0].name, *found.confusable} >= {"tool_offset", "camera_translation"}
+    assert "mark" in found.check
+
+
+def test_too_few_pushes_are_not_trusted() -> None:
+    found = diagnose(_pushes(2, 1))
+    assert found.verdict is Verdict.NOT_TRUSTWORTHY
+    assert "at least 3 pushes" in found.sentence
+    assert to_json(found)["gap"]["before_m"] != to_json(found)["gap"]["before_m"]  # NaN, not a plausible number
+
+
+def test_unknown_effect_and_no_push_are_refused() -> None:
+    with pytest.raises(InputError, match="table_tilt"):
+        diagnose(_pushes(3, 1), DiagnosisSettings(base_effects=("tilt",)))
+    with pytest.raises(InputError, match="no push"):
+        diagnose([])
+
+
+def test_page_tells_the_engineer_what_to_do_next(tilted: Diagnosis, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", tilted, object_id="o1", sources=["bag, push 0"])
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("<svg") >= 4
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    for text in ("Where it lies", "What causes it", "How far it goes", "Do next", "spirit level"):
+        assert text in page
+    untrusted = diagnose(_pushes(2, 1))
+    write_report(tmp_path / "untrusted.html", untrusted, object_id="o1", sources=[])
+    assert "cannot be diagnosed" in (tmp_path / "untrusted.html").read_text()
