@@ -119,7 +119,8 @@ def test_cell_dissipates_by_its_faster_axis() -> None:
         for angle, brake in ((0.0, 1.0), (np.pi / 2, 1.0), (np.pi / 4, np.sqrt(0.5))):
             twist = np.array([0.3 * np.cos(angle - yaw), 0.3 * np.sin(angle - yaw), 0.0])
             pyramid_step(
-                twist, arms, limit, inertia, 0.03, rows, 0, 0.3, 0.01, np.cos(yaw), np.sin(yaw), 0, np.zeros(MAX_CONTACTS + 1), new_step_scratch(),
+                twist, arms, limit, inertia, 0.03, rows, 0, 0.3, 0.01, np.cos(yaw), np.sin(yaw), 0,
+                np.zeros(MAX_CONTACTS + 1), new_step_scratch(),
                 new_pyramid_scratch(1),
             )  # fmt: skip
             assert np.linalg.norm(twist[:2]) == pytest.approx(0.3 - brake * 2.0 / 0.5 * 0.01, rel=1e-9)

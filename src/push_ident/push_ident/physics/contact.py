@@ -129,7 +129,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     inside = False
     for i in range(outline.shape[0]):
         distance, _, _, _ = _edge_feature(px, py, outline, i)
-        if distance < nearest_distance - _TIE:
+        if distance < nearest_distance:
             nearest, nearest_distance = i, distance
         if _crosses(px, py, outline, i):
             inside = not inside
