@@ -17,6 +17,7 @@ from test_proof_derivatives import ridders
 
 from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells
+from push_ident.physics.effect import EffectParameter
 from push_ident.physics.effect_values import EffectValues, driven_path, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import (
@@ -155,6 +156,38 @@ def test_all_derivatives_are_exact_while_all_effects_act_at_once(mode: str) -> N
     on_table = {name for name in CATALOGUE if type(EFFECTS[name].acts).__name__ == "OnTable"}
     left_out = {"circle": set(), "quasi-static": {"restitution"}, "pyramid": on_table}[mode]
     check_derivatives(tuple(sorted(CATALOGUE - left_out)), mode, range(3))
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_derivatives_are_exact_at_the_null_value_where_absence_is_tested(name: str) -> None:
+    null = effect_values((name,))
+    compared = 0
+    for seed in range(4):
+        case = random_case(seed, 9 + seed, seed % 2 == 1, 5)
+        # Frames between the steps' ends: there, a latency meets no kink.
+        time = case.pusher.time[:-1] + 0.4 * (case.pusher.time[1] - case.pusher.time[0])
+
+        def simulated(effects: EffectValues, jacobian: bool = False, case: Case = case, time: Float64Array = time) -> Motion:
+            return simulate_body(
+                case.model.shape, case.body, case.model.pusher_friction, case.pusher, case.pose, time, settings=ENGINES["circle"],
+                effects=effects, order=ORDER, jacobian=jacobian,
+            )  # fmt: skip
+
+        exact = simulated(null, jacobian=True)
+        for k, p in enumerate(null.parameters):
+
+            def poses(h: float, k: int = k, p: EffectParameter = p) -> Float64Array:
+                return simulated(null.with_values(null.values + h * p.typical * np.eye(len(null))[k])).pose
+
+            # A small friction coefficient of the pusher leaves no room below it.
+            one_sided = p.low == p.nominal or (name == "pusher_friction" and case.model.pusher_friction < 1e-3)
+            estimate, uncertain = ridders(poses, 1e-3, one_sided=one_sided)
+            column = exact.jacobian[:, :, 8 + len(case.body.limit) + k] * p.typical
+            size = max(float(np.abs(column).max()), 1e-2 * float(np.abs(exact.pose - case.pose).max()), 1e-9)
+            if uncertain < 1e-7 * size:
+                compared += 1
+                assert np.abs(column - estimate).max() <= 1e-6 * size
+    assert compared >= 3
 
 
 # Signatures ----------------------------------------------------------------------------------------------------------------------

@@ -18,9 +18,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from push_ident.errors import InputError
+
 __all__ = [
-    "STEP_OF_INPUT", "Body", "Cell", "Effect", "EffectParameter", "Memory", "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath",
-    "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
+    "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation", "Memory", "OnContact",
+    "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt", "equation",
+    "unit_direction",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
@@ -28,6 +31,9 @@ Equation = Callable[..., Any]
 
 STEP_OF_INPUT = 1e-40
 """Imaginary part that stands for a change of an input by 1."""
+
+MAX_LOAD_NUMBERS = 4
+"""An effect that changes the load of cells has no more values, and no more numbers in its memory."""
 
 _SLOW = 1e-3
 """Speed below which a direction of motion fades [m/s]."""
@@ -204,6 +210,15 @@ class Effect:
     memory: Memory | None = None
     needs_inertia: bool = False
     """Whether it means nothing in a quasi-static push."""
+
+    def __post_init__(self) -> None:
+        memory = 0 if self.memory is None else self.memory.size
+        loads = isinstance(self.acts, OnTable) and self.acts.load is not None
+        if loads and max(len(self.parameters), memory) > MAX_LOAD_NUMBERS:
+            raise InputError(
+                f"The effect {self.name} loads cells by {len(self.parameters)} parameters and {memory} numbers of memory, "
+                f"expected {MAX_LOAD_NUMBERS} of each at most; raise MAX_LOAD_NUMBERS and `_four` in table.py, or use fewer."
+            )
 
     @property
     def nominal(self) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ Inputs are one array, real or complex, so that a complex step can turn any of th
     0-5   state: centre of mass x, y, yaw and their velocities, table axes
     6     mass
     7-8   centre of mass, object frame
-    9-    memory of the effects, then their values; behind them four that are not used
+    9-    memory of the effects, then their values; behind them a few that are not used
 
 As far as inputs act on a step, they are columns of its block too (`sensitivity.py`): the first nine of them from its state on, the
 rest behind those of the body.
@@ -19,21 +19,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.effect import STEP_OF_INPUT, Body, Cell, Equation, OnTable, equation
+from push_ident.physics.effect import MAX_LOAD_NUMBERS, STEP_OF_INPUT, Body, Cell, Equation, OnTable, equation
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.kernel import kernel
 from push_ident.physics.support import cell_friction
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = [
-    "N_FIXED_INPUTS", "ActiveEffects", "TableScratch", "fill_inputs", "new_table_scratch", "table_action", "table_sensitivity",
+    "N_FIXED_INPUTS", "ActiveEffects", "Places", "TableScratch", "fill_inputs", "new_table_scratch", "table_action", "table_sensitivity",
     "update_memory",
 ]  # fmt: skip
 
 N_FIXED_INPUTS = 9
 _MASS = 6
 _CENTRE = 7
-_PADDING = 4  # inputs behind the last, so that four numbers can be read from any place
+_PADDING = MAX_LOAD_NUMBERS  # inputs behind the last, so that as many can be read from any place
 
 
 class Places(NamedTuple):
@@ -51,7 +51,7 @@ class ActiveEffects(NamedTuple):
     values: Float64Array
     """Of all parameters of the active effects, shape (n_values,)."""
     on_table: BoolArray
-    """Which values belong to effects that act on the table or have a memory, shape (n_values,)."""
+    """Which values belong to effects that act on the table, shape (n_values,)."""
     places: Places
     n_memory: int
     loads: bool
@@ -103,8 +103,8 @@ def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratc
     )  # fmt: skip
 
 
-# All effects of a kind, folded into one function each: a loop over functions would hide them from the compiler. Values and memory go
-# into an equation as four numbers from its place on, of which it takes the first few: arrays would cost more than the equation.
+# All effects of a kind, folded into one function each: a loop over functions would hide them from the compiler. Into the equation of a
+# load, which every cell evaluates, values and memory go as numbers: arrays would cost more than the equation.
 
 
 @equation
@@ -155,7 +155,7 @@ def _with_skew(others: Equation, skew: Equation, place: int) -> Equation:
     def skews(places: Places, inputs: Any, body: Body) -> Any:
         a, b = others(places, inputs, body)
         if places.values[place] >= 0:
-            more_a, more_b = skew(_four(inputs, places.values[place]), body)
+            more_a, more_b = skew(inputs[places.values[place] :], body)
             a, b = a + more_a, b + more_b
         return a, b
 
@@ -167,7 +167,7 @@ def _with_pull(others: Equation, pull: Equation, place: int) -> Equation:
     def pulls(places: Places, inputs: Any, body: Body) -> Any:
         fx, fy, torque = others(places, inputs, body)
         if places.values[place] >= 0:
-            more_x, more_y, more_torque = pull(_four(inputs, places.values[place]), body)
+            more_x, more_y, more_torque = pull(inputs[places.values[place] :], body)
             fx, fy, torque = fx + more_x, fy + more_y, torque + more_torque
         return fx, fy, torque
 
@@ -180,7 +180,7 @@ def _with_memory(others: Equation, remember: Equation, place: int) -> Equation:
         others(places, inputs, body, dt, after)
         if places.values[place] >= 0:
             at = places.memory[place]
-            remember(_four(inputs, places.values[place]), body, dt, _four(inputs, at), after[at - N_FIXED_INPUTS :])
+            remember(inputs[places.values[place] :], body, dt, inputs[at:], after[at - N_FIXED_INPUTS :])
 
     return memories
 
