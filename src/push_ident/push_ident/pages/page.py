@@ -23,7 +23,7 @@ def svg(figure: Figure) -> str:
     buffer = io.StringIO()
     # A fixed salt: the same report twice is the same file.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "push_ident"}):
-        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None})
+        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
 
