@@ -20,6 +20,9 @@ _TOGETHER = (
 )
 """Effects whose scores mislead about one another: where one of them is refitted, all are."""
 
+_NESTED = {"tether": "table_tilt"}
+"""Effects that hold another as a special case: the simpler one is preferred unless the larger gains much more."""
+
 Progress = Callable[[str], None]
 
 
@@ -47,8 +50,9 @@ class Step:
         return self.candidates[0] if self.candidates else None
 
     def rivals(self, apart: float) -> tuple[Candidate, ...]:
-        """Those that explain the pushes nearly as well as the best."""
-        return tuple(c for c in self.candidates[1:] if c.gain > self.candidates[0].gain - apart)
+        """Those that explain the pushes nearly as well as the best; one that only holds the best as a special case is none."""
+        best = self.candidates[0]
+        return tuple(c for c in self.candidates[1:] if c.gain > best.gain - apart and _NESTED.get(c.name) != best.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,7 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         for score in _worth_refitting(scores, thresholds):
             report(f"refitting with {score.name}")
             candidates.append(_refitted(fit, score))
-        candidates.sort(key=lambda c: -c.gain)
+        candidates = _ranked(candidates, thresholds.apart)
         steps.append(Step(fit, scores, tuple(candidates)))
         n_found = len(fit.names) - len(base.names)
         if not candidates or candidates[0].gain < thresholds.seen or n_found >= thresholds.n_effects:
@@ -100,6 +104,16 @@ def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds) ->
         if chosen & group and any(s.gain > 0 for s in scores if s.name in group):
             chosen |= group
     return [score for score in scores if score.name in chosen]
+
+
+def _ranked(candidates: list[Candidate], apart: float) -> list[Candidate]:
+    """The best first; a special case before what holds it, unless that gains much more."""
+    ranked = sorted(candidates, key=lambda c: -c.gain)
+    if ranked and (simpler := _NESTED.get(ranked[0].name)):
+        for place, candidate in enumerate(ranked):
+            if candidate.name == simpler and candidate.gain > ranked[0].gain - apart:
+                return [candidate, *ranked[:place], *ranked[place + 1 :]]
+    return ranked
 
 
 def _refitted(fit: EffectFit, score: EffectScore) -> Candidate:
