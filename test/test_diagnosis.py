@@ -102,7 +102,7 @@ def test_page_tells_the_engineer_what_to_do_next(tilted: Diagnosis, tmp_path: Pa
     write_report(tmp_path / "report.html", tilted, object_id="o1", sources=["bag, push 0"])
     page = (tmp_path / "report.html").read_text()
     assert page.count("<svg") >= 4
-    assert not re.findall(r"(?:src|href)=\"(?!#)", page)
+    assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
     for text in ("Where it lies", "What causes it", "How far it goes", "Do next", "spirit level"):
         assert text in page
     untrusted = diagnose(_pushes(2, 1))

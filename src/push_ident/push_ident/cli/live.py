@@ -61,7 +61,7 @@ def replay_command(
         from push_ident.nodes.client import CellClient
 
         with CellClient(check=supervisor.check) as client, console.status("playing") as status:
-            object_id = client.wait_for_object(30.0)
+            object_id = client.wait_for_object(60.0)
             supervisor.wait_for("bag_player_node", seconds + 120.0)
             status.update("waiting for the last push to be identified")
             latest = client.wait_until_settled(object_id, quiet=4.0, timeout=60.0)
