@@ -201,7 +201,9 @@ def _rivals(selection: Selection, confusable: Sequence[str]) -> dict[str, Effect
         step = selection.steps[0] if selection.steps else None
         return {"no effect": selection.base, **({c.name: c.fit for c in step.candidates[:2]} if step else {})}
     step = next(s for s in selection.steps if s.best is last)
-    return {c.name: c.fit for c in step.candidates if c is last or c.name in confusable}
+    open_ones = {c.name: c.fit for c in step.candidates if c is last or c.name in confusable}
+    # Where nothing else is open, the push that would show the effect most clearly confirms it.
+    return open_ones if len(open_ones) > 1 else {f"without {last.name}": step.before, **open_ones}
 
 
 def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdict:

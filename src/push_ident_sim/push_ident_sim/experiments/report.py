@@ -23,7 +23,8 @@ are drawn again. A camera sees 30 poses a second with 1 mm and 0.5 degrees of no
 not the masses, frictions, weight or friction of the pusher.
 
 **Cell error**: mean over the cells of the distance between predicted and observed cell centre at the end of a push; the observed pose is
-the mean of the frames at rest. Errors are means over pushes ± the standard error over ground truths. Times are those of the processor, one thread.
+the mean of the frames at rest. Errors are means over pushes ± the standard error over ground truths. Times are those of the
+processor, one thread.
 """
 
 
