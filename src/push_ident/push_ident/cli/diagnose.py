@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import typer
@@ -103,5 +104,6 @@ def _show(diagnosis: Diagnosis) -> None:
         gain = refitted.get(score.name, score.gain)
         found = "found" if score.name in diagnosis.selection.found else ""
         unit = EFFECTS[score.name].parameters[0].unit
-        table.add_row(score.name, f"{gain:.1f}", f"{score.smallest:.2g} {unit}".rstrip(), found)
+        smallest = f"{score.smallest:.2g} {unit}".rstrip() if math.isfinite(score.smallest) else "none"
+        table.add_row(score.name, f"{gain:.1f}", smallest, found)
     console.print(table)

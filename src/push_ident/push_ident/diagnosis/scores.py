@@ -37,7 +37,7 @@ class EffectScore:
     information: Float64Array
     """S, what these data would tell of the unknowns beside everything else, shape (n_parameters, n_parameters)."""
     smallest: float
-    """Size of its first parameter that would just have been seen, in the unit of that parameter; infinite where none would."""
+    """Size of its first parameter that would just have been seen, in the unit of that parameter; infinite where none that makes sense would."""
 
 
 def score_effects(fit: EffectFit, seen: float) -> list[EffectScore]:
@@ -90,4 +90,6 @@ def _smallest(name: str, precision: Float64Array, seen: float) -> float:
     if told <= 1e-9:
         return float("inf")
     needed = seen + 0.5 * float(np.linalg.slogdet(precision)[1])
-    return float(np.sqrt(2.0 * needed * first) / told * EFFECTS[name].parameters[0].scale)
+    parameter = EFFECTS[name].parameters[0]
+    size = float(np.sqrt(2.0 * needed * first) / told * parameter.scale)
+    return size if size <= max(abs(parameter.low), abs(parameter.high)) else float("inf")

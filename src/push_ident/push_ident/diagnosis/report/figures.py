@@ -92,7 +92,8 @@ def draw_ranking(selection: Selection, seen: float) -> Figure:
     right = max(float(max(gains)), 2 * seen)
     for row, (score, gain) in enumerate(zip(ranked, gains, strict=True)):
         unit = EFFECTS[score.name].parameters[0].unit
-        text = f"{gain:.1f}" if gain >= seen else f"not seen; {score.smallest:.2g} {unit} would have shown".replace("  ", " ")
+        shown = f"{score.smallest:.2g} {unit}".rstrip() if np.isfinite(score.smallest) else "no size"
+        text = f"{gain:.1f}" if gain >= seen else f"not seen; {shown} would have shown"
         ax.text(max(gain, 0.0) + 0.01 * right, row, text, va="center", fontsize=8, color="#333333" if gain >= seen else _GREY)
     ax.set_xlim(0.0, 1.3 * right)
     ax.set_xlabel("evidence [nat]")
