@@ -37,7 +37,7 @@ class EffectScore:
     information: Float64Array
     """S, what these data would tell of the unknowns beside everything else, shape (n_parameters, n_parameters)."""
     smallest: float
-    """Size of its first parameter that would just have been seen, in the unit of that parameter; infinite where none that makes sense would."""
+    """Size of its first parameter that would just have been seen, in its unit; infinite where none that makes sense would."""
 
 
 def score_effects(fit: EffectFit, seen: float) -> list[EffectScore]:
