@@ -27,7 +27,7 @@ _CALLS = {"rollout": "#000000", "gradient": "#0072b2", "jacobian": "#d55e00"}
 _CELLS_ALONG = (4, 6, 10, 20, 32, 64, 100)
 _GROWTH_FROM = (100, 1000)
 """Exponents are fitted from these numbers of cells on; below, what a step costs whatever the cells weighs more."""
-_MEMORY_CELLS_ALONG = (10, 100, 200)
+_MEMORY_CELLS_ALONG = (10, 200, 400)
 _LINEAR = 1.1
 """Memory counts as linear in the cells up to this factor: it is handed out in pages."""
 _STEPS = (1 / 60, 1 / 120, 1 / 240, 1 / 480, 1 / 960)
