@@ -182,14 +182,17 @@ class Perception:
         # A millisecond less than the period, so that a camera at just that rate does not miss every other turn by rounding.
         occupancy_due = frame.stamp - self._last_occupancy >= self.settings.occupancy_period - 1e-3
         search_due = not self._tracked or frame.stamp - self._last_search >= self.settings.search_period - 1e-3
+        if occupancy_due and self._tracked:
+            search_due = False  # both in one frame would make the next one wait
         new_shapes: dict[str, ObjectShape] = {}
         occupancy = None
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
             labels = label_pixels(points, robot, self.settings)
-            fits.update(self._search(frame, points, labels, robot))
-            new_shapes = self._take_in(frame.stamp)
-            self._search_counts["waiting"] = len(self._waiting)
+            if search_due:
+                fits.update(self._search(frame, points, labels, robot))
+                new_shapes = self._take_in(frame.stamp)
+                self._search_counts["waiting"] = len(self._waiting)
             if occupancy_due:
                 occupancy = top_down(points, labels, self.settings)
                 self._last_occupancy = frame.stamp
