@@ -177,7 +177,7 @@ def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -
         )
 
 
-_PHASES = ("planning", "approach", "pushing, identifying", "rest", "retreat")
+_PHASES = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
 
 
 def _await_executor(client: CellClient, object_id: str) -> None:
