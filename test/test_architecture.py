@@ -11,7 +11,21 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 CORE = SOURCE / "push_ident" / "push_ident"
 SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
-ORDER = ["types", "errors", "pages", "geometry", "perception", "pushing", "physics", "identification", "diagnosis", "bags", "nodes", "cli"]
+ORDER = [
+    "types",
+    "errors",
+    "pages",
+    "geometry",
+    "perception",
+    "pushing",
+    "physics",
+    "identification",
+    "diagnosis",
+    "bags",
+    "fleet",
+    "nodes",
+    "cli",
+]
 """A stage imports what stands before it; `types` and `errors` know each other."""
 ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "builtin_interfaces"}
 

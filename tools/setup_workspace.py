@@ -30,8 +30,8 @@ LOG = ROOT / "log" / "setup.log"
 REQUIREMENTS = ROOT / "requirements"
 ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
 PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
-PHYSICS = ROOT / "src" / "push_ident" / "push_ident" / "physics"
-KERNELS = tuple(PHYSICS / f"{name}.py" for name in ("contact", "step", "rollout"))
+CORE = ROOT / "src" / "push_ident" / "push_ident"
+KERNELS = (*(CORE / "physics" / f"{name}.py" for name in ("contact", "step", "rollout")), CORE / "perception" / "kernels.py")
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}
@@ -115,6 +115,8 @@ def steps(ros: Ros) -> list[Step]:
         pip_step("python", "numpy, scipy, numba, Open3D, OpenCV and more"),
         pip_step("sim", f"PyBullet{rebuilt}"),
         pip_step("dev", "pytest, hypothesis, ruff, mypy"),
+        pip_step("viewer", "Rerun, for the live view"),
+        pip_step("fleet", "Ray, for fleets of bags"),
         pip_step("colcon", "colcon"),
     ]
     if ros.is_wheels:
@@ -134,7 +136,7 @@ def steps(ros: Ros) -> list[Step]:
             run=lambda: write_environment(ros),
             products=(command,),
         ),
-        Step("kernels", "physics kernels compiled", made_from=lambda: digest(*KERNELS), run=compile_kernels),
+        Step("kernels", "kernels of physics and perception compiled", made_from=lambda: digest(*KERNELS), run=compile_kernels),
     ]
     return result
 
@@ -308,8 +310,9 @@ def build(ros: Ros) -> None:
 
 
 def compile_kernels() -> None:
-    """Fill numba's cache, so that no node waits for the compiler at its first push."""
-    run([str(VENV_PYTHON), "-c", "from push_ident.physics.simulation import compile_kernels; compile_kernels(effects=True)"])
+    """Fill numba's cache, so that no node waits for the compiler at its first push or at its start."""
+    perception, physics = "import push_ident.perception.kernels", "from push_ident.physics.simulation import compile_kernels"
+    run([str(VENV_PYTHON), "-c", f"{perception}; {physics}; compile_kernels(effects=True)"])
 
 
 def package_xml(package: str) -> Path:

@@ -14,22 +14,20 @@ from push_ident.bags.loading import LoadedPushes, load_pushes
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
-from push_ident.identification.identifiability import Identifiability, identifiability
+from push_ident.identification.identifiability import identifiability
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import save_model
 from push_ident.identification.parameters import Prior
 from push_ident.identification.picture import draw_knowledge, draw_maps
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.report import Provenance, PushErrors, write_report
+from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
+from push_ident.identification.result_json import push_errors, result_json
 from push_ident.identification.solvers import SOLVERS
-from push_ident.types import Float64Array, PushRecord, SolveStatus
+from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["identify_command", "result_json"]
+__all__ = ["CameraOption", "ObjectOption", "identify_command", "read_camera"]
 
 _NOMINAL = Prior()
-_SHOWN = 4
-"""Combinations written out cell by cell."""
 FAILED = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
 
 ObjectOption = Annotated[
@@ -90,7 +88,7 @@ def identify_command(
             seed=seed,
             on_progress=lambda best: progress.update(task, description=f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
-    content = result_json(result, loaded, chosen)
+    content = result_json(result, loaded.object_id, loaded.records, chosen, loaded.notes)
     _show(content, result, loaded)
     if json is not None:
         write_json(json, content)
@@ -104,8 +102,8 @@ def identify_command(
         write_report(
             out / "report.html",
             result,
-            _push_errors(result, loaded.records, chosen),
-            _push_errors(result, loaded.records, others),
+            push_errors(result, loaded.records, chosen),
+            push_errors(result, loaded.records, others),
             Provenance(loaded.object_id, tuple(loaded.records[i].source for i in chosen), tuple(loaded.notes)),
             loaded.records[0].pusher.radius,
         )
@@ -141,73 +139,6 @@ def _chosen(train: str, n_pushes: int) -> list[int]:
     if len(set(chosen)) < len(chosen):
         raise InputError(f"--train is `{train}` and names a push twice.")
     return chosen
-
-
-def result_json(result: Identification, loaded: LoadedPushes, train: list[int]) -> dict[str, Any]:
-    """The outcome as the command-line contract has it."""
-    posterior, model = result.posterior, result.model
-    test = [i for i in range(len(loaded.records)) if i not in train]
-    x, y = model.shape.cells.centres.T
-    return {
-        "method": result.method,
-        "object_id": loaded.object_id,
-        "n_cells": len(model.mass),
-        "n_simulations": result.n_simulations,
-        "time_s": result.time_s,
-        "train": _errors(_push_errors(result, loaded.records, train)),
-        "test": _errors(_push_errors(result, loaded.records, test)),
-        "map": {
-            "x": x.tolist(),
-            "y": y.tolist(),
-            "mass": model.mass.tolist(),
-            "friction": model.friction.tolist(),
-            "mass_friction": (model.mass * model.friction).tolist(),
-            "mass_friction_std": posterior.mass_friction_std.tolist(),
-        },
-        "centre_of_friction_m": model.centre_of_friction.tolist(),
-        "pusher_friction": {"value": posterior.pusher_friction.value, "std": posterior.pusher_friction.std},
-        "total_mass": {
-            "value": posterior.total_mass.value,
-            "std": posterior.total_mass.std,
-            "identifiable": posterior.total_mass_identifiable,
-        },
-        "knowledge": knowledge_json(identifiability(posterior)),
-        "misfit": result.misfit,
-        "status": result.status.name.lower(),
-        "notes": loaded.notes,
-    }
-
-
-def knowledge_json(known: Identifiability) -> dict[str, Any]:
-    """What the pushes could tell: named quantities, and the combinations of all cells, best known first."""
-    return {
-        "quantities": [
-            {"name": q.name, "unit": q.unit, "value": q.value, "std": q.std, "prior_std": q.prior_std, "verdict": q.knowledge.name.lower()}
-            for q in known.quantities
-        ],
-        "combinations": {
-            "pinned": known.n_pinned,
-            "open": known.n_open,
-            "all": len(known.combinations),
-            "share_left": [c.share_left for c in known.combinations],
-            "best_known": [
-                {"share_left": c.share_left, "log_mass": c.log_mass.tolist(), "log_friction": c.log_friction.tolist()}
-                for c in known.combinations[:_SHOWN]
-            ],
-        },
-    }
-
-
-def _push_errors(result: Identification, records: list[PushRecord], pushes: list[int]) -> PushErrors:
-    chosen = [records[i] for i in pushes]
-    uniform, scalar, identified = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar, result.model))
-    return PushErrors(tuple(pushes), uniform, scalar, identified)
-
-
-def _errors(errors: PushErrors) -> dict[str, Any]:
-    per_model = {"uniform": errors.uniform, "scalar": errors.scalar, "identified": errors.identified}
-    mean = {f"{name}_m": float(np.mean(values)) if len(values) else float("nan") for name, values in per_model.items()}
-    return {"pushes": list(errors.pushes), **mean, "per_push_m": errors.identified.tolist()}
 
 
 def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes) -> None:

@@ -13,6 +13,7 @@ from push_ident.cli.demo import demo_command
 from push_ident.cli.diagnose import diagnose_command
 from push_ident.cli.experiment import experiment_command
 from push_ident.cli.export import export_command
+from push_ident.cli.fleet import fleet_command
 from push_ident.cli.identify import identify_command
 from push_ident.cli.importing import import_command
 from push_ident.cli.live import doctor_command, replay_command, up_command
@@ -27,6 +28,7 @@ app = typer.Typer(name="push-ident", no_args_is_help=True, add_completion=False,
 app.command("identify")(identify_command)
 app.command("predict")(predict_command)
 app.command("diagnose")(diagnose_command)
+app.command("fleet")(fleet_command)
 app.command("export")(export_command)
 app.command("replay")(replay_command)
 app.command("import")(import_command)

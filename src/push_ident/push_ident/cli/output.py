@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ import typer
 from rich.console import Console
 
 from push_ident.errors import PushIdentError
+from push_ident.identification.files import json_text
 
 __all__ = ["BagsArgument", "JsonOption", "OutOption", "console", "millimetres", "warn", "write_json"]
 
@@ -38,16 +38,6 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON in which numbers that are not finite are null. Raises PushIdentError where the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(_finite(content), indent=1) + "\n", encoding="utf-8")
+        path.write_text(json_text(content), encoding="utf-8")
     except OSError as error:
         raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

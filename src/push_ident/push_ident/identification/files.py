@@ -1,13 +1,16 @@
-"""Write files so that a reader, or a kill, never meets half of one."""
+"""Write files so that a reader, or a kill, never meets half of one, and JSON that every reader takes."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from pathlib import Path
+from typing import Any
 
 from push_ident.errors import ModelFileError
 
-__all__ = ["write_whole"]
+__all__ = ["json_text", "write_whole"]
 
 
 def write_whole(path: Path, text: str, what: str) -> None:
@@ -22,3 +25,18 @@ def write_whole(path: Path, text: str, what: str) -> None:
         part.replace(path)
     except OSError as error:
         raise ModelFileError(f"Cannot write {what} to {path}: {error.strerror}; choose a place that can be written to.") from None
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """JSON in which numbers that are not finite are null: JSON has no others."""
+    return json.dumps(_finite(content), indent=1) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,81 @@
+"""`push-ident fleet`: identify many bags, here or on a Ray cluster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from push_ident.cli.identify import ObjectOption
+from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
+from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
+from push_ident.fleet.job import Outcome
+from push_ident.identification.parameters import Prior
+from push_ident.identification.solvers import SOLVERS
+
+__all__ = ["fleet_command"]
+
+_NOMINAL = Prior()
+
+
+def fleet_command(
+    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags, or folders that hold bags at any depth.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Of the results; a run that was cut off goes on from them.")] = Path(
+        "out/fleet"
+    ),
+    address: Annotated[
+        str, typer.Option(help="Of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
+    ] = "",
+    workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: one a core.")] = 0,
+    again: Annotated[bool, typer.Option("--again", help="Try bags again that failed in an earlier run.")] = False,
+    object_id: ObjectOption = "",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
+    hold_out: Annotated[int, typer.Option(metavar="N", help="Hold out every Nth push as a test; 0: none.")] = 4,
+    nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
+    friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
+    pusher_friction: Annotated[float, typer.Option(help="Nominal friction of the pusher.")] = _NOMINAL.pusher_friction,
+    max_seconds: Annotated[float, typer.Option(help="Time one solve may take [s].")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Of methods that draw at random.")] = 0,
+    json: JsonOption = None,
+) -> None:
+    """Identify many bags side by side; a bag that fails stops nothing. Writes results.parquet, index.html and the models."""
+    options = FleetOptions(
+        prior=Prior(total_mass=nominal_mass, friction=friction, pusher_friction=pusher_friction),
+        method=method,
+        object_id=object_id,
+        held_out=hold_out,
+        max_seconds=max_seconds,
+        seed=seed,
+    )
+    jobs = find_jobs(bags, options)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    n_failed = 0
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("bags", total=len(jobs))
+
+        def show(outcome: Outcome) -> None:
+            nonlocal n_failed
+            n_failed += outcome["state"] == "failed"
+            progress.update(task, advance=1, description=f"{Path(outcome['bag']).name}; {n_failed} failed")
+
+        outcomes = run_fleet(jobs, options, out, address=address, workers=workers, again=again, on_outcome=show)
+    write_table(out / "results.parquet", outcomes)
+    write_index(out / "index.html", outcomes)
+    done = [outcome for outcome in outcomes if outcome["state"] == "done"]
+    errors = [o["result"]["test"]["identified_m"] for o in done if o["result"]["test"]["pushes"]]
+    console.print(
+        f"{len(done)} of {len(outcomes)} bags identified; pushes held out are predicted to "
+        f"{millimetres(float(np.median(errors)) if errors else float('nan'))} (median)",
+        highlight=False,
+    )
+    for outcome in outcomes:
+        if outcome["state"] == "failed":
+            warn(f"failed: {outcome['bag']}: {outcome['error']}")
+    console.print(f"written: {out / 'index.html'}, {out / 'results.parquet'}", highlight=False, soft_wrap=True)
+    if json is not None:
+        write_json(json, {"bags": outcomes})
+    if not done:
+        raise typer.Exit(1)

@@ -1,0 +1,116 @@
+"""One bag of a fleet: what is to be done, and doing it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import push_ident
+from push_ident.bags.loading import load_pushes
+from push_ident.errors import InputError, PushIdentError
+from push_ident.identification.budget import Budget
+from push_ident.identification.identify import identify
+from push_ident.identification.model_file import model_content
+from push_ident.identification.parameters import Prior
+from push_ident.identification.result_json import result_json
+
+__all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
+
+Outcome = dict[str, Any]
+"""JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `seconds`, and where it is done `result` and `model`."""
+
+_SUFFIXES: Final = (".mcap", ".db3", ".bag")
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOptions:
+    """How each bag is identified."""
+
+    prior: Prior = field(default_factory=Prior)
+    method: str = "gauss_newton"
+    object_id: str = ""
+    """Empty: of each bag the object pushed most."""
+    held_out: int = 4
+    """Every push of so many is held out as a test, from the last of the first so many on; 0: none."""
+    max_seconds: float = 30.0
+    """Of one solve."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.held_out < 0 or self.held_out == 1:
+            raise InputError(f"Every {self.held_out}th push would be held out, expected 0 for none, or 2 and more.")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One bag, and under which name its result is kept."""
+
+    bag: Path
+    key: str
+    """File name; other for another bag, for a bag that was written anew, and for other options."""
+
+
+def find_jobs(paths: Sequence[Path], options: FleetOptions) -> list[Job]:
+    """The bags under some paths, each once, sorted: bags themselves, folders that hold bags at any depth.
+
+    Raises:
+        InputError: a path does not exist, or there is no bag at all.
+    """
+    bags: dict[Path, None] = {}
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path} does not exist; name bags, or folders with bags in them.")
+        found = list(_bags_in(path))
+        if not found:
+            raise InputError(f"There is no bag in {path}, expected files {', '.join(_SUFFIXES)} or folders with metadata.yaml.")
+        bags.update(dict.fromkeys(sorted(found)))
+    text = json.dumps(asdict(options), sort_keys=True) + push_ident.__version__
+    return [Job(bag, f"{bag.stem}-{_digest(bag, text)}") for bag in bags]
+
+
+def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
+    """Identify one bag. A bag that cannot be identified is an outcome as well, with its error; nothing is raised but a stop by the user."""
+    started = time.monotonic()
+    outcome: Outcome = {"bag": str(bag), "state": "failed", "error": "", "host": platform.node(), "process": os.getpid()}
+    try:
+        loaded = load_pushes([bag], object_id=options.object_id)
+        n, every = len(loaded.records), options.held_out
+        train = [i for i in range(n) if not every or i % every != every - 1]
+        budget = Budget(max_seconds=options.max_seconds)
+        chosen = [loaded.records[i] for i in train]
+        result = identify(chosen, options.prior, method=options.method, budget=budget, seed=options.seed)
+        outcome["result"] = result_json(result, loaded.object_id, loaded.records, train, loaded.notes)
+        sources = [record.source for record in chosen]
+        outcome["model"] = model_content(result.posterior, loaded.object_id, sources).model_dump_json(indent=1)
+        outcome["state"] = "done"
+    except PushIdentError as error:
+        outcome["error"] = str(error)
+    except Exception as error:  # one bag must not stop the others, whatever is wrong with it
+        outcome["error"] = f"{type(error).__name__}: {error}"
+    outcome["seconds"] = round(time.monotonic() - started, 3)
+    return outcome
+
+
+def _bags_in(path: Path) -> Iterator[Path]:
+    if path.is_file() or (path / "metadata.yaml").is_file() or (path / f"{path.name}.mcap").is_file():
+        yield path
+    else:
+        for entry in sorted(path.iterdir()):
+            if entry.is_dir():
+                yield from _bags_in(entry)
+            elif entry.suffix in _SUFFIXES:
+                yield entry
+
+
+def _digest(bag: Path, options: str) -> str:
+    """Of a bag as it lies on the disk, and of the options."""
+    parts = sorted(p for p in bag.iterdir() if p.is_file()) if bag.is_dir() else [bag]
+    stats = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in parts]
+    return hashlib.sha256(f"{bag.resolve()}{stats}{options}".encode()).hexdigest()[:12]

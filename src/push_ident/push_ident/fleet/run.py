@@ -1,0 +1,147 @@
+"""Hand the bags to Ray's workers, keep every outcome as it comes, go on where a run was cut off."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.fleet.job import FleetOptions, Job, Outcome, identify_bag
+from push_ident.identification.files import json_text, write_whole
+
+__all__ = ["FleetProgress", "run_fleet"]
+
+FleetProgress = Callable[[Outcome], None]
+"""Told each outcome, also those of an earlier run."""
+
+_AHEAD: Final = 3
+"""Bags handed out a worker, so that none waits for the next."""
+_RETRIES: Final = 1
+"""How often a bag is tried again whose worker was killed."""
+
+
+def run_fleet(
+    jobs: Sequence[Job],
+    options: FleetOptions,
+    folder: Path,
+    *,
+    address: str = "",
+    workers: int = 0,
+    again: bool = False,
+    on_outcome: FleetProgress | None = None,
+) -> list[Outcome]:
+    """Identify all bags that have no outcome in `folder` yet.
+
+    Args:
+        jobs: see `find_jobs`. On several machines the bags lie under the same paths on all of them.
+        options: how.
+        folder: of the outcomes, one file a bag in `folder`/bags; models in `folder`/models.
+        address: of a Ray cluster (`auto`, `ray://host:10001`); empty starts one here.
+        workers: processes here; 0: one a core. Of no meaning with `address`: there all processors of the cluster work.
+        again: whether bags that failed in an earlier run are tried again.
+        on_outcome: told each outcome.
+
+    Returns:
+        Outcomes in the order of the jobs.
+
+    Raises:
+        InputError: Ray is not installed, or the cluster cannot be reached.
+        PushIdentError: `folder` cannot be written.
+    """
+    outcomes: dict[str, Outcome] = {}
+    todo: list[Job] = []
+    for job in jobs:
+        known = _read(folder, job)
+        if known is not None and not (again and known["state"] == "failed"):
+            outcomes[job.key] = known
+            if on_outcome:
+                on_outcome(known)
+        else:
+            todo.append(job)
+    if todo:
+        _work(todo, options, folder, address, workers, outcomes, on_outcome or (lambda outcome: None))
+    return [outcomes[job.key] for job in jobs]
+
+
+def _work(
+    todo: Sequence[Job],
+    options: FleetOptions,
+    folder: Path,
+    address: str,
+    workers: int,
+    outcomes: dict[str, Outcome],
+    on_outcome: FleetProgress,
+) -> None:
+    ray = _start(address, workers)
+    try:
+        remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(identify_bag)
+        waiting = list(reversed(todo))
+        under_way: dict[Any, Job] = {}
+        limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        while waiting or under_way:
+            while waiting and len(under_way) < limit:
+                job = waiting.pop()
+                under_way[remote.remote(job.bag.resolve(), options)] = job
+            finished, _ = ray.wait(list(under_way), num_returns=1)
+            for reference in finished:
+                job = under_way.pop(reference)
+                try:
+                    outcome = ray.get(reference)
+                except ray.exceptions.RayError as error:
+                    # Killed, out of memory, or a machine that went away; the text of Ray begins with its kind.
+                    lines = str(error).strip().splitlines() or [""]
+                    why = f"its worker died twice ({type(error).__name__}: {lines[0]}); look for lack of memory"
+                    outcome = {"bag": str(job.bag), "state": "failed", "error": why, "host": "", "process": 0, "seconds": 0.0}
+                outcome["bag"] = str(job.bag)
+                _keep(folder, job, outcome)
+                outcomes[job.key] = outcome
+                on_outcome(outcome)
+    finally:
+        ray.shutdown()
+
+
+def _start(address: str, workers: int) -> Any:
+    # Before the import: Ray reads these then.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    try:
+        import ray
+    except ImportError as error:
+        raise InputError(f"Ray is not installed ({error}); run `pip install --no-deps -r requirements/fleet.txt`.") from None
+    # One thread a bag: bags are what runs side by side.
+    threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+    here: dict[str, Any] = {} if address else {"num_cpus": workers or os.cpu_count() or 1, "include_dashboard": False}
+    try:
+        ray.init(address=address or "local", runtime_env={"env_vars": threads}, logging_level=logging.ERROR, log_to_driver=False, **here)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        line = (str(error).strip().splitlines() or ["no reason given"])[0]
+        raise InputError(f"Ray does not start at {address or 'this machine'}: {line}; start a cluster with `ray start --head`.") from None
+    return ray
+
+
+def _file(folder: Path, job: Job) -> Path:
+    return folder / "bags" / f"{job.key}.json"
+
+
+def _read(folder: Path, job: Job) -> Outcome | None:
+    try:
+        content: Outcome = json.loads(_file(folder, job).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise PushIdentError(f"{_file(folder, job)} cannot be read: {error}; remove it, and the bag is identified again.") from None
+    return content
+
+
+def _keep(folder: Path, job: Job, outcome: Outcome) -> None:
+    """The model first: an outcome that is there says that all of it is there."""
+    model = outcome.pop("model", None)
+    if model is not None:
+        path = folder / "models" / f"{job.key}.json"
+        write_whole(path, model, "the model")
+        outcome["model_file"] = str(path.relative_to(folder))
+    write_whole(_file(folder, job), json_text(outcome), "the outcome of a bag")

@@ -1,0 +1,117 @@
+"""Outcomes of a fleet as one Parquet table, a row a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.fleet.job import Outcome
+
+__all__ = ["read_table", "row_of", "write_table"]
+
+_NUMBERS: Final = (
+    "map.x",
+    "map.y",
+    "map.mass",
+    "map.friction",
+    "map.mass_friction",
+    "map.mass_friction_std",
+    "train.per_push_m",
+    "test.per_push_m",
+)
+"""Columns that are lists of numbers."""
+_COLUMNS: Final = {
+    "status": ("string", "result.status"),
+    "object_id": ("string", "result.object_id"),
+    "n_cells": ("int64", "result.n_cells"),
+    "method": ("string", "result.method"),
+    "n_simulations": ("int64", "result.n_simulations"),
+    "time_s": ("float64", "result.time_s"),
+    "misfit": ("float64", "result.misfit"),
+    "train_uniform_m": ("float64", "result.train.uniform_m"),
+    "train_scalar_m": ("float64", "result.train.scalar_m"),
+    "train_identified_m": ("float64", "result.train.identified_m"),
+    "test_uniform_m": ("float64", "result.test.uniform_m"),
+    "test_scalar_m": ("float64", "result.test.scalar_m"),
+    "test_identified_m": ("float64", "result.test.identified_m"),
+    "pusher_friction": ("float64", "result.pusher_friction.value"),
+    "pusher_friction_std": ("float64", "result.pusher_friction.std"),
+    "total_mass": ("float64", "result.total_mass.value"),
+    "total_mass_std": ("float64", "result.total_mass.std"),
+    "total_mass_identifiable": ("bool", "result.total_mass.identifiable"),
+}
+"""Column, its type, and where it stands in an outcome."""
+
+
+def row_of(outcome: Outcome) -> dict[str, Any]:
+    """One row: what became of the bag, then the numbers of its result; None where there are none."""
+    row: dict[str, Any] = {name: outcome.get(name) for name in ("bag", "state", "error", "host", "seconds", "model_file")}
+    for part in ("train", "test"):
+        pushes = _at(outcome, f"result.{part}.pushes")
+        row[f"n_{part}"] = None if pushes is None else len(pushes)
+    row |= {name: _at(outcome, where) for name, (_, where) in _COLUMNS.items()}
+    centre = _at(outcome, "result.centre_of_friction_m") or [None, None]
+    row["centre_of_friction_x_m"], row["centre_of_friction_y_m"] = centre
+    for name in _NUMBERS:
+        row[name.replace(".", "_")] = _at(outcome, f"result.{name}")
+    row["notes"] = _at(outcome, "result.notes")
+    return row
+
+
+def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write all outcomes; the file appears whole or not at all.
+
+    Raises:
+        InputError: pyarrow is not installed.
+        PushIdentError: the file cannot be written.
+    """
+    pa, parquet = _pyarrow()
+    text = [(name, pa.string()) for name in ("bag", "state", "error", "host")]
+    schema = pa.schema(
+        [
+            *text,
+            ("seconds", pa.float64()),
+            ("model_file", pa.string()),
+            ("n_train", pa.int64()),
+            ("n_test", pa.int64()),
+            *((name, pa.type_for_alias(kind)) for name, (kind, _) in _COLUMNS.items()),
+            ("centre_of_friction_x_m", pa.float64()),
+            ("centre_of_friction_y_m", pa.float64()),
+            *((name.replace(".", "_"), pa.list_(pa.float64())) for name in _NUMBERS),
+            ("notes", pa.list_(pa.string())),
+        ]
+    )
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        parquet.write_table(pa.Table.from_pylist([row_of(o) for o in outcomes], schema=schema), part)
+        part.replace(path)
+    except OSError as error:
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
+
+
+def read_table(path: Path) -> list[dict[str, Any]]:
+    """Rows of a table that `write_table` wrote. Raises InputError where it cannot be read."""
+    _, parquet = _pyarrow()
+    try:
+        rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the table {path}: {error}.") from None
+    return rows
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise InputError(f"pyarrow is not installed ({error}); run `pip install --no-deps -r requirements/fleet.txt`.") from None
+    return pyarrow, pyarrow.parquet
+
+
+def _at(content: Any, where: str) -> Any:
+    for name in where.split("."):
+        content = content.get(name) if isinstance(content, dict) else None
+    return content

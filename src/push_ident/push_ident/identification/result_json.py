@@ -1,0 +1,97 @@
+"""The outcome of an identification as JSON, in the form that the command-line contract gives it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from push_ident.identification.identifiability import Identifiability, identifiability
+from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.report import PushErrors
+from push_ident.identification.result import Identification
+from push_ident.types import PushRecord
+
+__all__ = ["knowledge_json", "push_errors", "result_json"]
+
+_SHOWN: Final = 4
+"""Combinations written out cell by cell."""
+
+
+def result_json(
+    result: Identification, object_id: str, records: Sequence[PushRecord], train: Sequence[int], notes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The outcome as the command-line contract has it.
+
+    Args:
+        result: of the identification.
+        object_id: of the object.
+        records: all pushes, those learned from and the others, which are the test.
+        train: numbers of the pushes learned from.
+        notes: what was missing, dropped or assumed.
+    """
+    posterior, model = result.posterior, result.model
+    test = [i for i in range(len(records)) if i not in train]
+    x, y = model.shape.cells.centres.T
+    return {
+        "method": result.method,
+        "object_id": object_id,
+        "n_cells": len(model.mass),
+        "n_simulations": result.n_simulations,
+        "time_s": result.time_s,
+        "train": _errors(push_errors(result, records, train)),
+        "test": _errors(push_errors(result, records, test)),
+        "map": {
+            "x": x.tolist(),
+            "y": y.tolist(),
+            "mass": model.mass.tolist(),
+            "friction": model.friction.tolist(),
+            "mass_friction": (model.mass * model.friction).tolist(),
+            "mass_friction_std": posterior.mass_friction_std.tolist(),
+        },
+        "centre_of_friction_m": model.centre_of_friction.tolist(),
+        "pusher_friction": {"value": posterior.pusher_friction.value, "std": posterior.pusher_friction.std},
+        "total_mass": {
+            "value": posterior.total_mass.value,
+            "std": posterior.total_mass.std,
+            "identifiable": posterior.total_mass_identifiable,
+        },
+        "knowledge": knowledge_json(identifiability(posterior)),
+        "misfit": result.misfit,
+        "status": result.status.name.lower(),
+        "notes": list(notes),
+    }
+
+
+def knowledge_json(known: Identifiability) -> dict[str, Any]:
+    """What the pushes could tell: named quantities, and the combinations of all cells, best known first."""
+    return {
+        "quantities": [
+            {"name": q.name, "unit": q.unit, "value": q.value, "std": q.std, "prior_std": q.prior_std, "verdict": q.knowledge.name.lower()}
+            for q in known.quantities
+        ],
+        "combinations": {
+            "pinned": known.n_pinned,
+            "open": known.n_open,
+            "all": len(known.combinations),
+            "share_left": [c.share_left for c in known.combinations],
+            "best_known": [
+                {"share_left": c.share_left, "log_mass": c.log_mass.tolist(), "log_friction": c.log_friction.tolist()}
+                for c in known.combinations[:_SHOWN]
+            ],
+        },
+    }
+
+
+def push_errors(result: Identification, records: Sequence[PushRecord], pushes: Sequence[int]) -> PushErrors:
+    """Cell errors of some of the pushes under equal cells, fitted equal cells and the identified model."""
+    chosen = [records[i] for i in pushes]
+    uniform, scalar, identified = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar, result.model))
+    return PushErrors(tuple(pushes), uniform, scalar, identified)
+
+
+def _errors(errors: PushErrors) -> dict[str, Any]:
+    per_model = {"uniform": errors.uniform, "scalar": errors.scalar, "identified": errors.identified}
+    mean = {f"{name}_m": float(np.mean(values)) if len(values) else float("nan") for name, values in per_model.items()}
+    return {"pushes": list(errors.pushes), **mean, "per_push_m": errors.identified.tolist()}
