@@ -16,11 +16,13 @@ from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath
-from push_ident_sim.experiments import EXPERIMENTS
+from push_ident_sim import truth
+from push_ident_sim.experiments import EXPERIMENTS, convergence
 from push_ident_sim.experiments.experiment import Case, CaseResult
 from push_ident_sim.experiments.measuring import curve_on_grid, error_row
 from push_ident_sim.experiments.report import write_report
 from push_ident_sim.objects import make_object
+from push_ident_sim.sources import code_digest, files_behind
 from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
 
 FEW = TruthSettings(n_train=2, n_test=1)
@@ -79,6 +81,24 @@ def test_pushes_are_seeded_and_simulated_once(folder: Path) -> None:
         truth_file(folder, *which) for which in (("toolbox", 4, FEW), ("book", 3, FEW), ("toolbox", 3, TruthSettings(2, 1, placing=0.1)))
     }
     assert len(others | {path}) == 4
+
+
+def test_truth_and_results_depend_on_the_code_that_makes_the_truth() -> None:
+    names = {"bullet_object", "push_world", "friction", "objects", "truth", "true_motion", "sampling"}
+    behind_truth = {path.stem for path in files_behind(Path(truth.__file__))}
+    behind_results = {path.stem for path in files_behind(Path(convergence.__file__))}
+    assert names <= behind_truth <= behind_results
+    # What is shown of the truth, and the model that is fitted to it, leave it as it is.
+    assert not {"drawing", "convergence", "identify", "lcp", "rollout"} & behind_truth
+
+
+def test_digest_of_code_changes_with_the_code_but_not_with_what_explains_it(tmp_path: Path) -> None:
+    texts = ('"""One."""\nA = 1\n"""Of A."""\n', "# Two.\nA  =  1\n", "A = 2\n")
+    files = [tmp_path / f"{i}.py" for i in range(3)]
+    for file, text in zip(files, texts, strict=True):
+        file.write_text(text)
+    first, explained, changed = (code_digest([file]) for file in files)
+    assert first == explained != changed
 
 
 def test_camera_adds_seeded_noise_to_the_truth_and_stands_still_around_it(folder: Path) -> None:

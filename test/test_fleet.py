@@ -6,12 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
 from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident.fleet import FleetOptions, find_jobs, read_table, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
 from push_ident.identification.model_file import load_model
-from typer.testing import CliRunner
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "hammer_depth"
 OPTIONS = FleetOptions(max_seconds=5.0)

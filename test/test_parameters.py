@@ -114,6 +114,23 @@ def test_misspelt_keys_are_warned_of(make, capfd):
     assert "sped is not one of tested and is ignored; did you mean speed?" in capfd.readouterr().err
 
 
+def test_rows_that_follow_from_a_list_of_names_are_declared_too(context, capfd):
+    overrides = [RosParameter("tools", value=["left", "right"]), RosParameter("left.speed", value=0.2), RosParameter("up.speed", value=0.2)]
+    node = Node("tested", context=context, parameter_overrides=overrides, enable_rosout=False)
+    try:
+        parameters = Parameters(
+            node,
+            (Parameter("tools", [""], "their names", read_only=True),),
+            further=lambda values: [Parameter(f"{name}.speed", 0.1, "[m/s]", 0.0, 0.5) for name in values["tools"]],
+        )
+        assert parameters.as_dict() == {"tools": ["left", "right"], "left.speed": 0.2, "right.speed": 0.1}
+        assert not node.set_parameters([RosParameter("right.speed", value=0.9)])[0].successful
+    finally:
+        node.destroy_node()
+    told = capfd.readouterr().err
+    assert "up.speed is not one of tested" in told and "left.speed" not in told.split("up.speed")[0]
+
+
 def test_asking_for_an_unknown_parameter_names_the_known_ones(make):
     with pytest.raises(KeyError, match="speed, count"):
         make()[1]["sped"]

@@ -15,7 +15,7 @@ from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder
 from push_ident.perception.pipeline import Perception, observe_offline
 from push_ident.perception.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import mean_depth, see_object
+from push_ident.perception.shape import Sight, mean_depth, see_object
 from push_ident.perception.table import fit_table
 from push_ident.perception.topdown import FREE, OCCUPIED, UNSEEN, top_down
 from push_ident.perception.tracking import Template, TrackStatus, fit_pose, relocate
@@ -39,7 +39,7 @@ def see_hammer(pose, rng, n_frames=10):
     segments, _ = find_segments(frames[0], points, label_pixels(points, (), SETTINGS), SETTINGS)
     noise = plane.noise / np.sqrt(n_frames)
     mean = DepthFrame(0.0, mean_depth(frames), INTRINSICS)
-    seen = see_object(mean.depth, INTRINSICS, camera, segments[0], noise=noise, min_height=0.008, cell_count=80)
+    seen = see_object([Sight(mean, camera, segments[0], noise)], min_height=0.008, cell_count=80)
     return fuse_views(seen, [View(mean, camera, seen.pose)], pose_known=True), camera
 
 

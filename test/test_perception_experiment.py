@@ -9,13 +9,16 @@ import pytest
 from depth_scene import Prism, look_at, rectangle, render
 
 from push_ident.errors import InputError
-from push_ident.geometry.outline import points_in_polygon
+from push_ident.geometry.outline import points_in_polygon, signed_distance
+from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.depth import points_in_table
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.experiments import EXPERIMENTS
+from push_ident_sim.experiments.arm_in_view import ArmInView
 from push_ident_sim.experiments.experiment import Case, CaseResult
 from push_ident_sim.experiments.recorded_scenes import find_objects, read_scene, scene_files
-from push_ident_sim.experiments.seeing import see_pushes
+from push_ident_sim.experiments.seeing import postures_of_pushes, see_pushes, views_of_pushes
+from push_ident_sim.objects import make_object
 
 SMALL = CameraIntrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
 EYE = look_at((0.0, -0.8, 0.65), (0.0, 0.0, 0.0))
@@ -59,3 +62,35 @@ def test_tables_and_pictures_come_from_the_summary(tmp_path):
     summary = experiment.summarise([CaseResult(Case("crimp", 3, "clear"), values)])
     assert "crimp, at rest" in experiment.tables(summary)
     assert list(experiment.draw(summary, tmp_path)) == ["perception.png"] and (tmp_path / "perception.png").stat().st_size > 1000
+
+
+def test_the_pushing_arm_hides_the_object_and_is_not_taken_for_it():
+    values = see_pushes("book", 0, with_arm=True)
+    moving = values["kinds"]["moving"]
+    assert max(moving["hidden"]) > 0.2 and not moving["not_tracked"]
+    assert max(moving["position_m"]) < 0.001
+
+
+def test_fist_touches_the_side_that_it_pushes_from_and_goes_with_the_object():
+    arm, outline = ArmInView(), make_object("book", 0).outline
+    views = views_of_pushes(np.random.default_rng(0))
+    postures = postures_of_pushes(arm, views, outline)
+    first = next(i for i, view in enumerate(views) if view.moving)
+    in_object = []
+    for view, posture in zip(views[first : first + 16], postures[first : first + 16], strict=True):
+        tip = arm.link_poses(posture)["tool_tip"][:3, 3]
+        corners = transform_points(view.pose, outline)
+        assert tip[2] == pytest.approx(0.012, abs=1e-5)
+        assert signed_distance(tip[None, :2], corners)[0] == pytest.approx(0.018, abs=5e-4)
+        in_object.append(transform_points(inverse(view.pose), tip[None, :2])[0])
+    assert np.ptp(in_object, axis=0) == pytest.approx([0.0, 0.0], abs=1e-5)
+    heading = views[first + 15].pose[:2] - views[first - 1].pose[:2]
+    assert (views[first - 1].pose[:2] - arm.link_poses(postures[first])["tool_tip"][:2, 3]) @ heading > 0
+
+
+@pytest.mark.parametrize("seed", [3])
+def test_behind_the_arm_a_pose_is_right_or_not_told(seed: int) -> None:
+    """Nine tenths of the book are hidden in some frames; what is seen then fits many poses."""
+    kinds = see_pushes("book", seed, 0.0, with_arm=True)["kinds"]
+    assert max(kinds["moving"]["position_m"]) < 2e-3 and max(kinds["rest"]["position_m"]) < 2e-3
+    assert kinds["moving"]["not_tracked"] < 20

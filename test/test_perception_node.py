@@ -11,24 +11,27 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rclpy
 import yaml
-from depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, circle, render
+from depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, render
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
-from push_ident.geometry.outline import polygon_area
+from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import (
     depth_frame_to_msgs,
     planar_pose_from_msg,
@@ -37,9 +40,11 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.perception_node import camera_pose
+from push_ident.nodes.extrinsics import camera_pose, pose_lines
+from push_ident.types import DepthFrame
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SIDE = look_at((0.0, -0.6, 0.8), (0.0, 0.0, 0.0))
 CONFIG = Path(__file__).parents[1] / "src/push_ident/config/push_ident.yaml"
 POSE = np.array([0.03, -0.02, 0.4])
 TOOL = np.array([-0.15, 0.15, 0.004])
@@ -69,8 +74,15 @@ class Camera(Node):
             (DiagnosticArray, "/diagnostics", self.diagnostics, 10),
         ):
             self.create_subscription(kind, topic, kept.append, qos)
+        self.further: list[tuple[Publisher, Publisher, list[DepthFrame]]] = []
         self.stamp = 100.0
         self._n = 0
+
+    def add(self, name: str, frames: list[DepthFrame]) -> None:
+        """Publish the frames of a further camera as well."""
+        images = self.create_publisher(Image, f"{name}/depth/image_rect", qos_profile_sensor_data)
+        infos = self.create_publisher(CameraInfo, f"{name}/depth/camera_info", qos_profile_sensor_data)
+        self.further.append((images, infos, frames))
 
     def send(self, *, change: Callable[[Image, CameraInfo], None] | None = None, info_first: bool = False) -> float:
         self.stamp += 1 / 15
@@ -81,6 +93,9 @@ class Camera(Node):
         if change is not None:
             change(image, info)
         self.tool.publish(position_to_msg(stamp, TOOL))
+        for images, infos, frames in self.further:
+            for publisher, msg in zip((images, infos), depth_frame_to_msgs(frames[self._n % len(frames)], stamp), strict=True):
+                publisher.publish(msg)
         for publisher, msg in ((self.infos, info), (self.images, image)) if info_first else ((self.images, image), (self.infos, info)):
             publisher.publish(msg)
         return self.stamp
@@ -103,6 +118,13 @@ def domain() -> int:
 
 @pytest.fixture(scope="module")
 def camera(domain: int) -> Iterator[Camera]:
+    with camera_on(domain) as camera:
+        yield camera
+
+
+@contextmanager
+def camera_on(domain: int) -> Iterator[Camera]:
+    """A camera in a domain of its own."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     camera = Camera(context)
@@ -110,11 +132,13 @@ def camera(domain: int) -> Iterator[Camera]:
     executor.add_node(camera)
     thread = threading.Thread(target=executor.spin, daemon=True)
     thread.start()
-    yield camera
-    executor.shutdown()
-    thread.join(2.0)
-    camera.destroy_node()
-    context.try_shutdown()
+    try:
+        yield camera
+    finally:
+        executor.shutdown()
+        thread.join(2.0)
+        camera.destroy_node()
+        context.try_shutdown()
 
 
 def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
@@ -304,34 +328,74 @@ def test_extrinsics_from_tf_without_tf_end_with_one_line(domain):
     assert "tf2_ros is not installed; give camera_position" in output and "Traceback" not in output
 
 
-def test_the_node_calibrates_itself_and_writes_what_it_found(domain, tmp_path):
+def as_arguments(*parameters: str) -> list[str]:
+    return [word for parameter in parameters for word in ("-p", parameter)]
+
+
+def end(process: subprocess.Popen[str]) -> str:
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=5.0)
+    assert "Traceback" not in output, output
+    return output
+
+
+def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tmp_path):
     outline, mark_pose = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)]), (0.05, -0.03, 0.7)
     other = domain + 1
-    context = Context()
-    rclpy.init(context=context, domain_id=other)
-    camera = Camera(context)
-    rng = np.random.default_rng(1)
-    camera.frames = [render([Prism(outline, 0.03).at(mark_pose)], rng=rng) for _ in range(4)]
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(camera)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
     file = tmp_path / "camera.yaml"
     pose = ", ".join(str(value) for value in mark_pose)
-    arguments = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
-    process = start(other, *(word for argument in arguments for word in ("-p", argument)))
-    try:
-        send_until(camera, lambda: "note_extrinsics" in camera.values())
-        assert "outline of the mark 0." in camera.values()["note_extrinsics"]
-    finally:
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=5.0)
-        executor.shutdown()
-        thread.join(2.0)
-        camera.destroy_node()
-        context.try_shutdown()
+    parameters = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
+    with camera_on(other) as camera:
+        rng = np.random.default_rng(1)
+        mark = [Prism(outline, 0.03).at(mark_pose)]
+        camera.frames = [render(mark, rng=rng) for _ in range(4)]
+        camera.add("side", [render(mark, SIDE, rng=rng) for _ in range(4)])
+        process = start(other, *as_arguments(*parameters, "extra_cameras:=[side]"))
+        try:
+            send_until(camera, lambda: {"note_extrinsics", "note_extrinsics_side"} <= set(camera.values()))
+            assert "outline of the mark 0." in camera.values()["note_extrinsics"]
+        finally:
+            end(process)
     found = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
-    difference = camera_pose(found["camera_position"], found["camera_quaternion"]) @ np.linalg.inv(CAMERA)
-    assert np.linalg.norm(difference[:3, 3]) < 0.002
-    assert np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)) < np.deg2rad(0.5)
-    assert "Traceback" not in output
+    for prefix, truth in (("", CAMERA), ("side.", SIDE)):
+        difference = camera_pose(found[f"{prefix}camera_position"], found[f"{prefix}camera_quaternion"]) @ np.linalg.inv(truth)
+        assert np.linalg.norm(difference[:3, 3]) < 0.002
+        assert np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)) < np.deg2rad(0.5)
+
+
+def test_a_further_camera_helps_with_the_shape_and_a_missing_one_is_named(domain, tmp_path):
+    other = domain + 2
+    file = tmp_path / "cameras.yaml"
+    # As calibration writes it.
+    lines = [*pose_lines(CAMERA), *pose_lines(SIDE, "side."), *pose_lines(SIDE, "wall."), "extra_cameras: [side, wall]"]
+    file.write_text("/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines), encoding="utf-8")
+    with camera_on(other) as camera:
+        rng = np.random.default_rng(3)
+        camera.add("side", [render([prism.at(POSE) for prism in HAMMER], SIDE, rng=rng) for _ in range(4)])
+        process = start(other, "--params-file", str(file), "-p", "rest_frames:=10")
+        try:
+            send_until(camera, lambda: camera.outlines and camera.cells and camera.values().get("side_views_used") == "1")
+            send_until(camera, lambda: int(camera.values().get("wall_silent", 0)) > 0)
+            assert camera.values()["note_camera_wall"].startswith("no depth image on /wall/depth/image_rect (0 publishers)")
+            assert camera.values()["wall_views_left_out"] == "1" and int(camera.values()["side_frames"]) >= 10
+        finally:
+            end(process)
+    # The object frame is turned as `table`; its origin is the centroid, 19.9 mm along the handle.
+    origin = (POSE[0] + 0.0199 * np.cos(POSE[2]), POSE[1] + 0.0199 * np.sin(POSE[2]), 0.0)
+    outline = transform_points(origin, shape_from_msgs(camera.cells[-1], camera.outlines[-1]).outline)
+    assert np.abs(signed_distance(outline, transform_points(POSE, HAMMER_OUTLINE))).max() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        (["extra_cameras:=[side]"], "Give side.camera_position and side.camera_quaternion"),
+        (["extra_cameras:=[side, side]"], "extra_cameras has 'side', expected different names"),
+        (["extra_cameras:=[2nd]"], "extra_cameras has '2nd', expected different names of letters"),
+    ],
+)
+def test_further_cameras_without_a_pose_or_a_name_end_with_one_line(domain, parameters, line):
+    process = start(domain, *as_arguments(*parameters))
+    output, _ = process.communicate(timeout=20.0)
+    assert process.returncode == 1
+    assert line in output and "Traceback" not in output

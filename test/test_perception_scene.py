@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +16,11 @@ from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.perception.depth import points_in_table
 from push_ident.perception.fusion import View, fuse_views
-from push_ident.perception.labels import OBJECT, ROBOT, in_robot, label_pixels
+from push_ident.perception.labels import OBJECT, ROBOT, Cylinder, in_robot, label_pixels
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import mean_depth, see_object
+from push_ident.perception.shape import Sight, mean_depth, see_object
 from push_ident.perception.tracking import TrackStatus
 from push_ident.types import DepthFrame
 
@@ -92,7 +94,7 @@ def first_sight(rng):
     frame = mean_frame(FIRST, CAMERA, rng)
     points = points_in_table(frame, CAMERA)
     segments, _ = find_segments(frame, points, label_pixels(points, (), PerceptionSettings()), PerceptionSettings())
-    seen = see_object(frame.depth, INTRINSICS, CAMERA, segments[0], noise=0.0006, min_height=0.008, cell_count=80)
+    seen = see_object([Sight(frame, CAMERA, segments[0], 0.0006)], min_height=0.008, cell_count=80)
     return seen, View(frame, CAMERA, seen.pose)
 
 
@@ -120,6 +122,88 @@ def test_views_are_needed_and_must_show_the_object():
     elsewhere = replace(first, pose=np.array([0.2, 0.2, 0.0]))
     with pytest.raises(Exception, match="in none of 1 views"):
         fuse_views(traced, [elsewhere])
+
+
+SIDE = look_at((0.0, -0.6, 0.8), (0.0, 0.0, 0.0))
+N_REST = 4
+
+
+def rest(camera, yaw, seed, *things):
+    """Frames of the hammer at rest, and of other things."""
+    rng = np.random.default_rng(seed)
+    pose = np.array([0.03, -0.02, yaw])
+    return [render([*(prism.at(pose) for prism in HAMMER), *things], camera, rng=rng, stamp=i / 30) for i in range(N_REST)]
+
+
+@pytest.fixture(scope="module")
+def from_main():
+    return rest(CAMERA, 0.4, 7)
+
+
+@pytest.fixture(scope="module")
+def from_side():
+    return rest(SIDE, 0.4, 8)
+
+
+def taken_in(main, side, side_camera=SIDE, robot=()):
+    """Shape and pose of the hammer, and why the second camera was left out."""
+    perception = Perception(CAMERA, PerceptionSettings(rest_frames=N_REST))
+    for frame in side:
+        perception.see_also("side", frame, side_camera, robot)
+    for frame in main:
+        seen = perception.observe(frame)
+    return SimpleNamespace(shape=seen.new_shapes["o1"], pose=perception.first_pose("o1")), seen.further_views
+
+
+def test_a_further_camera_shows_what_a_taller_part_hides_from_the_main_one():
+    errors = []
+    for yaw in (0.0, 1.6, 3.2, 4.8):
+        main, side = rest(CAMERA, yaw, 1), rest(SIDE, yaw, 2)
+        (alone, nothing), (both, left_out) = taken_in(main, []), taken_in(main, side)
+        assert nothing == {} and left_out == {"side": ""}
+        errors.append([outline_error(seen, np.array([0.03, -0.02, yaw])) for seen in (alone, both)])
+    alone_m, both_m = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert both_m < 0.8 * alone_m and both_m < 0.0003, errors
+
+
+def test_extrinsics_of_a_further_camera_may_be_off_by_millimetres(from_main, from_side):
+    off = np.array([0.003, -0.002, 0.008])
+    camera = SIDE.copy()
+    camera[:3, 3] += off
+    (both, left_out), (exact, _) = taken_in(from_main, from_side, camera), taken_in(from_main, from_side)
+    assert left_out == {"side": ""}
+    assert outline_error(both, FIRST) == pytest.approx(outline_error(exact, FIRST), abs=5e-5)
+
+
+def moved(shift=(0.0, 0.0, 0.0), yaw=0.0):
+    camera = np.eye(4)
+    camera[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    camera[:3, 3] = shift
+    return camera @ SIDE
+
+
+def another_focal_length(frame):
+    return replace(frame, intrinsics=replace(frame.intrinsics, fx=0.97 * frame.intrinsics.fx, fy=0.97 * frame.intrinsics.fy))
+
+
+@pytest.mark.parametrize(
+    ("camera", "change", "robot", "why"),
+    [
+        (moved((0.008, 0.0, 0.0)), None, (), "8.. mm and 0.. degrees from where the main camera has it"),
+        (moved((0.0, 0.1, 0.0)), None, (), "None of 1 segments lies where"),
+        (moved(yaw=1.5), None, (), "None of 1 segments lies where"),
+        (moved((0.0, 0.0, 0.04)), None, (), "40 mm off the extrinsics"),
+        (SIDE, another_focal_length, (), "farthest edge of the object is"),
+        (SIDE, lambda frame: replace(frame, stamp=frame.stamp - 3.0), (), "0 depth frames show .* the latest is from 3.00 s before"),
+        (SIDE, lambda frame: replace(frame, depth=np.full_like(frame.depth, np.nan)), (), "0 valid"),
+        (SIDE, None, (Cylinder(0.09, 0.0, 0.02),), "beside the robot"),
+    ],
+)
+def test_a_further_camera_that_disagrees_is_left_out_and_says_why(from_main, from_side, camera, change, robot, why):
+    seen, left_out = taken_in(from_main, from_side if change is None else [change(frame) for frame in from_side], camera, robot)
+    assert re.search(why, left_out["side"]), left_out
+    alone, _ = taken_in(from_main, [])
+    np.testing.assert_array_equal(seen.shape.outline, alone.shape.outline)
 
 
 # The arm

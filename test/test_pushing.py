@@ -334,6 +334,35 @@ def test_push_too_fast_for_a_joint_is_refused_by_its_name(arm: ArmKinematics, pu
     assert error.value.code == PushCode.LIMIT
 
 
+def test_joints_accelerate_no_more_than_allowed_on_the_push_and_beside_it(plan: ArmPlan) -> None:
+    acceleration, time = np.abs(plan.trajectory.acceleration), plan.trajectory.time
+    pushing = (time[:-1] >= plan.departure - 1e-9) & (time[1:] <= plan.stop + 1e-9)
+    assert np.max(acceleration[pushing]) <= 10.0
+    assert np.max(acceleration[~pushing]) <= MOTION.max_joint_acceleration + 1e-3
+    # Not for want of motion: the ramps of 2 m/s^2 are felt in the joints.
+    assert np.max(acceleration[pushing]) > 2.0
+
+
+def test_ramps_too_steep_for_a_joint_are_refused_by_its_name_and_gentler_ones_are_not(arm: ArmKinematics, push: PushPlan2D) -> None:
+    tight = replace(MOTION, joint_acceleration_limits=(1.5, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0))
+    with pytest.raises(
+        PlanningError, match=r"joint_1 would accelerate at .* rad/s\^2, limit 1\.50 .* lower `acceleration` .*, 2\.00"
+    ) as error:
+        plan_push(arm, PARKED, push, tight)
+    assert error.value.code == PushCode.LIMIT
+    gentle = plan_push(arm, PARKED, push, replace(tight, acceleration=0.5))
+    # Approach and retreat took the time that the joint needs.
+    assert np.max(np.abs(gentle.trajectory.acceleration[:, 0])) <= 1.5 + 1e-3
+
+
+@pytest.mark.parametrize(("limits", "text"), [((5.0, 5.0), "has 2 numbers, expected 1 or 7"), ((), "over 0"), ((-1.0,), "over 0")])
+def test_acceleration_limits_that_fit_no_joint_are_refused(
+    arm: ArmKinematics, push: PushPlan2D, limits: tuple[float, ...], text: str
+) -> None:
+    with pytest.raises(InputError, match=text):
+        plan_push(arm, PARKED, push, replace(MOTION, joint_acceleration_limits=limits))
+
+
 def test_push_out_of_reach_is_refused_with_the_point_and_the_miss(arm: ArmKinematics) -> None:
     far = PushPlan2D(np.array([0.5, 0.0]), np.array([0.48, 0.0]), 0.0, 0.05, 0.1)
     with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm off") as error:

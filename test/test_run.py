@@ -70,3 +70,23 @@ def test_a_node_that_cannot_start_says_why_in_one_line():
     output, _ = (process := start("refusing")).communicate(timeout=10.0)
     assert process.returncode == 1
     assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output
+
+
+@pytest.mark.parametrize("module", ["push_ident.nodes.perception_node", "push_ident_sim.sim_cell_node"])
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 1.0, 2.0])
+def test_interrupt_while_a_node_is_loaded_ends_it_quietly(module, delay, tmp_path):
+    # The import times tell when Python itself is up: before that no code of a package runs.
+    said = tmp_path / "stderr"
+    with said.open("w") as stderr:
+        process = subprocess.Popen([sys.executable, "-X", "importtime", "-m", module], stdout=stderr, stderr=stderr)
+        while "push_ident.nodes\n" not in said.read_text():
+            time.sleep(0.005)
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=5.0) == 0
+    assert "Traceback" not in said.read_text()
+
+
+def test_a_program_that_imports_a_node_keeps_its_interrupt():
+    script = "import push_ident.nodes, signal; assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
+    assert subprocess.run([sys.executable, "-c", script, "some_node"], check=False).returncode == 0

@@ -172,7 +172,7 @@ def _wrench() -> tuple[list[str], dict[str, Part], float]:
 
 def _crimp() -> tuple[list[str], dict[str, Part], float]:
     picture = ["." * 12 + "I" * 5] + ["g" * 12 + "I" * 5] * 2 + ["." * 12 + "I" * 5] * 2 + ["g" * 12 + "I" * 5] * 2 + ["." * 12 + "I" * 5]
-    return picture, {"I": Part(mass=0.55, friction=0.50, height=0.035), "g": Part(mass=0.20, friction=0.25, height=0.028)}, 0.012
+    return picture, {"I": Part(mass=0.55, friction=0.50, height=0.035), "g": Part(mass=0.20, friction=0.45, height=0.028)}, 0.012
 
 
 def _toolbox() -> tuple[list[str], dict[str, Part], float]:

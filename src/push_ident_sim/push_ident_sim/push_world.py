@@ -8,7 +8,7 @@ import numpy as np
 import pybullet as bullet
 from numpy.typing import ArrayLike, NDArray
 
-from push_ident.physics.simulation import GRAVITY
+from push_ident.physics.support import GRAVITY
 from push_ident.types import PusherPath
 from push_ident_sim.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
 from push_ident_sim.effects import Effects

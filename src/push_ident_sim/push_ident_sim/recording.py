@@ -24,7 +24,7 @@ from push_ident_sim.robot import PUSHER_LENGTH, PUSHER_RADIUS
 from push_ident_sim.true_motion import TrueMotion
 from push_ident_sim.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
 
-__all__ = ["RecordingSettings", "record_pushes", "seal"]
+__all__ = ["RecordingSettings", "record_pushes", "seal", "standing_tool"]
 
 FloatArray = NDArray[np.float64]
 
@@ -136,7 +136,7 @@ def _film(
             times = times[kept_frames(effects, len(times), rng)]
             for time in times:
                 pose, tool = (_at(time - begin, motion.time, values) for values in (motion.pose, motion.pusher))
-                links = {"hand_pusher": _standing(tool)} if begin <= time <= end else {}
+                links = {"hand_pusher": standing_tool(tool)} if begin <= time <= end else {}
                 depth = sensor.apply(camera.render(pose, links), rng)
                 stamp = start + time + delay
                 writer.write_camera_info(stamp, INTRINSICS)
@@ -155,8 +155,8 @@ def _at(time: float, clock: FloatArray, values: FloatArray) -> FloatArray:
     return np.array([np.interp(time, clock, column) for column in values.T])
 
 
-def _standing(tool: FloatArray) -> FloatArray:
-    """Pose of the pusher's link, which points down, with its tip over `tool` (x, y) [m]."""
+def standing_tool(tool: FloatArray) -> FloatArray:
+    """Pose, shape (4, 4), of the pusher's link, which points down, with its tip over `tool` (x, y) [m]."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = [*tool, _TIP_HEIGHT + PUSHER_LENGTH]
     return pose

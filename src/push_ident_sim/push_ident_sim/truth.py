@@ -24,6 +24,7 @@ from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, Push
 from push_ident_sim.effects import Effects
 from push_ident_sim.effects.sensing import correlated, flipped, kept_frames, seen_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
+from push_ident_sim.sources import code_digest, files_behind
 from push_ident_sim.true_motion import TrueMotion
 
 if TYPE_CHECKING:
@@ -33,8 +34,6 @@ __all__ = ["CameraNoise", "TruthSettings", "generate_truth", "load_truth", "make
 
 FloatArray = NDArray[np.float64]
 
-_VERSION = 3
-"""Raise it when the same settings give other pushes."""
 _LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)
 _ARRAYS = ("time", "pose", "pusher", "force")
 _REPORTED = "reported"
@@ -160,14 +159,11 @@ def _path(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
 
 
 def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
-    """Where the pushes of `make_object(name, seed)` are kept; another name for other settings or another object."""
+    """Where the pushes of `make_object(name, seed)` are kept; another name for other settings, another object or other code."""
     thing = make_object(name, seed)
     values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
-    described = asdict(settings or TruthSettings())
-    if not described["effects"]["values"]:
-        # Pushes without effects keep the names that they had before there were any.
-        del described["effects"]
-    content = json.dumps([_VERSION, described], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
+    code = code_digest(files_behind(Path(__file__)))
+    content = json.dumps([code, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
     return folder / f"{name}-{seed:04d}-{hashlib.sha256(content).hexdigest()[:12]}.npz"
 
 

@@ -32,18 +32,20 @@ def up_command(
     kind: Annotated[CellKind, typer.Argument(help="sim: simulated cell; replay: a bag; arm: beside a real arm.", show_default=False)],
     bag: Annotated[Path | None, typer.Argument(help="Bag to play, for replay.", show_default=False)] = None,
     record: Annotated[Path | None, typer.Option(metavar="BAG", help="Record the cell to this new bag.", show_default=False)] = None,
+    view: Annotated[bool, typer.Option("--view", help="Serve a live view for browsers.")] = False,
 ) -> None:
     """Start the node processes of a cell, as the launch files do; Ctrl-C stops them all."""
     perception = True
     if kind is CellKind.replay and bag is not None:
         perception = not read_bag(bag).has_poses
-    commands = node_commands(kind.value, bag=bag, record=record, perception=perception)
+    commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view)
     raise typer.Exit(Supervisor(commands, console=console).run())
 
 
 def replay_command(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Bag to play.", show_default=False)],
     rate: Annotated[float, typer.Option(min=0.0, help="Speed relative to real time; 0: as fast as it goes.")] = 1.0,
+    view: Annotated[bool, typer.Option("--view", help="Serve a live view for browsers.")] = False,
     out: OutOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -54,7 +56,7 @@ def replay_command(
     parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
         parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
-    commands = node_commands("replay", bag=bag, perception=not contents.has_poses, parameters=parameters)
+    commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     seconds = float(contents.pusher.time[-1]) / max(rate, 1e-9) if rate else 60.0
     with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:

@@ -42,6 +42,7 @@ _MODULES: Final = {
     "identification_node": "push_ident.nodes.identification_node",
     "bag_player_node": "push_ident.nodes.bag_player_node",
     "bag_recorder_node": "push_ident.nodes.bag_recorder_node",
+    "viewer_node": "push_ident.nodes.viewer_node",
 }
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node"),
@@ -327,6 +328,7 @@ def node_commands(
     bag: Path | None = None,
     record: Path | None = None,
     perception: bool = True,
+    view: bool = False,
     params_files: Mapping[str, Path] | None = None,
     parameters: Mapping[str, Mapping[str, object]] | None = None,
     remappings: Mapping[str, str] | None = None,
@@ -340,6 +342,7 @@ def node_commands(
         bag: What to play; for `replay` only, and needed there.
         record: Bag to write; None records nothing.
         perception: Whether `replay` runs perception; without it the bag must hold object poses.
+        view: Whether to start the viewer for browsers.
         params_files: Parameter file per package (`push_ident`, `push_ident_sim`), default the installed ones.
         parameters: Node name to parameters that win over the file.
         remappings: Topic of the bag contract to the cell's own, for all nodes.
@@ -359,6 +362,8 @@ def node_commands(
     if record is not None:
         names.append("bag_recorder_node")
         own.setdefault("bag_recorder_node", {})["bag"] = str(record.resolve())
+    if view:
+        names.append("viewer_node")
     unknown = sorted(set(own) - set(names))
     if unknown:
         raise InputError(f"parameters are given for {', '.join(unknown)}, expected nodes of `{kind}`: {', '.join(names)}")

@@ -18,8 +18,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
+from push_ident.nodes.extrinsics import camera_pose
 from push_ident.nodes.parameters import Parameter, Parameters
-from push_ident.nodes.perception_node import camera_pose
 from push_ident.nodes.recording_port import RECORDING_QOS, RECORDING_TOPIC
 from push_ident.nodes.run import run_node
 from push_ident.types import Float64Array

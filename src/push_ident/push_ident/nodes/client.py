@@ -88,16 +88,19 @@ class CellClient:
         except ExternalShutdownException:
             return
 
-    def wait(self, what: Callable[[], T | None], timeout: float, missing: str) -> T:
+    def wait(self, what: Callable[[], T | None], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> T:
         """Wait until `what` gives something else than None or False.
+
+        Args:
+            last_heard: When there was a sign of life [s], of `time.monotonic`; the timeout counts from it and not from now.
 
         Raises:
             CellTimeout: `timeout` [s] of wall time has passed; the text is `missing`.
         """
-        deadline = time.monotonic() + timeout
+        started = time.monotonic()
         while (found := what()) is None or found is False:
             self._check()
-            if time.monotonic() > deadline:
+            if time.monotonic() > timeout + (started if last_heard is None else last_heard()):
                 raise CellTimeout(missing)
             time.sleep(_POLL)
         return found
@@ -170,18 +173,36 @@ class CellClient:
     # ---- what is asked for
 
     def execute_push(
-        self, goal: ExecutePush.Goal, *, timeout: float = 90.0, on_feedback: Callable[[Any], None] | None = None
+        self, goal: ExecutePush.Goal, *, silence: float = 60.0, on_feedback: Callable[[Any], None] | None = None
     ) -> ExecutePush.Result:
-        """Push (or plan only); returns the result whatever its error code."""
+        """Push (or plan only); returns the result whatever its error code.
+
+        A push may take minutes, with another one before it that brings the object back to the middle. It is waited for while the
+        executor tells how far it is.
+
+        Args:
+            silence: longest time without feedback [s], wall time; planning tells nothing and a simulated cell may be slow.
+
+        Raises:
+            CellTimeout: The action is not served, the goal was refused, or the executor fell silent.
+        """
         self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
-        feedback = (lambda msg: on_feedback(msg.feedback)) if on_feedback else None
+        heard = time.monotonic()
+
+        def feedback(msg: Any) -> None:
+            nonlocal heard
+            heard = time.monotonic()
+            if on_feedback is not None:
+                on_feedback(msg.feedback)
+
         handle = self._answer(
             lambda: self._push.send_goal_async(goal, feedback_callback=feedback), 20.0, "execute_push did not answer within 20 s"
         )
         if not handle.accepted:
             raise CellTimeout("execute_push refused the goal")
-        answer = self._answer(handle.get_result_async, timeout, f"the push was not over after {timeout:.0f} s")
-        return answer.result
+        heard = time.monotonic()
+        missing = f"execute_push told nothing for {silence:.0f} s and gave no result; see the log of push_executor_node"
+        return self._answer(handle.get_result_async, silence, missing, lambda: heard).result
 
     def predict(self, object_id: str, path: Path) -> PushPrediction:
         """What the identified model says of a push along `path`, from the object's latest pose."""
@@ -200,12 +221,12 @@ class CellClient:
             raise PushIdentError(f"{name}: {answer.message}")
         return answer
 
-    def _answer(self, ask: Callable[[], Future], timeout: float, missing: str) -> Any:
+    def _answer(self, ask: Callable[[], Future], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> Any:
         # Asked from the thread that spins: from another one, the answer may come before the question is noted, and is dropped.
         asked: Future = self._executor.create_task(ask)
-        self.wait(asked.done, timeout, missing)
+        self.wait(asked.done, timeout, missing, last_heard)
         future: Future = asked.result()
-        self.wait(future.done, timeout, missing)
+        self.wait(future.done, timeout, missing, last_heard)
         return future.result()
 
     # ---- what comes in

@@ -11,9 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point32, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from geometry_msgs.msg import Point32, PolygonStamped, Pose, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
@@ -35,6 +36,7 @@ __all__ = [
     "object_frame",
     "occupancy_to_msg",
     "planar_pose_from_msg",
+    "planar_pose_of",
     "planar_pose_to_msg",
     "position_from_msg",
     "position_to_msg",
@@ -42,6 +44,8 @@ __all__ = [
     "shape_to_msgs",
     "stamp_from_msg",
     "stamp_to_msg",
+    "transform_from_msg",
+    "transform_to_msg",
 ]
 
 TABLE_FRAME: Final = "table"
@@ -103,6 +107,43 @@ def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABL
     if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0:
         raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw); a pose is never known exactly.")
     return stamp_from_msg(msg.header.stamp), pose, covariance
+
+
+def planar_pose_of(pose: Pose) -> Float64Array:
+    """Pose (x, y, yaw) [m, m, rad] of a pose in the plane.
+
+    Raises:
+        InputError: It is tilted against the plane.
+    """
+    return np.array([pose.position.x, pose.position.y, _yaw(pose.orientation)])
+
+
+def transform_to_msg(stamp: Time, transform: ArrayLike, *, frame_id: str = TABLE_FRAME) -> PoseStamped:
+    """A homogeneous transform, shape (4, 4), from the frame that it describes to `frame_id`."""
+    matrix = np.asarray(transform, dtype=np.float64)
+    msg = PoseStamped()
+    msg.header.stamp = stamp
+    msg.header.frame_id = frame_id
+    msg.pose.position.x, msg.pose.position.y, msg.pose.position.z = (float(value) for value in matrix[:3, 3])
+    x, y, z, w = (float(value) for value in Rotation.from_matrix(matrix[:3, :3]).as_quat())
+    msg.pose.orientation.x, msg.pose.orientation.y, msg.pose.orientation.z, msg.pose.orientation.w = x, y, z, w
+    return msg
+
+
+def transform_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> Float64Array:
+    """Homogeneous transform, shape (4, 4).
+
+    Raises:
+        InputError: Another frame, values not finite, or no unit quaternion.
+    """
+    turn = msg.pose.orientation
+    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+    if not abs(float(np.linalg.norm(quaternion)) - 1) < 1e-3:
+        raise InputError(f"Orientation {quaternion.tolist()} is no unit quaternion (x, y, z, w).")
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    transform[:3, 3] = position_from_msg(msg, frame_id=frame_id)[1]
+    return transform
 
 
 def position_to_msg(stamp: Time, position: ArrayLike, *, yaw: float = 0.0, frame_id: str = TABLE_FRAME) -> PoseStamped:

@@ -26,7 +26,8 @@ class Parameter:
 
     name: str
     default: bool | int | float | str | list[float] | list[int] | list[str]
-    """Fixes the type as well."""
+    """Fixes the type as well, and the length of a list of numbers. Lists of strings have any length; `[""]` is an empty one, as ROS
+    takes an empty list for one of bytes."""
     description: str
     """What it does, with its unit."""
     minimum: float | None = None
@@ -41,6 +42,8 @@ class Parameter:
         if isinstance(self.default, str):
             return f"expected one of {', '.join(self.choices)}" if self.choices and value not in self.choices else ""
         if isinstance(self.default, list):
+            if isinstance(self.default[0], str):
+                return ""
             if len(value) != len(self.default):
                 return f"expected {len(self.default)} values, got {len(value)}"
             values = list(value)
@@ -92,12 +95,14 @@ class Parameters:
         node: Node,
         table: Iterable[Parameter],
         *,
+        further: Callable[[dict[str, Any]], Iterable[Parameter]] | None = None,
         check: Callable[[dict[str, Any]], object] | None = None,
         on_change: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:
         """Declare `table` on `node`.
 
         Args:
+            further: Called with the values of `table`; gives the rows that follow from them, such as those of each name in a list.
             check: Called with all values as they would be; raises InputError when they do not go together.
             on_change: Called with the new values of the changed parameters, after they were accepted.
         """
@@ -106,6 +111,9 @@ class Parameters:
         self._table = {row.name: row for row in table}
         node.add_on_set_parameters_callback(self._check)
         for row in self._table.values():
+            self._declare(row)
+        for row in further(self.as_dict()) if further is not None else ():
+            self._table[row.name] = row
             self._declare(row)
         self._warn_of_unknown_keys()
         if check is not None:

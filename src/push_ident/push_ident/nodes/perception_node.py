@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -18,31 +22,32 @@ from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEve
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 
-from push_ident.errors import FrameError, InputError, PerceptionError
+from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     cylinder_radius_from_msg,
-    depth_frame_from_msgs,
     occupancy_to_msg,
     planar_pose_to_msg,
     position_from_msg,
     shape_to_msgs,
     stamp_from_msg,
+    transform_to_msg,
 )
+from push_ident.nodes.depth_input import DepthInput
+from push_ident.nodes.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
-from push_ident.perception.calibration import Calibration, Mark, calibrate
 from push_ident.perception.labels import Cylinder, RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["PARAMETERS", "PerceptionNode", "camera_pose", "main", "mark_of", "quaternion_of"]
+__all__ = ["PARAMETERS", "PerceptionNode", "main"]
 
 _DEFAULTS: Final = PerceptionSettings()
 
@@ -66,7 +71,9 @@ _DEFAULT_OF: Final = {row.name: row.default for row in _SETTINGS}
 
 PARAMETERS: Final = (
     *_SETTINGS,
-    Parameter("extrinsics", "parameters", "where the camera pose comes from", choices=("parameters", "tf", "calibrate"), read_only=True),
+    Parameter(
+        "extrinsics", "parameters", "where the poses of all cameras come from", choices=("parameters", "tf", "calibrate"), read_only=True
+    ),
     Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),
     Parameter(
         "camera_quaternion",
@@ -74,6 +81,13 @@ PARAMETERS: Final = (
         "orientation of the optical frame in the table frame, x y z w",
         -1.0,
         1.0,
+        read_only=True,
+    ),
+    Parameter(
+        "extra_cameras",
+        [""],
+        "names of further cameras, which add to the shape of an object: each has topics `<name>/depth/image_rect`, "
+        "`<name>/depth/camera_info` and parameters `<name>.camera_position`, `<name>.camera_quaternion`",
         read_only=True,
     ),
     Parameter("tool_radius", 0.02, "radius of the tool that is masked until pusher/shape says otherwise [m]", 0.0, 0.3),
@@ -104,52 +118,32 @@ _SILENT: Final = 2.0
 """Without a depth image for so long the node reports it [s], receive time."""
 
 
-def camera_pose(position: list[float], quaternion: list[float]) -> Float64Array:
-    """Homogeneous transform, shape (4, 4), of a position [m] and a unit quaternion (x, y, z, w).
-
-    Raises:
-        InputError: The quaternion is not a unit one.
-    """
-    norm = float(np.linalg.norm(quaternion))
-    if abs(norm - 1.0) > 1e-3:
-        raise InputError(f"camera_quaternion {quaternion} has norm {norm:.4f}, expected a unit quaternion (x, y, z, w).")
-    x, y, z, w = np.asarray(quaternion, dtype=np.float64) / norm
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    pose[:3, 3] = position
-    return pose
-
-
-def quaternion_of(pose: Float64Array) -> list[float]:
-    """Unit quaternion (x, y, z, w) of a homogeneous transform, shape (4, 4): the inverse of `camera_pose`."""
-    from scipy.spatial.transform import Rotation
-
-    return [float(value) for value in Rotation.from_matrix(pose[:3, :3]).as_quat()]
-
-
-def mark_of(values: dict[str, Any]) -> Mark:
-    """The calibration mark of the parameters.
-
-    Raises:
-        InputError: The outline is not a list of corners, or has a symmetry.
-    """
-    try:
-        corners = [[float(number) for number in corner.split(",")] for corner in values["mark_outline"].split()]
-        outline = np.array(corners, dtype=np.float64)
-    except ValueError:
-        raise InputError(f"mark_outline is {values['mark_outline']!r}, expected corners such as '0,0 0.15,0 0,0.1' in metres.") from None
-    x, y, yaw = values["mark_pose"]
-    return Mark(outline, values["mark_height"], (x, y, yaw))
-
-
 def _settings(values: dict[str, Any]) -> PerceptionSettings:
     names = [row.name for row in _SETTINGS]
     chosen: dict[str, Any] = {name: tuple(values[name]) if isinstance(_DEFAULT_OF[name], list) else values[name] for name in names}
     return PerceptionSettings(**chosen)
+
+
+def _names_of(values: dict[str, Any]) -> list[str]:
+    """Of the further cameras.
+
+    Raises:
+        InputError: One is no ROS name, or given twice.
+    """
+    names = [name for name in values["extra_cameras"] if name]
+    for name in names:
+        if not re.fullmatch(r"[a-zA-Z][a-zA-Z0-9_]*", name) or names.count(name) > 1:
+            raise InputError(f"extra_cameras has {name!r}, expected different names of letters, digits and _ that begin with a letter.")
+    return names
+
+
+@dataclass(slots=True)
+class _Camera:
+    """One camera: its images, and where it stands as soon as that is known."""
+
+    extrinsics: Extrinsics
+    input: DepthInput
+    pose: Float64Array | None = None
 
 
 class PerceptionNode(Node):
@@ -157,37 +151,36 @@ class PerceptionNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("perception_node", **kwargs)
-        self._configured = Parameters(self, PARAMETERS, check=_settings, on_change=self._on_parameters)
+        self._configured = Parameters(
+            self,
+            PARAMETERS,
+            further=lambda values: (row for name in _names_of(values) for row in pose_rows(name)),
+            check=_settings,
+            on_change=self._on_parameters,
+        )
         self._perception: Perception | None = None
-        source = self._configured["extrinsics"]
-        self._tf = _TfExtrinsics(self) if source == "tf" else None
-        self._mark = mark_of(self._configured.as_dict()) if source == "calibrate" else None
-        self._calibration_frames: list[DepthFrame] = []
-        if source == "parameters":
-            extrinsics = camera_pose(self._configured["camera_position"], self._configured["camera_quaternion"])
-            self._perception = Perception(extrinsics, _settings(self._configured.as_dict()))
+        self._calibrated: list[str] = []
         self._tool_radius, self._tool_length = float(self._configured["tool_radius"]), float(self._configured["tool_length"])
         self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=_TOOL_MEMORY)
         self._arm: ArmShape | None = None
         self._joints: deque[tuple[float, tuple[str, ...], Float64Array]] = deque(maxlen=_ARM_MEMORY)
-        self._infos: deque[CameraInfo] = deque(maxlen=10)
-        self._unpaired: Image | None = None
         self._counter: Counter[str] = Counter()
         self._last_error = ""
         self._logged: dict[str, float] = {}
         self._last_seen: Observation | None = None
         self._notes: dict[str, str] = {}
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._started_at = self._last_image_at = self._diagnosed_at = self._wall.now()
+        self._started_at = self._diagnosed_at = self._wall.now()
         self._frames_diagnosed = 0
         self._latencies: list[float] = []
         self._last_stamp = -np.inf
 
         self._object_publishers: dict[str, tuple[Publisher, Publisher, Publisher]] = {}
+        self._camera_publisher = self.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
+        self._camera_published: Float64Array | None = None
         self._occupancy_publisher = self.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
-        self.create_subscription(Image, "depth/image_rect", self._on_image, qos_profile_sensor_data)
+        self._add_cameras()
         self.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
         self.create_subscription(JointState, "joint_states", self._on_joints, qos_profile_sensor_data)
         for kind, topic, callback in (
@@ -242,46 +235,30 @@ class PerceptionNode(Node):
         policy = qos_policy_name_from_kind(info.last_policy_kind)
         self._refuse("incompatible_qos", f"{topic}: a publisher offers an incompatible {policy}; it must be reliable and transient local")
 
-    def _on_info(self, info: CameraInfo) -> None:
-        self._infos.append(info)
-        if self._unpaired is not None and self._skew(self._unpaired, info) <= self._configured["max_skew"]:
-            image, self._unpaired = self._unpaired, None
-            self._on_pair(image, info)
+    def _add_cameras(self) -> None:
+        values = self._configured.as_dict()
+        mark = mark_of(values) if values["extrinsics"] == "calibrate" else None
+        tf = TfBuffer(self) if values["extrinsics"] == "tf" else None
 
-    def _on_image(self, image: Image) -> None:
-        self._last_image_at, self._received = self._wall.now(), time.perf_counter()
-        self._counter["images"] += 1
-        if self._unpaired is not None:
-            self._drop_unpaired(self._unpaired)
-        self._unpaired = None
-        # The info may arrive after its image; an info without a stamp is of a camera that never changes.
-        nearest = min(self._infos, key=lambda info: self._skew(image, info), default=None)
-        if nearest is not None and self._skew(image, nearest) <= self._configured["max_skew"]:
-            self._on_pair(image, nearest)
-        else:
-            self._unpaired = image
+        def extrinsics_of(name: str) -> Extrinsics:
+            if mark is not None:
+                return FromMark(mark, values["calibration_frames"])
+            return FromTf(tf) if tf is not None else FromParameters(values, f"{name}." if name else "")
 
-    def _drop_unpaired(self, image: Image) -> None:
-        if not self._infos:
-            self._refuse(
-                "dropped_without_info", f"no camera info on {self.resolve_topic_name('depth/camera_info')} yet; start the camera driver"
+        def input_of(name: str, on_frame: Callable[[DepthFrame, Time], None], refuse: Callable[[str, str], None]) -> DepthInput:
+            return DepthInput(
+                self, f"{name}/" if name else "", max_skew=lambda: self._configured["max_skew"], on_frame=on_frame, refuse=refuse
             )
-            return
-        skew = min(self._skew(image, info) for info in self._infos)
-        limit = self._configured["max_skew"]
-        self._refuse(
-            "dropped_skew", f"depth image and nearest camera info are {skew * 1e3:.0f} ms apart, expected at most {limit * 1e3:.0f} ms"
-        )
 
-    @staticmethod
-    def _skew(image: Image, info: CameraInfo) -> float:
-        at = stamp_from_msg(info.header.stamp)
-        return abs(stamp_from_msg(image.header.stamp) - at) if at else 0.0
+        self._main = _Camera(extrinsics_of(""), input_of("", self._on_frame, self._refuse))
+        self._further = {
+            name: _Camera(extrinsics_of(name), input_of(name, partial(self._on_further_frame, name), partial(self._leave_out, name)))
+            for name in _names_of(values)
+        }
 
-    def _on_pair(self, image: Image, info: CameraInfo) -> None:
+    def _on_frame(self, frame: DepthFrame, stamp: Time) -> None:
         try:
-            frame = depth_frame_from_msgs(image, info, max_skew=None)
-            if self._perception is None and not self._find_extrinsics(frame):
+            if self._perception is None and not self._begin(frame):
                 return
             assert self._perception is not None
             if frame.stamp < self._last_stamp:
@@ -289,61 +266,66 @@ class PerceptionNode(Node):
             self._last_stamp = frame.stamp
             followed: list[str] = []
             seen = self._perception.observe(
-                frame, self._robot_at(frame.stamp), lambda objects: followed.extend(self._publish_poses(objects, image))
+                frame, self._robot_at(frame.stamp), lambda objects: followed.extend(self._publish_poses(objects, stamp))
             )
-        except FrameError as error:
-            self._refuse("frames_refused", str(error))
-            return
         except PerceptionError as error:
             self._refuse("frames_without_result", str(error))
             return
         self._counter["frames"] += 1
-        self._publish(seen, image, followed)
+        self._publish(seen, stamp, followed)
 
-    def _find_extrinsics(self, frame: DepthFrame) -> bool:
-        """Look for the camera pose; the next frame asks again when there is none yet."""
-        if self._mark is not None:
-            return self._calibrate(frame, self._mark)
-        assert self._tf is not None
-        pose, why = self._tf.camera_in_table(frame.frame_id)
-        if pose is None:
-            self._refuse("without_extrinsics", why)
-            return False
-        self._perception = Perception(pose, _settings(self._configured.as_dict()))
-        return True
-
-    def _calibrate(self, frame: DepthFrame, mark: Mark) -> bool:
-        """Collect frames; when there are enough, calibrate from them, or start over and say why it failed."""
-        self._calibration_frames.append(frame)
-        n, needed = len(self._calibration_frames), self._configured["calibration_frames"]
-        self._notes["calibration"] = f"{n} of {needed} frames" if n < needed else ""
-        if n < needed:
-            return False
-        frames, self._calibration_frames = self._calibration_frames, []
+    def _begin(self, frame: DepthFrame) -> bool:
+        """Start perception as soon as it is known where the camera stands; the next frame asks again when it is not."""
         try:
-            found = calibrate(frames, mark)
+            self._main.pose = self._main.extrinsics.find(frame)
         except PerceptionError as error:
-            self._refuse("calibrations_failed", f"no extrinsics from the mark: {error}")
+            self._refuse(self._main.extrinsics.refusal, str(error))
+        self._notes["calibration"] = self._main.extrinsics.progress
+        if self._main.pose is None:
             return False
-        self._use(found)
+        self._tell_calibration("", self._main)
+        self._perception = Perception(self._main.pose, _settings(self._configured.as_dict()))
         return True
 
-    def _use(self, found: Calibration) -> None:
-        position, quaternion = [float(value) for value in found.camera_in_table[:3, 3]], quaternion_of(found.camera_in_table)
-        self._notes["extrinsics"] = (
+    def _on_further_frame(self, name: str, frame: DepthFrame, stamp: Time) -> None:
+        camera = self._further[name]
+        if camera.pose is None:
+            try:
+                camera.pose = camera.extrinsics.find(frame)
+            except PerceptionError as error:
+                self._leave_out(name, camera.extrinsics.refusal, str(error))
+            self._notes[f"calibration_{name}"] = camera.extrinsics.progress
+            if camera.pose is None:
+                return
+            self._tell_calibration(name, camera)
+        self._counter[f"{name}_frames"] += 1
+        if self._perception is not None:
+            self._perception.see_also(name, frame, camera.pose, self._robot_at(frame.stamp))
+
+    def _leave_out(self, name: str, kind: str, why: str) -> None:
+        """Tell what is wrong with a further camera; perception goes on without it."""
+        self._counter[f"{name}_{kind}"] += 1
+        self._notes[f"camera_{name}"] = why
+        self._log(f"{name}_{kind}", f"Camera {name}: {why}")
+
+    def _tell_calibration(self, name: str, camera: _Camera) -> None:
+        """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
+        found = camera.extrinsics.found if isinstance(camera.extrinsics, FromMark) else None
+        if found is None:
+            return
+        self._calibrated += pose_lines(found.camera_in_table, f"{name}." if name else "")
+        note = self._notes[f"extrinsics_{name}" if name else "extrinsics"] = (
             f"calibrated from {found.n_frames} frames: outline of the mark {found.outline_residual * 1e3:.2f} mm, "
             f"its height {found.height_error * 1e3:+.2f} mm, table {found.plane_noise * 1e3:.2f} mm off"
         )
-        lines = [f"camera_position: {[round(v, 6) for v in position]}", f"camera_quaternion: {[round(v, 8) for v in quaternion]}"]
-        self.get_logger().info(f"Extrinsics {self._notes['extrinsics']}. {lines[0]} {lines[1]}")
+        self.get_logger().info(f"Extrinsics {name} {note}. {' '.join(self._calibrated[-2:])}")
         if self._configured["calibration_file"]:
             # For every node that has these parameters: perception, recorder, simulated cell.
-            text = "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines)
+            text = "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in self._calibrated)
             try:
                 Path(self._configured["calibration_file"]).write_text(text, encoding="utf-8")
             except OSError as error:
                 self._refuse("calibration_not_written", f"cannot write {self._configured['calibration_file']}: {error.strerror}")
-        self._perception = Perception(found.camera_in_table, _settings(self._configured.as_dict()))
 
     def _robot_at(self, stamp: float) -> tuple[RobotPart, ...]:
         """Tool, hand and arm where they were at `stamp`, between the states before and after."""
@@ -382,31 +364,45 @@ class PerceptionNode(Node):
         reach = self._configured["max_object_height"] + self._configured["mask_margin"]
         return tuple(rod for rod in rods if rod.lowest < reach)
 
-    def _publish_poses(self, objects: Iterable[ObservedObject], image: Image) -> list[str]:
+    def _publish_poses(self, objects: Iterable[ObservedObject], stamp: Time) -> list[str]:
         """Publish what has a pose; the ids of those."""
         tracked = []
         for known in objects:
             if known.pose is not None and known.covariance is not None:
-                self._publishers_of(known.object_id)[0].publish(planar_pose_to_msg(image.header.stamp, known.pose, known.covariance))
+                self._publishers_of(known.object_id)[0].publish(planar_pose_to_msg(stamp, known.pose, known.covariance))
                 tracked.append(known.object_id)
         if tracked:
             self._counter["poses"] += len(tracked)
-            self._latencies.append(time.perf_counter() - self._received)
+            self._latencies.append(self._main.input.silence)
         return tracked
 
-    def _publish(self, seen: Observation, image: Image, followed: list[str]) -> None:
-        stamp = image.header.stamp
+    def _publish(self, seen: Observation, stamp: Time, followed: list[str]) -> None:
         for object_id, shape in seen.new_shapes.items():
             self.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
             _, cells_publisher, outline_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
             outline_publisher.publish(outline)
-        self._publish_poses((known for known in seen.objects if known.object_id not in followed), image)
+        if seen.new_shapes:
+            self._note_views(seen.further_views)
+        self._publish_poses((known for known in seen.objects if known.object_id not in followed), stamp)
+        if self._perception is not None and self._camera_published is not self._perception.camera_in_table:
+            self._camera_published = self._perception.camera_in_table
+            self._camera_publisher.publish(transform_to_msg(stamp, self._camera_published))
         if seen.occupancy is not None:
             grid = seen.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
         self._last_seen = seen
+
+    def _note_views(self, why_left_out: dict[str, str]) -> None:
+        """Count which further cameras helped with the shape of a new object, and say why others did not."""
+        for name in self._further:
+            why = why_left_out.get(name, "none of its frames came before the object was taken in")
+            if why:
+                self._leave_out(name, "views_left_out", why)
+            else:
+                self._counter[f"{name}_views_used"] += 1
+                self._notes[f"camera_{name}"] = ""
 
     def _restart(self, stamp: float) -> None:
         """Time went back, as when a bag starts again: `Perception` forgets all objects, and so do the topics."""
@@ -445,11 +441,20 @@ class PerceptionNode(Node):
         now = self._wall.now()
         elapsed = (now - self._diagnosed_at).nanoseconds * 1e-9
         rate = (self._counter["frames"] - self._frames_diagnosed) / max(elapsed, 1e-3)
-        silent = (now - self._last_image_at).nanoseconds * 1e-9 > _SILENT
+        silent = self._main.input.silence > _SILENT
+        for name, camera in self._further.items():
+            if camera.input.silence > _SILENT:
+                self._leave_out(name, "silent", self._silence_of(camera))
         why = self._why_nothing(silent, rate)
         if silent or rate == 0:
             self._log("nothing", why)
-        values: dict[str, Any] = {"rate_hz": f"{rate:.1f}", **self._counter, "last_error": self._last_error, "why_nothing": why}
+        values: dict[str, Any] = {
+            "rate_hz": f"{rate:.1f}",
+            "images": self._main.input.n_images,
+            **self._counter,
+            "last_error": self._last_error,
+            "why_nothing": why,
+        }
         if self._latencies:
             values["latency_ms"] = f"{1e3 * float(np.median(self._latencies)):.1f} median, {1e3 * max(self._latencies):.1f} worst"
             self._latencies.clear()
@@ -469,40 +474,18 @@ class PerceptionNode(Node):
         if self.get_parameter("use_sim_time").value and self.get_clock().now().nanoseconds == 0:
             return f"use_sim_time is set but nothing comes on /clock ({self.count_publishers('/clock')} publishers)"
         if silent:
-            topic = self.resolve_topic_name("depth/image_rect")
-            return f"no depth image on {topic} ({self.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
+            return self._silence_of(self._main)
         waited = (self._wall.now() - self._started_at).nanoseconds * 1e-9
-        if self._perception is None and waited > self._configured["extrinsics_timeout"]:
-            return f"still no extrinsics ({self._configured['extrinsics']}) after {waited:.0f} s: {self._last_error}"
+        source = self._configured["extrinsics"]
+        if self._perception is None and source != "parameters" and waited > self._configured["extrinsics_timeout"]:
+            return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_seen is None:
             return self._last_error or "no depth frame has been taken in yet"
         return self._last_seen.why_nothing()
 
-
-class _TfExtrinsics:
-    """Camera pose from tf2, where it is installed."""
-
-    def __init__(self, node: Node) -> None:
-        try:
-            import tf2_ros  # Not among the Python wheels of ROS: optional.
-        except ImportError:
-            raise InputError(
-                "Parameter extrinsics is tf, but tf2_ros is not installed; give camera_position and camera_quaternion."
-            ) from None
-        self._error = tf2_ros.TransformException
-        self._buffer = tf2_ros.Buffer()
-        self._listener = tf2_ros.TransformListener(self._buffer, node)
-
-    def camera_in_table(self, camera_frame: str) -> tuple[Float64Array | None, str]:
-        """Homogeneous transform, shape (4, 4), or None and why; never waits, the next frame asks again."""
-        from rclpy.time import Time
-
-        try:
-            found = self._buffer.lookup_transform(TABLE_FRAME, camera_frame, Time()).transform
-        except self._error as error:
-            return None, f"no transform from {camera_frame} to {TABLE_FRAME}: {error}"
-        at, turn = found.translation, found.rotation
-        return camera_pose([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w]), ""
+    def _silence_of(self, camera: _Camera) -> str:
+        topic = camera.input.image_topic
+        return f"no depth image on {topic} ({self.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
 
 
 def main(args: list[str] | None = None) -> int:

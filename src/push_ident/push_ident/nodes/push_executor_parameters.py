@@ -44,7 +44,14 @@ PARAMETERS: Final = (
     Parameter("free_speed", 0.25, "tool speed going up and down [m/s]", 0.01, 1.0),
     Parameter("acceleration", 2.0, "tool acceleration on straight lines [m/s^2]", 0.1, 10.0),
     Parameter("max_joint_velocity", 1.3, "cap on every joint's velocity [rad/s]", 0.01, 5.0),
-    Parameter("max_joint_acceleration", 5.0, "of free moves [rad/s^2]", 0.1, 50.0),
+    Parameter(
+        "joint_acceleration_limits",
+        [10.0] * len(_HOME),
+        "largest acceleration on all of the way, one per joint, as max_acceleration in joint_limits.yaml [rad/s^2]",
+        0.1,
+        200.0,
+    ),
+    Parameter("max_joint_acceleration", 5.0, "cap on every joint's acceleration on all moves but the push [rad/s^2]", 0.1, 50.0),
     Parameter("settle", 0.3, "pause with the tool lowered before the push [s]", 0.0, 10.0),
     Parameter("rest", 0.6, "pause after the push, for frames of the object at rest [s]", 0.0, 10.0),
     Parameter("back_off", 0.015, "way back from the object before the tool rises [m]", 0.002, 0.1),
@@ -88,5 +95,6 @@ def push_settings(values: dict[str, Any]) -> PushSettings:
 
 def motion_settings(values: dict[str, Any]) -> MotionSettings:
     """Numbers of the arm's motion; raises InputError when the values contradict each other."""
-    own = {field.name for field in fields(MotionSettings)}
-    return MotionSettings(home=tuple(values["home_posture"]), **{name: value for name, value in values.items() if name in own})
+    own = {field.name for field in fields(MotionSettings)} & values.keys()
+    chosen: dict[str, Any] = {name: tuple(value) if isinstance(value := values[name], list) else value for name in own}
+    return MotionSettings(home=tuple(values["home_posture"]), **chosen)

@@ -22,7 +22,7 @@ from push_ident.perception.depth import points_in_table
 from push_ident.perception.labels import label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SeenObject, mean_depth, see_object
+from push_ident.perception.shape import SeenObject, Sight, mean_depth, see_object
 from push_ident.perception.tracking import PoseFit, Template, TrackStatus, relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
@@ -218,7 +218,7 @@ def _fit(template: Template, frame: DepthFrame, camera: Float64Array, segment: S
     if fit.status is not TrackStatus.TRACKED:
         return fit, np.inf, np.inf
     outline = transform_points(fit.pose, template.outline)
-    seen = see_object(frame.depth, frame.intrinsics, camera, segment, noise=noise, min_height=0.008, cell_count=50)
+    seen = see_object([Sight(frame, camera, segment, noise)], min_height=0.008, cell_count=50)
     edge = _dense(seen.shape.outline + seen.pose[:2], 30)
     residual = float(np.sqrt(np.mean(np.square(signed_distance(edge, outline)))))
     points = points_in_table(frame, camera)[segment.rows, segment.columns][segment.mask]

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError
+from push_ident.perception.kernels import place_points
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
 
-__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "depth_from_buffer", "points_in_table", "rays_in_table"]
+__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "check_size", "depth_from_buffer", "points_in_table", "rays_in_table"]
 
 ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
     "16UC1": (np.dtype(np.uint16), 1e-3),
@@ -72,6 +73,17 @@ def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
         raise FrameError(f"Camera info has (fx, fy, cx, cy) = {k}, expected finite values and focal lengths > 0; calibrate the camera.")
 
 
+def check_size(frame: DepthFrame) -> None:
+    """Refuse an image of another size than its camera info, which the compiled loops over its pixels would overrun.
+
+    Raises:
+        FrameError: It is of another size.
+    """
+    expected = (frame.intrinsics.height, frame.intrinsics.width)
+    if frame.depth.shape != expected:
+        raise FrameError(f"Depth image has shape {frame.depth.shape}, camera info says {expected}; they belong to different cameras.")
+
+
 @lru_cache(maxsize=8)
 def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
     check_intrinsics(intrinsics)
@@ -85,8 +97,10 @@ def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
 def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Float64Array, NDArray[np.float32]]:
     camera_in_table = np.frombuffer(transform).reshape(4, 4)
     rays = _rays_in_camera(intrinsics) @ camera_in_table[:3, :3].T.astype(np.float32)
-    rays.setflags(write=False)
-    return camera_in_table[:3, 3], rays
+    centre = camera_in_table[:3, 3].copy()
+    for array in (centre, rays):
+        array.setflags(write=False)
+    return centre, rays
 
 
 def rays_in_table(intrinsics: CameraIntrinsics, camera_in_table: ArrayLike) -> tuple[Float64Array, NDArray[np.float32]]:
@@ -114,10 +128,7 @@ def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np
     Raises:
         FrameError: The image has another size than its camera info.
     """
-    expected = (frame.intrinsics.height, frame.intrinsics.width)
-    if frame.depth.shape != expected:
-        raise FrameError(f"Depth image has shape {frame.depth.shape}, camera info says {expected}; they belong to different cameras.")
+    check_size(frame)
     centre, rays = rays_in_table(frame.intrinsics, camera_in_table)
-    points: NDArray[np.float32] = rays * frame.depth[..., None]
-    points += centre.astype(np.float32)
+    points: NDArray[np.float32] = place_points(np.asarray(frame.depth, dtype=np.float32), rays, centre)
     return points

@@ -22,7 +22,7 @@ from push_ident.perception.straighten import straighten
 from push_ident.perception.tracking import Template, TrackStatus, fit_pose, lines_of_sight
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["View", "fuse_views"]
+__all__ = ["View", "fuse_views", "size_in"]
 
 _BAND: Final = 0.005
 """Lines of sight this near to an edge are used [m]."""
@@ -103,6 +103,15 @@ def fuse_views(seen: SeenObject, views: Sequence[View], *, pose_known: bool = Fa
     return replace(seen, shape=shape, pose=_shifted_frame(seen.pose, (x, y)), top_origin=seen.top_origin - (x, y))
 
 
+def size_in(view: View, seen: SeenObject) -> float:
+    """Size of the object in a view at its right pose, over the size of `seen`; a wrong focal length or unit of depth shows here."""
+    outline = seen.shape.outline
+    gradient, curvature = _pull(Template(seen), outline, view, view.pose)
+    # An edge moves by its distance from the origin times the growth.
+    lever = np.sum(outline * _normals(outline), axis=1)
+    return 1.0 + float(np.sum(gradient * lever) / max(float(np.sum(curvature * lever**2)), 1e-9))
+
+
 def _pull(template: Template, outline: Float64Array, view: View, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Gradient and curvature of the misfit by the offset of each edge, shapes (n_edges,)."""
     lines = lines_of_sight(template, view.frame, view.camera_in_table, pose, _BAND, 1, view.robot)
@@ -156,9 +165,7 @@ def _alike(outline: Float64Array) -> Float64Array:
 
 def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:
     """Every edge moved outwards by its offset; corners where the moved edges meet."""
-    edge = np.roll(outline, -1, axis=0) - outline
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
-    normal = normal if polygon_area(outline) > 0 else -normal
+    normal = _normals(outline)
     before, offset_before = np.roll(normal, 1, axis=0), np.roll(offset, 1)
     cosine = np.sum(normal * before, axis=1)
     mean = 0.5 * (offset + offset_before)[:, None] * (normal + before) / np.maximum(1.0 + cosine, 0.5)[:, None]
@@ -167,6 +174,13 @@ def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Arr
     a, b = (offset_before - cosine * offset) / sine2, (offset - cosine * offset_before) / sine2
     meeting = a[:, None] * before + b[:, None] * normal
     return outline + np.where((1.0 - cosine**2 > _LEAST_SINE2)[:, None], meeting, mean)
+
+
+def _normals(outline: Float64Array) -> Float64Array:
+    """Outward unit normal of each edge, shape (n_edges, 2)."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.asarray(normal if polygon_area(outline) > 0 else -normal)
 
 
 def _without_reversed(before: Float64Array, after: Float64Array, moved: Float64Array) -> tuple[Float64Array, Float64Array]:

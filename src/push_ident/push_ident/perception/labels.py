@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.arm_shape import Rod
+from push_ident.perception.kernels import in_rods, label_heights
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray
 
@@ -42,25 +44,20 @@ RobotPart = Cylinder | Rod
 
 def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: float) -> BoolArray:
     """Which of `points`, shape (..., 3), lie in a part of the robot grown by `margin` [m]."""
-    inside = np.zeros(points.shape[:-1], dtype=bool)
-    for part in robot:
-        inside |= _in_cylinder(points, part, margin) if isinstance(part, Cylinder) else _in_rod(points, part, margin)
-    return inside
+    if not robot:
+        return np.zeros(points.shape[:-1], dtype=bool)
+    flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3)
+    inside = in_rods(flat, np.array([_as_row(part) for part in robot]), margin)
+    return np.asarray(inside.reshape(points.shape[:-1]))
 
 
-def _in_cylinder(points: NDArray[np.float32], part: Cylinder, margin: float) -> BoolArray:
-    distance = (points[..., 0] - part.x) ** 2 + (points[..., 1] - part.y) ** 2
-    return np.asarray((distance < (part.radius + margin) ** 2) & (points[..., 2] > part.z_min - margin))
-
-
-def _in_rod(points: NDArray[np.float32], rod: Rod, margin: float) -> BoolArray:
-    axis = rod.end - rod.start
+def _as_row(part: RobotPart) -> tuple[float, ...]:
+    """Start, unit direction, length and radius of a part."""
+    if isinstance(part, Cylinder):
+        return part.x, part.y, part.z_min, 0.0, 0.0, 1.0, math.inf, part.radius
+    axis = part.end - part.start
     length = float(np.linalg.norm(axis))
-    direction = (axis / length).astype(np.float32)
-    from_start = points - rod.start.astype(np.float32)
-    along = from_start @ direction
-    across = np.sum(np.square(from_start), axis=-1) - along**2
-    return np.asarray((across < (rod.radius + margin) ** 2) & (along > -margin) & (along < length + margin))
+    return *part.start, *(axis / length), length, part.radius
 
 
 def label_pixels(points: NDArray[np.float32], robot: Sequence[RobotPart], settings: PerceptionSettings) -> NDArray[np.int8]:
@@ -75,18 +72,19 @@ def label_pixels(points: NDArray[np.float32], robot: Sequence[RobotPart], settin
     Returns:
         UNKNOWN, TABLE, OBJECT or ROBOT, shape (height, width); outside the workspace nothing is OBJECT.
     """
-    heights = points[..., 2]
+    heights = np.asarray(points[..., 2], dtype=np.float32)
     seen = np.isfinite(heights)
     smooth = cv2.medianBlur(np.where(seen, heights, np.float32(0.0)), 3)
-    low, high = settings.workspace_low, settings.workspace_high
-    with np.errstate(invalid="ignore"):
-        x, y = points[..., 0], points[..., 1]
-        in_workspace = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-        labels = np.full(heights.shape, UNKNOWN, dtype=np.int8)
-        labels[seen & (heights > _BELOW)] = TABLE
-        labels[seen & in_workspace & (smooth > settings.min_object_height)] = OBJECT
-        labels[seen & (smooth > settings.max_object_height)] = ROBOT
-        # The table itself is not robot, and leaving it out leaves little to look at.
-        raised = seen & (smooth > 0.5 * settings.min_object_height) & (smooth <= settings.max_object_height)
-    labels[raised] = np.where(in_robot(points[raised], robot, settings.mask_margin), ROBOT, labels[raised])
-    return labels
+    (low_x, low_y), (high_x, high_y) = settings.workspace_low, settings.workspace_high
+    # The table itself is not robot, and leaving it out leaves little to look at.
+    labels, raised = label_heights(
+        np.ascontiguousarray(points, dtype=np.float32),
+        smooth,
+        (low_x, high_x, low_y, high_y),
+        (_BELOW, 0.5 * settings.min_object_height, settings.min_object_height, settings.max_object_height),
+        (UNKNOWN, TABLE, OBJECT, ROBOT),
+    )
+    if robot:
+        raised[raised] = in_robot(points[raised], robot, settings.mask_margin)
+        labels[raised] = ROBOT
+    return np.asarray(labels)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError, PerceptionError
 from push_ident.geometry.se2 import rotation
 from push_ident.perception.depth import points_in_table
+from push_ident.perception.further_camera import FurtherCamera
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import mean_depth, see_object
+from push_ident.perception.shape import SeenObject, Sight, mean_depth, see_object
 from push_ident.perception.table import TablePlane, fit_table
 from push_ident.perception.topdown import TopDownGrid, top_down
 from push_ident.perception.tracking import PoseFit, Template, TrackStatus, fit_pose, relocate
@@ -25,6 +26,8 @@ from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack
 
 __all__ = ["Observation", "ObservedObject", "Perception", "observe_offline"]
 
+_MAX_JUMP: Final = (0.02, 0.2)
+"""No object that is pushed goes further from where it is expected between two frames [m, rad]."""
 _PREDICT: Final = 0.2
 """An older pose says nothing of the velocity any more [s]."""
 _MOVED: Final = 0.0015
@@ -60,6 +63,8 @@ class Observation:
     saw too little of it."""
     occupancy: TopDownGrid | None
     """At its own, lower rate."""
+    further_views: dict[str, str]
+    """When an object was taken in: why what a further camera, by name, saw of it was left out; empty when it was used."""
     restarted: bool = False
     """Time went back, so everything known before was dropped."""
 
@@ -98,7 +103,7 @@ class _Tracked:
 
     def accept(self, fit: PoseFit, stamp: float) -> None:
         self.status = fit.status
-        if fit.status is not TrackStatus.TRACKED:
+        if not fit.leads_on:
             self.velocity = np.zeros(3)
             return
         age = stamp - self.stamp
@@ -136,12 +141,19 @@ class Perception:
             ("table", "robot", "object_pixels", "segments", "too_small", "beside_robot_or_cut", "behind_another", "waiting"), 0
         )
         self._table_hidden = 0
+        self._further: dict[str, FurtherCamera] = {}
+        self._further_views: dict[str, str] = {}
         self._last_stamp = self._last_search = self._last_occupancy = -np.inf
 
     @property
     def plane(self) -> TablePlane | None:
         """The table plane in use; None before the first frame."""
         return self._plane
+
+    @property
+    def camera_in_table(self) -> Float64Array:
+        """Optical frame in the table frame, shape (4, 4): the extrinsics, corrected by the plane of the table."""
+        return self._camera
 
     def first_pose(self, object_id: str) -> Float64Array:
         """Pose (x, y, yaw) of a known object when it was taken in, table frame: it defines the object frame."""
@@ -169,6 +181,7 @@ class Perception:
         restarted = frame.stamp < self._last_stamp
         if restarted:
             self.reset()
+        self._further_views = {}
         n_valid = int(np.count_nonzero(np.isfinite(frame.depth)))
         if n_valid == 0:
             raise PerceptionError(f"Depth image has 0 valid of {frame.depth.size} pixels; check the camera and its range.")
@@ -207,7 +220,17 @@ class Perception:
             **self._search_counts,
             "table_hidden": self._table_hidden,
         }
-        return Observation(frame.stamp, objects, new_shapes, counts, occupancy, restarted)
+        return Observation(frame.stamp, objects, new_shapes, counts, occupancy, self._further_views, restarted)
+
+    def see_also(self, name: str, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart] = ()) -> None:
+        """Keep a frame of a further camera for the shape of an object that is at rest; poses come from the main camera alone.
+
+        Args:
+            name: Of the camera.
+            camera_in_table: Its optical frame in the table frame, shape (4, 4), from its extrinsics.
+            robot: Where tool and arm were when the frame was taken.
+        """
+        self._further.setdefault(name, FurtherCamera()).see(frame, camera_in_table, robot)
 
     def fit(self, object_id: str, frame: DepthFrame, robot: Sequence[RobotPart] = ()) -> PoseFit:
         """Pose of a known object in another frame near the latest, for frames seen before the object was known."""
@@ -220,6 +243,9 @@ class Perception:
             start = known.predicted(frame.stamp)
             margin = self.settings.mask_margin
             fit = fit_pose(known.template, frame, self._camera, start, robot=robot, mask_margin=margin, others=self._others(name))
+            if fit.leads_on and (np.hypot(*(fit.pose - start)[:2]) > _MAX_JUMP[0] or abs(fit.pose[2] - start[2]) > _MAX_JUMP[1]):
+                # With most of the object behind the arm, a fit may slide to where nothing contradicts it.
+                fit = replace(fit, status=TrackStatus.POOR_FIT)
             known.accept(fit, frame.stamp)
             fits[name] = fit
         return fits
@@ -251,7 +277,14 @@ class Perception:
                     continue
                 margin = self.settings.mask_margin
                 fit = relocate(
-                    known.template, frame, self._camera, segment.centre, robot=robot, mask_margin=margin, others=self._others(name)
+                    known.template,
+                    frame,
+                    self._camera,
+                    segment.centre,
+                    robot=robot,
+                    mask_margin=margin,
+                    others=self._others(name),
+                    last_yaw=float(known.pose[2]),
                 )
                 if fit.status is TrackStatus.TRACKED:
                     known.accept(fit, frame.stamp)
@@ -288,20 +321,28 @@ class Perception:
             self._waiting.remove(waiting)
             last = waiting.frames[-1]
             mean = DepthFrame(last.stamp, mean_depth(waiting.frames), last.intrinsics, last.frame_id)
-            seen = see_object(
-                mean.depth,
-                last.intrinsics,
-                self._camera,
-                waiting.segment,
-                noise=self._plane.noise / np.sqrt(len(waiting.frames)),
-                min_height=self.settings.min_object_height,
-                cell_count=self.settings.cell_count,
-            )
-            seen = fuse_views(seen, [View(mean, self._camera, seen.pose)], pose_known=True)
+            first = Sight(mean, self._camera, waiting.segment, self._plane.noise / np.sqrt(len(waiting.frames)))
+            seen, sights = self._traced_by_all(first, waiting.frames[0].stamp, last.stamp)
+            seen = fuse_views(seen, [View(sight.frame, sight.camera_in_table, seen.pose) for sight in sights], pose_known=True)
             name = f"o{len(self._tracked) + 1}"
             self._tracked[name] = _Tracked(Template(seen), seen.shape, waiting.segment.area, seen.pose, seen.pose, stamp)
             new_shapes[name] = seen.shape
         return new_shapes
+
+    def _traced(self, sights: Sequence[Sight]) -> SeenObject:
+        return see_object(sights, min_height=self.settings.min_object_height, cell_count=self.settings.cell_count)
+
+    def _traced_by_all(self, first: Sight, began: float, ended: float) -> tuple[SeenObject, list[Sight]]:
+        """The object from the main camera's sight and those of further cameras that agree with it, and all these sights."""
+        seen, sights = self._traced([first]), [first]
+        for name, camera in self._further.items():
+            try:
+                together = [*sights, camera.sight_of(seen, began, ended, self.settings)]
+                seen, sights = self._traced(together), together
+                self._further_views.setdefault(name, "")
+            except (FrameError, PerceptionError) as error:
+                self._further_views[name] = str(error)
+        return seen, sights
 
     def _use_plane(self, plane: TablePlane) -> None:
         self._plane = plane

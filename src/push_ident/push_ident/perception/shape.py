@@ -14,16 +14,16 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import cells_in_outline, polygon_area, signed_distance
 from push_ident.perception.depth import rays_in_table
 from push_ident.perception.segments import Segment
 from push_ident.perception.straighten import straighten
-from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["SeenObject", "centroid", "mean_depth", "see_object"]
+__all__ = ["SeenObject", "Sight", "centroid", "mean_depth", "see_object"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
@@ -47,6 +47,20 @@ _WINDOW: Final = 7
 """Pixels in which the levels of the upper side beside a pixel are looked for."""
 _PAD: Final = 16
 """Pixels looked at around a segment."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """An object at rest as one camera has it."""
+
+    frame: DepthFrame
+    """Best with the `mean_depth` of several."""
+    camera_in_table: Float64Array
+    """Optical frame in the table frame whose z = 0 is the plane, shape (4, 4)."""
+    segment: Segment
+    """Pixels of the object."""
+    noise: float
+    """Standard deviation of its heights [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,47 +88,29 @@ def mean_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
     return np.where(2 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
 
 
-def see_object(
-    depth: NDArray[np.float32],
-    intrinsics: CameraIntrinsics,
-    camera_in_table: ArrayLike,
-    segment: Segment,
-    *,
-    noise: float,
-    min_height: float,
-    cell_count: int,
-) -> SeenObject:
-    """Shape of the object under `segment`.
+def see_object(sights: Sequence[Sight], *, min_height: float, cell_count: int) -> SeenObject:
+    """Shape of an object from one or several cameras that see it at the same place.
+
+    What one camera has in the shadow of a taller part, the lines of sight of another may prove empty or full.
 
     Args:
-        depth: [m], shape (height, width), best the `mean_depth` of several frames.
-        camera_in_table: Optical frame in the table frame whose z = 0 is the plane, shape (4, 4).
-        noise: Standard deviation of the heights in `depth` [m].
         min_height: Lower points are table [m].
         cell_count: Cells aimed at.
 
     Raises:
         PerceptionError: Nothing of an upper side is seen, or the outline falls apart.
     """
-    rows = slice(max(0, segment.rows.start - _PAD), segment.rows.stop + _PAD)
-    columns = slice(max(0, segment.columns.start - _PAD), segment.columns.stop + _PAD)
-    centre, rays = rays_in_table(intrinsics, camera_in_table)
-    rays = rays[rows, columns]
-    points = rays * depth[rows, columns, None] + centre.astype(np.float32)
-    body = np.zeros(points.shape[:2], dtype=bool)
-    top, left = segment.rows.start - rows.start, segment.columns.start - columns.start
-    body[top : top + segment.mask.shape[0], left : left + segment.mask.shape[1]] = segment.mask
-    pixel = float(np.nanmedian(depth[rows, columns])) / intrinsics.fx
-    stopped, passing, walls = _lines_of_sight(points, centre, rays, body, pixel=pixel, noise=noise, min_height=min_height)
-    full = stopped.places(None)
-    inner = _inner_walls(walls, full, centre[:2])
-    outline, origin = _balance(np.vstack([full, inner]), passing.places(None))
+    seen = [_lines_of_sight(sight, min_height=min_height) for sight in sights]
+    centres = [np.asarray(sight.camera_in_table)[:2, 3] for sight in sights]
+    full = [stopped.places(None) for stopped, _, _ in seen]
+    inner = [_inner_walls(walls, places, centre) for (_, _, walls), places, centre in zip(seen, full, centres, strict=True)]
+    outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.places(None) for _, passing, _ in seen]))
     for _ in range(_PASSES - 1):
-        full = stopped.places(outline)
-        outline, origin = _balance(np.vstack([full, inner]), passing.places(outline))
+        full = [stopped.places(outline) for stopped, _, _ in seen]
+        outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.places(outline) for _, passing, _ in seen]))
     x, y = centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
-    grid, grid_origin = _height_grid(full, stopped.level, origin)
+    grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in seen]), origin)
     return SeenObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
 
 
@@ -136,17 +132,18 @@ class _Lines:
         return np.where(use_upper[:, None], self.upper, self.lower)
 
 
-def _lines_of_sight(
-    points: NDArray[np.float32],
-    centre: Float64Array,
-    rays: NDArray[np.float32],
-    body: BoolArray,
-    *,
-    pixel: float,
-    noise: float,
-    min_height: float,
-) -> tuple[_Lines, _Lines, Float64Array]:
-    """Lines of sight stopped by the upper side of `body`, those that pass it, and points on walls [m], shape (n, 2)."""
+def _lines_of_sight(sight: Sight, *, min_height: float) -> tuple[_Lines, _Lines, Float64Array]:
+    """Lines of sight stopped by the upper side of the object, those that pass it, and points on walls [m], shape (n, 2)."""
+    segment, noise = sight.segment, sight.noise
+    rows = slice(max(0, segment.rows.start - _PAD), segment.rows.stop + _PAD)
+    columns = slice(max(0, segment.columns.start - _PAD), segment.columns.stop + _PAD)
+    centre, rays = rays_in_table(sight.frame.intrinsics, sight.camera_in_table)
+    rays, depth = rays[rows, columns], sight.frame.depth[rows, columns]
+    points = rays * depth[..., None] + centre.astype(np.float32)
+    body = np.zeros(depth.shape, dtype=bool)
+    top, left = segment.rows.start - rows.start, segment.columns.start - columns.start
+    body[top : top + segment.mask.shape[0], left : left + segment.mask.shape[1]] = segment.mask
+    pixel = float(np.nanmedian(depth)) / sight.frame.intrinsics.fx
     z = points[..., 2]
     seen = np.isfinite(z)
     body = body & seen & (z > min_height)

@@ -76,17 +76,17 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
             f"{len(near)} of {len(valid)} points lie within {_SEARCH * 1e3:.0f} mm of the table, expected at least {needed}; "
             "check the extrinsics and that the camera sees the workspace."
         )
-    plane = _best_random_plane(near)
+    plane, design = _best_random_plane(near), np.column_stack([near[:, :2], np.ones(len(near))])
     for _ in range(4):
-        distance = near[:, 2] - near[:, :2] @ plane[:2] - plane[2]
+        distance = near[:, 2] - design @ plane
         noise = 1.4826 * float(np.median(np.abs(distance[np.abs(distance) < 0.01]))) if np.any(np.abs(distance) < 0.01) else 0.01
         inliers = np.abs(distance) < 3.0 * max(noise, 2e-4)
         if np.count_nonzero(inliers) < needed:
             raise PerceptionError(
                 f"{np.count_nonzero(inliers)} of {len(near)} points agree on a plane, expected {needed}; clear the table."
             )
-        design = np.column_stack([near[inliers, :2], np.ones(np.count_nonzero(inliers))])
-        plane = np.linalg.lstsq(design, near[inliers, 2], rcond=None)[0]
+        chosen = design[inliers]
+        plane = np.linalg.lstsq(chosen.T @ chosen, chosen.T @ near[inliers, 2], rcond=None)[0]
     if np.hypot(plane[0], plane[1]) > _MAX_TILT or abs(plane[2]) > _MAX_OFFSET:
         raise PerceptionError(
             f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm off the extrinsics, "
@@ -99,13 +99,12 @@ def _best_random_plane(points: Float64Array) -> Float64Array:
     """The plane through three points that has most others within 6 mm."""
     rng = np.random.default_rng(0)
     scored = points[rng.integers(len(points), size=min(len(points), 1500))]
-    best, best_count = np.zeros(3), -1
-    for triple in rng.integers(len(points), size=(_HYPOTHESES, 3)):
-        design = np.column_stack([points[triple, :2], np.ones(3)])
-        if abs(np.linalg.det(design)) < 1e-3:
-            continue
-        plane = np.linalg.solve(design, points[triple, 2])
-        count = int(np.count_nonzero(np.abs(scored[:, 2] - scored[:, :2] @ plane[:2] - plane[2]) < 0.006))
-        if count > best_count and np.hypot(plane[0], plane[1]) < 2 * _MAX_TILT:
-            best, best_count = plane, count
-    return best
+    triples = points[rng.integers(len(points), size=(_HYPOTHESES, 3))]
+    design = np.concatenate([triples[:, :, :2], np.ones((_HYPOTHESES, 3, 1))], axis=2)
+    spread = np.abs(np.linalg.det(design)) > 1e-3
+    planes = np.linalg.solve(design[spread], triples[spread][:, :, 2:])[:, :, 0]
+    planes = planes[np.hypot(planes[:, 0], planes[:, 1]) < 2 * _MAX_TILT]
+    if len(planes) == 0:
+        return np.zeros(3)
+    distance = scored[:, 2:] - scored[:, :2] @ planes[:, :2].T - planes[:, 2]
+    return np.asarray(planes[np.argmax(np.count_nonzero(np.abs(distance) < 0.006, axis=0))])

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.errors import FrameError
+from push_ident.perception.kernels import project_down
 from push_ident.perception.labels import OBJECT, TABLE
 from push_ident.perception.settings import PerceptionSettings
 
@@ -42,25 +44,19 @@ def top_down(points: NDArray[np.float32], labels: NDArray[np.int8], settings: Pe
     Args:
         points: [m], shape (height, width, 3), table frame with the plane at z = 0.
         labels: As `label_pixels` gives them.
+
+    Raises:
+        FrameError: Points and labels are of images of different sizes.
     """
+    points, labels = np.ascontiguousarray(points, dtype=np.float32), np.ascontiguousarray(labels)
+    if points.shape != (*labels.shape, 3):
+        raise FrameError(f"Points have shape {points.shape} and labels {labels.shape}, expected both of one image.")
     low, high, size = np.array(settings.workspace_low), np.array(settings.workspace_high), settings.grid_resolution
     columns, rows = (int(n) for n in np.maximum(np.ceil((high - low) / size - 1e-9), 1))
-    height = np.full((rows, columns), -np.inf, dtype=np.float32)
-    seen = {}
-    for label in (TABLE, OBJECT):
-        chosen = points[labels == label]
-        index = np.floor((chosen[:, :2] - low.astype(np.float32)) / np.float32(size)).astype(np.int32)
-        inside = (index[:, 0] >= 0) & (index[:, 0] < columns) & (index[:, 1] >= 0) & (index[:, 1] < rows)
-        flat = index[inside, 1] * columns + index[inside, 0]
-        if label == OBJECT:
-            np.maximum.at(height.reshape(-1), flat, chosen[inside, 2])
-        else:
-            # All of the table is of one height: any of its points will do.
-            height.reshape(-1)[flat] = chosen[inside, 2]
-        seen[label] = np.bincount(flat, minlength=rows * columns).reshape(rows, columns) > 0
+    has_table, has_object, height = project_down(points, labels, TABLE, OBJECT, low, size, rows, columns)
     occupancy = np.full((rows, columns), UNSEEN, dtype=np.int8)
-    occupancy[_closed(seen[TABLE])] = FREE
-    occupancy[_closed(seen[OBJECT])] = OCCUPIED
+    occupancy[_closed(has_table)] = FREE
+    occupancy[_closed(has_object)] = OCCUPIED
     return TopDownGrid(occupancy, np.where(np.isfinite(height), height, np.float32(np.nan)), settings.workspace_low, size)
 
 

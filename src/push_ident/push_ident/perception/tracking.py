@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
-from push_ident.perception.depth import rays_in_table
+from push_ident.perception.depth import check_size, rays_in_table
+from push_ident.perception.kernels import compare, deciding_places, distances, meet_object, nearest_values
 from push_ident.perception.labels import RobotPart, in_robot
 from push_ident.perception.shape import SeenObject
 from push_ident.types import BoolArray, DepthFrame, Float64Array
@@ -43,12 +44,19 @@ _MIN_PIXELS: Final = 120
 """Fewer pixels in the narrow band are no measurement."""
 _MIN_SHARE: Final = 0.25
 """Of the pixels in the narrow band that must say something."""
+_CLEAR: Final = 0.003
+"""Pixels that far from the edge are off it [m]."""
 _MAX_WRONG: Final = 0.2
 """Share of the pixels off the edge that may contradict the pose."""
 _FOUND_VISIBLE: Final = 0.7
 """Share of the pixels in the narrow band that must say something where an object is found again."""
 _FOUND_WRONG: Final = 0.08
 """Largest share of contradicting pixels there."""
+_FITS_ALIKE: Final = 0.02
+"""Headings whose shares of contradicting pixels differ by less are both possible."""
+_SURE_BUT_HIDDEN: Final = (0.02, 300, 0.002, 0.03)
+"""A fit to an object that is mostly hidden still says where it went when at most such a share of the pixels contradicts it, so many
+pixels speak, and its deviations [m, rad] are smaller."""
 _FLOOR: Final = (6e-5, 6e-5, 3e-4)
 """Standard deviations no fit goes below [m, m, rad]: errors of outline and calibration, which no residual shows."""
 _COHERENCE: Final = 1.4
@@ -84,52 +92,49 @@ class PoseFit:
     share_wrong: float
     """Share of the pixels clearly inside or outside that contradict the pose."""
 
+    @property
+    def leads_on(self) -> bool:
+        """Whether the next frame may start from here: also from a pose too hidden to be told to others, if what is seen agrees with it."""
+        wrong, n_pixels, position, yaw = _SURE_BUT_HIDDEN
+        return self.status is TrackStatus.TRACKED or (
+            self.status is TrackStatus.HIDDEN
+            and self.share_wrong < wrong
+            and self.n_pixels > n_pixels
+            and bool(np.all(np.diag(self.covariance) < np.square((position, position, yaw))))
+        )
+
 
 class Template:
     """What the tracker knows of an object: the signed distance field of its outline and the heights of its upper side."""
 
     def __init__(self, seen: SeenObject) -> None:
         self.outline = seen.shape.outline
-        self._seen = seen
-        self._origin = self.outline.min(axis=0) - _MARGIN
-        columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - self._origin) / (4 * _GRID)) * 4 + 1)
+        self.tops: Final = (seen.top.astype(np.float64, order="C"), np.array(seen.top_origin, dtype=np.float64), float(seen.top_resolution))
+        """Heights of the upper side, as the kernels take a grid."""
+        origin = self.outline.min(axis=0) - _MARGIN
+        columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - origin) / (4 * _GRID)) * 4 + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        nodes = self._origin + _GRID * np.stack([x, y], axis=-1)
+        nodes = origin + _GRID * np.stack([x, y], axis=-1)
         # Exact where it matters; further out every fourth node and the straight line between them will do.
         coarse = signed_distance(nodes[::4, ::4].reshape(-1, 2), self.outline).reshape(nodes[::4, ::4].shape[:2])
         along_x = np.array([np.interp(np.arange(columns), np.arange(0, columns, 4), row) for row in coarse])
-        self._distance = np.array([np.interp(np.arange(rows), np.arange(0, rows, 4), column) for column in along_x.T]).T.copy()
-        near = np.abs(self._distance) < 0.012
-        self._distance[near] = signed_distance(nodes[near], self.outline)
+        distance = np.array([np.interp(np.arange(rows), np.arange(0, rows, 4), column) for column in along_x.T]).T.copy()
+        near = np.abs(distance) < 0.012
+        distance[near] = signed_distance(nodes[near], self.outline)
+        self.field: Final = (distance, origin, _GRID)
+        """Signed distance of the outline, as the kernels take a grid."""
         self.top_range = float(seen.top.min()), float(seen.top.max())
         self.radius = float(np.linalg.norm(self.outline, axis=1).max())
         """Of the circle around the origin that holds the outline [m]."""
 
     def distance(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Signed distance [m], shape (n,), and its gradient, shape (n, 2), at points (n, 2) in the object frame."""
-        rows, columns = self._distance.shape
-        place = np.clip((points - self._origin) / _GRID, 0.0, np.array([columns, rows]) - 1.001)
-        low = place.astype(np.int64)
-        u, v = (place - low).T
-        corner = self._distance.ravel()
-        index = low[:, 1] * columns + low[:, 0]
-        d00, d10, d01, d11 = corner[index], corner[index + 1], corner[index + columns], corner[index + columns + 1]
-        along_x, along_x_above = d10 - d00, d11 - d01
-        below, above = d00 + u * along_x, d01 + u * along_x_above
-        gradient = np.stack([along_x + v * (along_x_above - along_x), above - below], axis=1) / _GRID
-        return below + v * (above - below), gradient
+        value, gradient = distances(*self.field, np.ascontiguousarray(points, dtype=np.float64))
+        return value, gradient
 
     def distance_nearby(self, points: NDArray[np.floating]) -> Float64Array:
         """Signed distance [m] of the nearest node of the field, shape (n,): quicker, and good to half its edge."""
-        rows, columns = self._distance.shape
-        index = np.rint((points - self._origin.astype(points.dtype)) * (1 / _GRID)).astype(np.int32)
-        return self._distance[np.clip(index[:, 1], 0, rows - 1), np.clip(index[:, 0], 0, columns - 1)]
-
-    def top(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Height of the upper side at (or nearest to) points (n, 2) in the object frame [m], shape (n,)."""
-        heights = self._seen.top
-        index = np.rint((points - self._seen.top_origin) / self._seen.top_resolution).astype(np.int64)
-        return heights[np.clip(index[:, 1], 0, heights.shape[0] - 1), np.clip(index[:, 0], 0, heights.shape[1] - 1)]
+        return np.asarray(nearest_values(*self.field, np.ascontiguousarray(points, dtype=np.float64)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +152,7 @@ class LinesOfSight:
 
     def deciding(self, template: Template, pose: Float64Array) -> Float64Array:
         """The place of each line that decides whether it is stopped at `pose`: whichever end is further inside, object frame."""
-        turn = rotation(pose[2])
-        upper, lower = (self.upper - pose[:2]) @ turn, (self.lower - pose[:2]) @ turn
-        return np.where((template.distance_nearby(upper) < template.distance_nearby(lower))[:, None], upper, lower)
+        return np.asarray(deciding_places(*template.field, self.upper, self.lower, np.ascontiguousarray(pose)))
 
 
 def fit_pose(
@@ -171,20 +174,19 @@ def fit_pose(
     """
     start = np.asarray(start, dtype=np.float64)
     pose = start.copy()
-    normal = np.zeros((3, 3))
-    residual_variance = 1.0
-    lines = None
+    lines, comparison = None, None
     for width, band, stride, iterations in _LEVELS:
         lines = lines_of_sight(template, frame, camera_in_table, pose, band, stride, robot, mask_margin, others)
         if lines is None:
             return _failed(TrackStatus.OUT_OF_VIEW, pose)
         if len(lines.stopped) < _MIN_PIXELS / stride**2:
             return _failed(TrackStatus.HIDDEN, pose, lines)
-        pose, normal, residual_variance = _gauss_newton(template, lines, pose, width, iterations)
-    assert lines is not None
+        pose, comparison = _gauss_newton(template, lines, pose, width, iterations)
+    assert lines is not None and comparison is not None
     share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_silent)
-    share_wrong = _share_wrong(template, lines, pose)
-    covariance = _COHERENCE * residual_variance * np.linalg.inv(normal + 1e-6 * np.diag([1.0, 1.0, 1e-4])) + np.diag(np.square(_FLOOR))
+    share_wrong = comparison.share_wrong
+    independent = np.linalg.inv(comparison.normal + 1e-6 * np.diag([1.0, 1.0, 1e-4]))
+    covariance = _COHERENCE * comparison.variance * independent + np.diag(np.square(_FLOOR))
     status = TrackStatus.TRACKED
     if np.hypot(*(pose - start)[:2]) > 0.05 or share_wrong > _MAX_WRONG:
         status = TrackStatus.POOR_FIT
@@ -205,20 +207,28 @@ def relocate(
     robot: Sequence[RobotPart] = (),
     mask_margin: float = 0.006,
     others: Sequence[tuple[Template, Float64Array]] = (),
+    last_yaw: float | None = None,
 ) -> PoseFit:
-    """Find a lost object at `centre` (x, y) [m] whatever its yaw: compare all headings coarsely, fit from the best three."""
+    """Find a lost object at `centre` (x, y) [m] whatever its yaw: compare all headings coarsely, fit from the best three.
+
+    Where several headings fit alike, as those of a nearly symmetric object do, the one nearest `last_yaw` [rad] is taken.
+    """
     everywhere = template.radius + _MARGIN
     headings = np.linspace(-np.pi, np.pi, 36, endpoint=False)
     starts = [np.array([*np.asarray(centre, dtype=np.float64), heading]) for heading in headings]
     lines = lines_of_sight(template, frame, camera_in_table, starts[0], everywhere, 4, robot, mask_margin, others)
     if lines is None or len(lines.stopped) == 0:
         return _failed(TrackStatus.OUT_OF_VIEW, starts[0])
-    misfit = [float(np.mean(np.square(_residual(template, lines, start, 2 * _LEVELS[0][0])[0]))) for start in starts]
+    misfit = np.array([_compare(template, lines, start, 2 * _LEVELS[0][0]).misfit for start in starts])
+    valleys = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
     fits = [
         fit_pose(template, frame, camera_in_table, starts[index], robot=robot, mask_margin=mask_margin, others=others)
-        for index in np.argsort(misfit)[:3]
+        for index in valleys[np.argsort(misfit[valleys])][:3]
     ]
     best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_wrong))
+    if last_yaw is not None:
+        alike = [fit for fit in fits if fit.status is best.status and fit.share_wrong < best.share_wrong + _FITS_ALIKE]
+        best = min(alike, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
     # Without a pose before, half an object can be taken for the other half.
     if best.status is TrackStatus.TRACKED and (best.share_visible < _FOUND_VISIBLE or best.share_wrong > _FOUND_WRONG):
         return replace(best, status=TrackStatus.HIDDEN)
@@ -236,34 +246,33 @@ def lines_of_sight(
     mask_margin: float = 0.006,
     others: Sequence[tuple[Template, Float64Array]] = (),
 ) -> LinesOfSight | None:
-    """Lines of sight that pass the outline at `pose` within `band` [m]; None where the object is not in the image."""
+    """Lines of sight that pass the outline at `pose` within `band` [m]; None where the object is not in the image.
+
+    Raises:
+        FrameError: The image has another size than its camera info.
+    """
+    check_size(frame)
+    pose = np.ascontiguousarray(pose, dtype=np.float64)
     camera = np.asarray(camera_in_table, dtype=np.float64)
     box = _image_box(template, frame, camera, pose, band)
     if box is None:
         return None
-    rows, columns = (slice(side.start, side.stop, stride) for side in box)
-    centre, all_rays = rays_in_table(frame.intrinsics, camera)
-    depth, rays = frame.depth[rows, columns], all_rays[rows, columns]
-    level = float(np.mean(template.top_range))
-    at_level = centre[:2].astype(np.float32) + rays[..., :2] * ((np.float32(level - centre[2])) / rays[..., 2])[..., None]
-    in_object = ((at_level - pose[:2].astype(np.float32)) @ rotation(pose[2]).astype(np.float32)).reshape(-1, 2)
-    slack = 0.5 * (template.top_range[1] - template.top_range[0])
-    near = np.abs(template.distance_nearby(in_object)) < band + slack
-    depth, rays = depth.ravel()[near], rays.reshape(-1, 3)[near].astype(np.float64)
-    # The top beside a line of sight is looked up where the line passes the mean level, then once more where it passes that top.
-    top = template.top(in_object[near])
-    for _ in range(2):
-        upper = centre[:2] + rays[:, :2] * ((top - centre[2]) / rays[:, 2])[:, None]
-        top = template.top((upper - pose[:2]) @ rotation(pose[2]))
-    threshold = np.maximum(top - _STEP, 0.5 * top)
-    lower = centre[:2] + rays[:, :2] * ((threshold - centre[2]) / rays[:, 2])[:, None]
-    seen = (centre + rays * depth[:, None]).astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        speaks = np.isfinite(depth) & (seen[:, 2] < top + _ABOVE) & ~in_robot(seen, robot, mask_margin)
-    speaks &= ~_in_others(seen, others)
-    return LinesOfSight(
-        upper[speaks], lower[speaks], (seen[speaks, 2] > threshold[speaks]).astype(np.float64), int(np.count_nonzero(~speaks))
+    rows, columns = box
+    centre, rays = rays_in_table(frame.intrinsics, camera)
+    level, slack = float(np.mean(template.top_range)), 0.5 * (template.top_range[1] - template.top_range[0])
+    upper, lower, seen, stopped, speaks = meet_object(
+        *template.field,
+        *template.tops,
+        np.asarray(frame.depth, dtype=np.float32),
+        rays,
+        centre,
+        pose,
+        (rows.start, rows.stop, columns.start, columns.stop, stride),
+        (level, band + slack, _STEP, _ABOVE),
     )
+    speaks &= ~in_robot(seen, robot, mask_margin)
+    speaks &= ~_in_others(seen, others)
+    return LinesOfSight(upper[speaks], lower[speaks], stopped[speaks], int(np.count_nonzero(~speaks)))
 
 
 def _image_box(
@@ -295,39 +304,40 @@ def _in_others(points: NDArray[np.float32], others: Sequence[tuple[Template, Flo
     return inside
 
 
-def _residual(template: Template, lines: LinesOfSight, pose: Float64Array, width: float) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Seen minus expected, shape (n,), the derivative of the expected by the pose, shape (n, 3), and the distances, shape (n,)."""
-    turn = rotation(pose[2])
-    point = lines.deciding(template, pose)
-    distance, gradient = template.distance(point)
-    expected = 1.0 / (1.0 + np.exp(np.clip(distance / width, -30.0, 30.0)))
-    by_pose = np.column_stack([-gradient @ turn.T, gradient[:, 0] * point[:, 1] - gradient[:, 1] * point[:, 0]])
-    return lines.stopped - expected, by_pose * (-expected * (1.0 - expected) / width)[:, None], distance
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """What is seen against what is expected at one pose."""
+
+    normal: Float64Array
+    """J'J, shape (3, 3), of the expected by the pose."""
+    pull: Float64Array
+    """J'r, shape (3,)."""
+    misfit: float
+    """Mean square of the residuals."""
+    variance: float
+    """The same near the edge."""
+    share_wrong: float
+    """Share of the lines clearly inside or outside that contradict the pose."""
+
+
+def _compare(template: Template, lines: LinesOfSight, pose: Float64Array, width: float) -> _Comparison:
+    return _Comparison(*compare(*template.field, lines.upper, lines.lower, lines.stopped, pose, (width, 3.0 * width, _CLEAR)))
 
 
 def _gauss_newton(
     template: Template, lines: LinesOfSight, pose: Float64Array, width: float, iterations: int
-) -> tuple[Float64Array, Float64Array, float]:
-    """Fitted pose, normal matrix J'J there, and the variance of the residuals near the edge."""
+) -> tuple[Float64Array, _Comparison]:
+    """Fitted pose and the comparison there."""
     for _ in range(iterations):
-        residual, jacobian, _ = _residual(template, lines, pose, width)
-        normal = jacobian.T @ jacobian
-        step = np.linalg.solve(normal + 1e-3 * np.diag(np.diag(normal)) + np.diag([1.0, 1.0, 1e-4]), jacobian.T @ residual)
+        now = _compare(template, lines, pose, width)
+        damping = 1e-3 * np.diag(np.diag(now.normal)) + np.diag([1.0, 1.0, 1e-4])
+        step = np.linalg.solve(now.normal + damping, now.pull)
         # A step longer than the width leaves the reach of the linearisation.
         step *= min(1.0, 2.0 * width / max(float(np.hypot(step[0], step[1])), template.radius * abs(float(step[2])), 1e-12))
         pose = pose + step
         if np.hypot(step[0], step[1]) < 2e-5 and abs(step[2]) < 2e-4:
             break
-    residual, jacobian, distance = _residual(template, lines, pose, width)
-    at_edge = np.abs(distance) < 3.0 * width
-    variance = float(np.mean(np.square(residual[at_edge]))) if at_edge.any() else 1.0
-    return pose, jacobian.T @ jacobian, variance
-
-
-def _share_wrong(template: Template, lines: LinesOfSight, pose: Float64Array) -> float:
-    _, _, distance = _residual(template, lines, pose, _LEVELS[-1][0])
-    clear = np.abs(distance) > 0.003
-    return float(np.mean((distance[clear] < 0) != (lines.stopped[clear] > 0.5))) if clear.any() else 1.0
+    return pose, _compare(template, lines, pose, width)
 
 
 def _failed(status: TrackStatus, pose: Float64Array, lines: LinesOfSight | None = None) -> PoseFit:

@@ -61,8 +61,11 @@ class MotionSettings:
     """Lowest that the axis of any moving joint may come, as the elbow's [m]: the tip is watched on its own."""
     max_joint_velocity: float = 1.3
     """Cap on every joint's velocity [rad/s], whatever the description allows."""
+    joint_acceleration_limits: tuple[float, ...] = (10.0,)
+    """Of every joint on all of the way [rad/s^2], one per joint or one for all: a URDF has none, KUKA states none for the iiwa, and
+    MoveIt configurations of arms of its size (Universal Robots) set 5 to 10 (`max_acceleration` in their joint_limits.yaml)."""
     max_joint_acceleration: float = 5.0
-    """Of free moves [rad/s^2]."""
+    """Cap on every joint's acceleration on all moves but the push [rad/s^2]."""
 
     def __post_init__(self) -> None:
         if not 0 < self.min_height <= self.push_height < self.free_height <= self.safe_height:
@@ -70,6 +73,8 @@ class MotionSettings:
                 "heights must rise as 0 < min_height <= push_height < free_height <= safe_height, got "
                 f"{self.min_height}, {self.push_height}, {self.free_height}, {self.safe_height} m."
             )
+        if not self.joint_acceleration_limits or min(self.joint_acceleration_limits) <= 0:
+            raise InputError(f"joint_acceleration_limits are {self.joint_acceleration_limits}, expected numbers over 0 rad/s^2.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +134,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     """Up, home, above the start of the push, down, push, rest, back off, up, home.
 
     `q_now` [rad] is the measured posture, at rest. Raises PlanningError: UNREACHABLE when the arm has no posture for a point of the way,
-    LIMIT for a joint, velocity or height limit; the text names joint, value and limit.
+    LIMIT for a joint, velocity, acceleration or height limit; the text names joint, value and limit.
     """
     q_now = kinematics.check_configuration(q_now)
     _check_positions(kinematics, q_now[None, :])
@@ -200,6 +205,21 @@ def _max_velocity(kinematics: ArmKinematics, settings: MotionSettings) -> Float6
     return np.minimum(settings.velocity_scale * kinematics.velocity_limit, settings.max_joint_velocity)
 
 
+def _acceleration_limit(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
+    limits = np.array(settings.joint_acceleration_limits)
+    if len(limits) not in (1, kinematics.n_joints):
+        raise InputError(
+            f"joint_acceleration_limits has {len(limits)} numbers, expected 1 or {kinematics.n_joints}, one per joint: "
+            f"{', '.join(kinematics.joint_names)}."
+        )
+    return np.broadcast_to(limits, (kinematics.n_joints,))
+
+
+def _max_acceleration(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
+    """Of all moves but the push [rad/s^2], shape (n_joints,)."""
+    return np.minimum(_acceleration_limit(kinematics, settings), settings.max_joint_acceleration)
+
+
 def _point(xy: Float64Array, height: float) -> Float64Array:
     return np.array([xy[0], xy[1], height])
 
@@ -232,7 +252,8 @@ def _straight(
     kinematics: ArmKinematics, q: Float64Array, target: Float64Array, settings: MotionSettings, axis: Float64Array = TOOL_DOWN
 ) -> JointTrajectory:
     postures, length = _line(kinematics, q, target, axis)
-    return path_move(postures, length, settings.free_speed, settings.acceleration, _max_velocity(kinematics, settings))
+    max_velocity, max_acceleration = _max_velocity(kinematics, settings), _max_acceleration(kinematics, settings)
+    return path_move(postures, length, settings.free_speed, settings.acceleration, max_velocity, max_acceleration)
 
 
 def _line(
@@ -276,7 +297,7 @@ def _reach(
 
 
 def _free_move(kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Array, settings: MotionSettings) -> JointTrajectory:
-    move = joint_move(q_from, q_to, _max_velocity(kinematics, settings), settings.max_joint_acceleration)
+    move = joint_move(q_from, q_to, _max_velocity(kinematics, settings), _max_acceleration(kinematics, settings))
     lowest = min((kinematics.forward(q)[2, 3] for q in move.position[::5]), default=np.inf)
     if lowest < settings.free_height:
         raise PlanningError(
@@ -309,6 +330,14 @@ def _checked_way(
             PushCode.LIMIT,
             f"{kinematics.joint_names[joint]} would turn at {abs(trajectory.velocity[row, joint]):.3f} rad/s, limit "
             f"{max_velocity[joint]:.3f} rad/s; push slower.",
+        )
+    acceleration, limit = np.abs(trajectory.acceleration), _acceleration_limit(kinematics, settings)
+    row, joint = np.unravel_index(int(np.argmax(acceleration / limit)), acceleration.shape)
+    if acceleration[row, joint] > limit[joint] * (1.0 + 1e-3):
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"{kinematics.joint_names[joint]} would accelerate at {acceleration[row, joint]:.2f} rad/s^2, limit {limit[joint]:.2f} rad/s^2 "
+            f"(joint_acceleration_limits); lower `acceleration` of the tool, {settings.acceleration:.2f} m/s^2, or push slower.",
         )
     tip = np.empty((len(trajectory.time), 3))
     for i, q in enumerate(trajectory.position):

@@ -38,6 +38,11 @@ class JointTrajectory:
         """[s]"""
         return float(self.time[-1])
 
+    @property
+    def acceleration(self) -> Float64Array:
+        """Mean between neighbouring samples [rad/s^2], shape (n - 1, n_joints)."""
+        return np.asarray(np.diff(self.velocity, axis=0) / np.diff(self.time)[:, None])
+
     def at(self, time: float) -> Float64Array:
         """Posture at `time` [s], held at either end, shape (n_joints,)."""
         i = int(np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1))
@@ -62,29 +67,39 @@ def stand_still(q: Float64Array, duration: float) -> JointTrajectory:
     return JointTrajectory(time, np.tile(q, (len(time), 1)), np.zeros((len(time), len(q))))
 
 
-def joint_move(q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Array, max_acceleration: float) -> JointTrajectory:
+def joint_move(q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Array, max_acceleration: Float64Array) -> JointTrajectory:
     """Minimum-jerk move that takes every joint from one posture to another.
 
-    `max_velocity` [rad/s] has shape (n_joints,), `max_acceleration` [rad/s^2] holds for every joint.
+    `max_velocity` [rad/s] and `max_acceleration` [rad/s^2] have shape (n_joints,).
     """
     way = np.abs(q_to - q_from)
-    time = _samples(
-        max(_MIN_JERK_SPEED * float(np.max(way / max_velocity)), float(np.sqrt(_MIN_JERK_ACCELERATION * np.max(way) / max_acceleration)))
-    )
+    by_velocity = _MIN_JERK_SPEED * float(np.max(way / max_velocity))
+    time = _samples(max(by_velocity, float(np.sqrt(_MIN_JERK_ACCELERATION * np.max(way / max_acceleration)))))
     share, rate = _min_jerk(time / time[-1])
     return JointTrajectory(time, q_from + share[:, None] * (q_to - q_from), rate[:, None] / time[-1] * (q_to - q_from))
 
 
-def path_move(postures: Float64Array, length: float, max_speed: float, acceleration: float, max_velocity: Float64Array) -> JointTrajectory:
+def path_move(
+    postures: Float64Array,
+    length: float,
+    max_speed: float,
+    acceleration: float,
+    max_velocity: Float64Array,
+    max_acceleration: Float64Array,
+) -> JointTrajectory:
     """Minimum-jerk motion along a path, as fast as the limits allow.
 
     `postures` (n, n_joints) are even steps along the `length` [m]; `max_speed` [m/s] and `acceleration` [m/s^2] hold for the tool,
-    `max_velocity` [rad/s], shape (n_joints,), for the joints.
+    `max_velocity` [rad/s] and `max_acceleration` [rad/s^2], shape (n_joints,), for the joints.
     """
     spline = _spline(postures, length)
-    steepest = float(np.max(np.abs(spline(np.linspace(0.0, length, 4 * len(postures)), 1)) / max_velocity))
-    by_speed = _MIN_JERK_SPEED * length * max(1.0 / max_speed, steepest)
-    time = _samples(max(by_speed, float(np.sqrt(_MIN_JERK_ACCELERATION * length / acceleration))))
+    at = np.linspace(0.0, length, 4 * len(postures))
+    slope, bend = np.max(np.abs(spline(at, 1)), axis=0), np.max(np.abs(spline(at, 2)), axis=0)
+    by_speed = _MIN_JERK_SPEED * length * max(1.0 / max_speed, float(np.max(slope / max_velocity)))
+    # A joint accelerates with the tool along the path, and where the path bends in the space of joints.
+    joints = _MIN_JERK_ACCELERATION * length * slope + (_MIN_JERK_SPEED * length) ** 2 * bend
+    by_acceleration = float(np.sqrt(max(_MIN_JERK_ACCELERATION * length / acceleration, np.max(joints / max_acceleration))))
+    time = _samples(max(by_speed, by_acceleration))
     share, rate = _min_jerk(time / time[-1])
     return _along(spline, time, length * share, length / time[-1] * rate)
 

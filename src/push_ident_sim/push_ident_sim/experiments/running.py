@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 import os
@@ -15,10 +14,9 @@ from typing import Any
 import push_ident
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.budget import Budget
-from push_ident_sim import truth
-from push_ident_sim.experiments import measuring
 from push_ident_sim.experiments.experiment import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.objects import OBJECT_NAMES
+from push_ident_sim.sources import code_digest, files_behind
 from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, truth_file
 from push_ident_sim.workers import describe_machine, single_threads
 
@@ -28,6 +26,8 @@ Progress = Callable[[str, int, int], None]
 """Told what is under way, and how many of how many are done."""
 
 _CORE = Path(push_ident.__file__).parent
+_OF_SUMMARIES = ("push_ident_sim.experiments.drawing",)
+"""Modules that make nothing of a result but what is shown of it."""
 _Calls = list[tuple[Callable[..., Any], tuple[Any, ...]]]
 
 
@@ -120,16 +120,16 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
 
 
 def _digest(experiment: Experiment, settings: CaseSettings) -> str:
-    """Of all that a result depends on but its case: the settings, and the code but for its comments and layout."""
+    """Of all that a result depends on but its case: the settings, and the code, also that which makes the ground truth.
+
+    The stages of the core count whole, since some of their modules are found by name.
+    """
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
     if experiment.once:
         values.append({"recordings": str(settings.recordings.resolve())})
-    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    sources = [_CORE / "types.py", *(path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py"))]
-    sources += [Path(module.__file__ or "") for module in (truth, measuring)] + [Path(experiment.run.__code__.co_filename)]
-    for path in sorted(sources):
-        digest.update(ast.dump(ast.parse(path.read_text(encoding="utf-8"))).encode())
-    return digest.hexdigest()[:10]
+    files = files_behind(Path(experiment.run.__code__.co_filename), _OF_SUMMARIES)
+    files |= {path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py")}
+    return hashlib.sha256(f"{json.dumps(values, sort_keys=True)} {code_digest(files)}".encode()).hexdigest()[:10]
 
 
 def _run_case(name: str, case: Case, settings: CaseSettings, file: Path) -> None:

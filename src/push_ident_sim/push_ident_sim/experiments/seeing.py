@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,18 +11,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.errors import PerceptionError
+from push_ident.errors import PerceptionError, PlanningError
 from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, Perception
 from push_ident.perception.topdown import OCCUPIED
 from push_ident.perception.tracking import TrackStatus
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 from push_ident_sim.camera import DepthCamera, DepthNoise, look_at
+from push_ident_sim.experiments.arm_in_view import ArmInView, first_touch
 from push_ident_sim.experiments.experiment import Json
 from push_ident_sim.objects import make_object
 
-__all__ = ["CAMERA_POSE", "RATE", "cover", "see_pushes", "views_of_pushes"]
+__all__ = ["CAMERA_POSE", "RATE", "cover", "postures_of_pushes", "see_pushes", "views_of_pushes"]
 
 CAMERA_POSE: Final = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
 """Of the simulated cell."""
@@ -32,8 +35,17 @@ _MOVING: Final = 16
 """Frames of one push: 8 cm in half a second."""
 _AT_REST: Final = 8
 """Frames between two pushes."""
+_LOWERED: Final = 4
+"""Frames for which the tool waits where a push begins, and waited where the one before ended."""
+_DRAWS: Final = 20
+"""Of pushes, until the arm can make them."""
+_CLEARANCE: Final = 0.03
+"""Travel of the pusher before it touches [m], as the cell pushes."""
 _FINE: Final = 5e-4
 """Edge of the grid on which areas are compared [m]."""
+_NO_PARTS: Final[tuple[RobotPart, ...]] = ()
+_RAISED: Final = 0.005
+"""What is that much nearer than what would lie behind it stands before it [m]."""
 _COVER_HEIGHT: Final = 0.25
 """Of what hides a part of the object, above the table [m]: as a forearm is."""
 
@@ -73,7 +85,7 @@ def cover(clear: NDArray[np.float32], empty: NDArray[np.float32], share: float, 
     Args:
         clear, empty: Depth with and without the object [m], shape (height, width).
     """
-    rows, columns = np.nonzero(clear < empty - 0.005)
+    rows, columns = np.nonzero(clear < empty - _RAISED)
     angle = rng.uniform(-np.pi, np.pi)
     along = columns * np.cos(angle) + rows * np.sin(angle)
     edge = np.quantile(along, 1.0 - share)
@@ -86,37 +98,81 @@ def cover(clear: NDArray[np.float32], empty: NDArray[np.float32], share: float, 
     return np.where((over > 0) & (over < reach) & (across < reach), np.minimum(clear, empty * scale), clear)
 
 
-def see_pushes(object_name: str, seed: int, hidden: float) -> Json:
+def postures_of_pushes(arm: ArmInView, views: Sequence[_View], outline: Float64Array) -> list[Float64Array]:
+    """Posture of the arm [rad] in each view: its tool goes with the object while it moves and waits before and after, else it is parked.
+
+    Args:
+        outline: Of the object, shape (n, 2), object frame [m].
+
+    Raises:
+        PlanningError: The arm does not reach the object.
+    """
+    postures = [arm.home] * len(views)
+    for first in (i for i, view in enumerate(views) if view.moving and not views[i - 1].moving):
+        before, last = views[first - 1].pose, first + _MOVING - 1
+        touch, heading = first_touch(outline, before, views[last].pose - before)
+        postures[first - _LOWERED : first] = [arm.lowered(touch - _CLEARANCE * heading)] * _LOWERED
+        in_object = transform_points(inverse(before), touch[None])
+        posture = arm.moved(postures[first - 1], touch)
+        for i in range(first, last + 1):
+            postures[i] = posture = arm.moved(posture, transform_points(views[i].pose, in_object)[0])
+        postures[last + 1 : last + 1 + _LOWERED] = [posture] * _LOWERED
+    return postures
+
+
+def _pushes_of_arm(arm: ArmInView, outline: Float64Array, rng: np.random.Generator) -> tuple[list[_View], list[Float64Array]]:
+    """Views of pushes that the arm can make, and its posture in each; pushes that it cannot make are drawn again."""
+    for _ in range(_DRAWS - 1):
+        views = views_of_pushes(rng)
+        with contextlib.suppress(PlanningError):
+            return views, postures_of_pushes(arm, views, outline)
+    views = views_of_pushes(rng)
+    return views, postures_of_pushes(arm, views, outline)
+
+
+def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bool = False) -> Json:
     """Errors of perception over a few pushes of one object.
 
     Args:
         hidden: Share of the object's pixels that is covered once the object is known.
+        with_arm: The arm that pushes is in the picture, and perception is told where it is, without error.
 
     Returns:
         `outline_m` (root mean square), `outline_95_m`, `grid_iou`, `occupancy_iou`, and per kind of frame (`rest`, `moving`) lists
-        `position_m`, `yaw`, `squared` (errors in standard deviations, squared) and the number of frames `not_tracked`.
+        `position_m`, `yaw`, `squared` (errors in standard deviations, squared), `hidden` (share of the object's pixels) and the number
+        of frames `not_tracked`.
 
     Raises:
         PerceptionError: The object was not taken in.
+        PlanningError: The arm does not reach it.
     """
     thing = make_object(object_name, seed)
     rng = np.random.default_rng([seed, len(object_name), int(100 * hidden)])
     camera, noise = DepthCamera(thing, CAMERA_POSE), DepthNoise()
     empty = camera.render((5.0, 5.0, 0.0), {})
     perception = Perception(CAMERA_POSE)
-    kinds: dict[str, Json] = {k: {"position_m": [], "yaw": [], "squared": [], "not_tracked": 0} for k in ("rest", "moving")}
+    kinds: dict[str, Json] = {k: {"position_m": [], "yaw": [], "squared": [], "hidden": [], "not_tracked": 0} for k in ("rest", "moving")}
     shape: ObjectShape | None = None
     at_first, occupancy = np.zeros(3), None
-    for view, depth in _rendered(camera, views_of_pushes(rng)):
-        covered = depth if shape is None or hidden == 0 else cover(depth, empty, hidden, rng)
-        seen = perception.observe(DepthFrame(view.stamp, noise.apply(covered.copy(), rng), camera.intrinsics))
+    arm = ArmInView() if with_arm else None
+    views, postures = _pushes_of_arm(arm, thing.outline, rng) if arm else (views_of_pushes(rng), [])
+    for i, (view, depth) in enumerate(_rendered(camera, views)):
+        covered, parts = depth, _NO_PARTS
+        if shape is not None and hidden > 0:
+            covered = cover(depth, empty, hidden, rng)
+        elif arm:
+            covered, parts = camera.render(view.pose, arm.link_poses(postures[i])), arm.parts(postures[i])
+        seen = perception.observe(DepthFrame(view.stamp, noise.apply(covered.copy(), rng), camera.intrinsics), parts)
         if shape is None:
             occupancy = seen.occupancy or occupancy
             if seen.new_shapes:
                 shape, at_first = seen.new_shapes["o1"], view.pose
                 offset = compose(inverse(view.pose), perception.first_pose("o1"))
             continue
-        _note(kinds["moving" if view.moving else "rest"], seen, compose(view.pose, offset))
+        kind = kinds["moving" if view.moving else "rest"]
+        on_object = depth < empty - _RAISED
+        kind["hidden"].append(round(float(np.mean(covered[on_object] < depth[on_object] - _RAISED)), 4))
+        _note(kind, seen, compose(view.pose, offset))
     if shape is None or occupancy is None:
         raise PerceptionError(f"{object_name} {seed} was not taken in: {seen.why_nothing()}.")
     truth = transform_points(inverse(offset), thing.outline)

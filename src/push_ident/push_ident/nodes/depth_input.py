@@ -1,0 +1,96 @@
+"""Depth frames of one camera: each image with the camera info that belongs to it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from push_ident.errors import FrameError
+from push_ident.nodes.convert import depth_frame_from_msgs, stamp_from_msg
+from push_ident.types import DepthFrame
+
+__all__ = ["DepthInput"]
+
+
+class DepthInput:
+    """Subscribes to `depth/image_rect` and `depth/camera_info` below a prefix, with the QoS of sensors.
+
+    The info may arrive before or after its image; one without a stamp is of a camera that never changes.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        prefix: str,
+        *,
+        max_skew: Callable[[], float],
+        on_frame: Callable[[DepthFrame, Time], None],
+        refuse: Callable[[str, str], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            prefix: Of the topics; empty, or such as `side/`.
+            max_skew: Largest difference of the stamps of an image and its info in force [s].
+            on_frame: Called with each frame and the stamp of its image; a FrameError raised there refuses the frame.
+            refuse: Called with a key for diagnostics and the reason, for each image that comes to nothing.
+        """
+        self.image_topic = node.resolve_topic_name(f"{prefix}depth/image_rect")
+        self.n_images = 0
+        self.received = time.perf_counter()
+        """When the latest image came, or this began to wait [s], receive time."""
+        self._info_topic = node.resolve_topic_name(f"{prefix}depth/camera_info")
+        self._max_skew, self._on_frame, self._refuse = max_skew, on_frame, refuse
+        self._infos: deque[CameraInfo] = deque(maxlen=10)
+        self._unpaired: Image | None = None
+        node.create_subscription(CameraInfo, f"{prefix}depth/camera_info", self._on_info, qos_profile_sensor_data)
+        node.create_subscription(Image, f"{prefix}depth/image_rect", self._on_image, qos_profile_sensor_data)
+
+    @property
+    def silence(self) -> float:
+        """Since the latest image [s]."""
+        return time.perf_counter() - self.received
+
+    def _on_info(self, info: CameraInfo) -> None:
+        self._infos.append(info)
+        if self._unpaired is not None and _skew(self._unpaired, info) <= self._max_skew():
+            image, self._unpaired = self._unpaired, None
+            self._take(image, info)
+
+    def _on_image(self, image: Image) -> None:
+        self.received = time.perf_counter()
+        self.n_images += 1
+        if self._unpaired is not None:
+            self._drop(self._unpaired)
+        self._unpaired = None
+        nearest = min(self._infos, key=lambda info: _skew(image, info), default=None)
+        if nearest is not None and _skew(image, nearest) <= self._max_skew():
+            self._take(image, nearest)
+        else:
+            self._unpaired = image
+
+    def _drop(self, image: Image) -> None:
+        if not self._infos:
+            self._refuse("dropped_without_info", f"no camera info on {self._info_topic} yet; start the camera driver")
+            return
+        skew, limit = min(_skew(image, info) for info in self._infos), self._max_skew()
+        self._refuse(
+            "dropped_skew", f"depth image and nearest camera info are {skew * 1e3:.0f} ms apart, expected at most {limit * 1e3:.0f} ms"
+        )
+
+    def _take(self, image: Image, info: CameraInfo) -> None:
+        try:
+            self._on_frame(depth_frame_from_msgs(image, info, max_skew=None), image.header.stamp)
+        except FrameError as error:
+            self._refuse("frames_refused", str(error))
+
+
+def _skew(image: Image, info: CameraInfo) -> float:
+    at = stamp_from_msg(info.header.stamp)
+    return abs(stamp_from_msg(image.header.stamp) - at) if at else 0.0

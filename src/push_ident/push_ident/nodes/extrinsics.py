@@ -1,0 +1,195 @@
+"""Where a camera stands: from parameters, from tf2, or from what it sees of the calibration mark."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, Final
+
+import numpy as np
+from rclpy.node import Node
+
+from push_ident.errors import InputError, PerceptionError
+from push_ident.nodes.convert import TABLE_FRAME
+from push_ident.nodes.parameters import Parameter
+from push_ident.perception.calibration import Calibration, Mark, calibrate
+from push_ident.types import DepthFrame, Float64Array
+
+__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "camera_pose", "mark_of", "pose_lines", "pose_rows"]
+
+_POSITION: Final = "camera_position"
+_QUATERNION: Final = "camera_quaternion"
+
+
+def pose_rows(name: str) -> tuple[Parameter, Parameter]:
+    """Parameters for the pose of the further camera `name`; their defaults are no pose."""
+    return (
+        Parameter(
+            f"{name}.{_POSITION}",
+            [0.0, 0.0, 0.0],
+            "optical frame of this further camera in the table frame, x y z [m]",
+            -10.0,
+            10.0,
+            read_only=True,
+        ),
+        Parameter(
+            f"{name}.{_QUATERNION}",
+            [0.0, 0.0, 0.0, 0.0],
+            "its orientation, x y z w; zeros: not known, needed with extrinsics parameters",
+            -1.0,
+            1.0,
+            read_only=True,
+        ),
+    )
+
+
+def camera_pose(position: list[float], quaternion: list[float]) -> Float64Array:
+    """Homogeneous transform, shape (4, 4), of a position [m] and a unit quaternion (x, y, z, w).
+
+    Raises:
+        InputError: The quaternion is not a unit one.
+    """
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > 1e-3:
+        raise InputError(f"camera_quaternion {quaternion} has norm {norm:.4f}, expected a unit quaternion (x, y, z, w).")
+    x, y, z, w = np.asarray(quaternion, dtype=np.float64) / norm
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = position
+    return pose
+
+
+def pose_lines(pose: Float64Array, prefix: str = "") -> tuple[str, str]:
+    """The two lines of a parameter file that give a camera pose, shape (4, 4): the inverse of `camera_pose`."""
+    from scipy.spatial.transform import Rotation
+
+    position, quaternion = pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat()
+    return (
+        f"{prefix}{_POSITION}: {[round(float(value), 6) for value in position]}",
+        f"{prefix}{_QUATERNION}: {[round(float(value), 8) for value in quaternion]}",
+    )
+
+
+def mark_of(values: dict[str, Any]) -> Mark:
+    """The calibration mark of the parameters.
+
+    Raises:
+        InputError: The outline is not a list of corners, or has a symmetry.
+    """
+    try:
+        corners = [[float(number) for number in corner.split(",")] for corner in values["mark_outline"].split()]
+        outline = np.array(corners, dtype=np.float64)
+    except ValueError:
+        raise InputError(f"mark_outline is {values['mark_outline']!r}, expected corners such as '0,0 0.15,0 0,0.1' in metres.") from None
+    x, y, yaw = values["mark_pose"]
+    return Mark(outline, values["mark_height"], (x, y, yaw))
+
+
+class Extrinsics(ABC):
+    """A way to the pose of one camera."""
+
+    refusal = "without_extrinsics"
+    """Key in diagnostics of frames without a pose."""
+    progress = ""
+    """Of the search, for diagnostics."""
+
+    @abstractmethod
+    def find(self, frame: DepthFrame) -> Float64Array | None:
+        """Optical frame in the table frame, shape (4, 4), or None: ask again with the next frame. Never waits.
+
+        Raises:
+            PerceptionError: Not to be found with this frame; the text says why.
+        """
+
+
+class FromParameters(Extrinsics):
+    """The pose that the parameters give."""
+
+    def __init__(self, values: dict[str, Any], prefix: str = "") -> None:
+        """`prefix`: of the parameters of a further camera, such as `side.`.
+
+        Raises:
+            InputError: They give none.
+        """
+        try:
+            self._pose = camera_pose(values[prefix + _POSITION], values[prefix + _QUATERNION])
+        except InputError as error:
+            raise InputError(f"{error} Give {prefix}{_POSITION} and {prefix}{_QUATERNION}, or choose other extrinsics.") from None
+
+    def find(self, frame: DepthFrame) -> Float64Array | None:
+        """At once."""
+        return self._pose
+
+
+class FromMark(Extrinsics):
+    """Calibrated from frames at rest that show the mark."""
+
+    refusal = "calibrations_failed"
+
+    def __init__(self, mark: Mark, n_frames: int) -> None:
+        self._mark, self._needed = mark, n_frames
+        self._frames: list[DepthFrame] = []
+        self.found: Calibration | None = None
+
+    def find(self, frame: DepthFrame) -> Float64Array | None:
+        """Collect frames; when there are enough, calibrate from them, or start over and say why it failed."""
+        self._frames.append(frame)
+        n = len(self._frames)
+        self.progress = f"{n} of {self._needed} frames" if n < self._needed else ""
+        if n < self._needed:
+            return None
+        frames, self._frames = self._frames, []
+        try:
+            self.found = calibrate(frames, self._mark)
+        except PerceptionError as error:
+            raise PerceptionError(f"no extrinsics from the mark: {error}") from None
+        return self.found.camera_in_table
+
+
+class TfBuffer:
+    """What tf2 tells, where it is installed; one for all cameras."""
+
+    def __init__(self, node: Node) -> None:
+        """Listen.
+
+        Raises:
+            InputError: tf2_ros is not installed.
+        """
+        try:
+            import tf2_ros  # Not among the Python wheels of ROS: optional.
+        except ImportError:
+            raise InputError(
+                "Parameter extrinsics is tf, but tf2_ros is not installed; give camera_position and camera_quaternion."
+            ) from None
+        self._error = tf2_ros.TransformException
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
+
+    def camera_in_table(self, camera_frame: str) -> Float64Array:
+        """Homogeneous transform, shape (4, 4).
+
+        Raises:
+            PerceptionError: There is none yet.
+        """
+        from rclpy.time import Time
+
+        try:
+            found = self._buffer.lookup_transform(TABLE_FRAME, camera_frame, Time()).transform
+        except self._error as error:
+            raise PerceptionError(f"no transform from {camera_frame} to {TABLE_FRAME}: {error}") from None
+        at, turn = found.translation, found.rotation
+        return camera_pose([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
+
+
+class FromTf(Extrinsics):
+    """The pose of the frame that the images are in."""
+
+    def __init__(self, buffer: TfBuffer) -> None:
+        self._buffer = buffer
+
+    def find(self, frame: DepthFrame) -> Float64Array | None:
+        """As soon as tf2 has it."""
+        return self._buffer.camera_in_table(frame.frame_id)

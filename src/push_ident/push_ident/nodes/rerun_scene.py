@@ -1,0 +1,240 @@
+"""What a viewer shows, written with Rerun: the only module that knows it.
+
+Entities are named by the frame they live in: `table` holds everything; `table/camera` is the depth camera, so that whatever stands on
+the table can also be drawn into its picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.geometry.se2 import rotation, transform_points
+from push_ident.types import CameraIntrinsics, Float64Array
+
+__all__ = ["CellMap", "RerunScene"]
+
+_LIFT: Final = 0.001
+"""Between things drawn on top of each other [m]."""
+_GHOSTS: Final = 6
+"""Outlines that show a predicted motion."""
+_SEEN, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
+    [0, 158, 115],
+    [213, 94, 0],
+    [230, 159, 0],
+    [140, 140, 140],
+    [0, 114, 178],
+    [204, 121, 167],
+)
+"""Colours that the colour-blind tell apart (Okabe and Ito)."""
+_SHOWN: Final = 0.25
+"""Half the edge of the part of the table that the picture shows [m]."""
+_WIDTH: Final = 0.0012
+"""Of a line [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellMap:
+    """Maps of one object as they are drawn."""
+
+    cells: Float64Array
+    """Centres in the object frame [m], shape (n, 2)."""
+    size: float
+    """Edge of a cell [m]."""
+    load: Float64Array
+    """Mass times friction [kg], shape (n,)."""
+    deviation: Float64Array
+    """Its standard deviation."""
+    centre: Float64Array
+    """Centre of friction in the object frame [m], shape (2,)."""
+
+
+class RerunScene:
+    """One recording; every method puts one thing into it, at the time set last."""
+
+    def __init__(self, application: str = "push_ident") -> None:
+        import rerun
+
+        self._rr = rerun
+        self._stream = rerun.RecordingStream(application)
+        self._part: tuple[Float64Array, Float64Array] | None = None
+        self._log("table", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for name, colour, label in (
+            ("error", _PREDICTED, "predicted before the push"),
+            ("expected", _EXPECTED, "expected by the prediction"),
+            ("uniform", _UNIFORM, "equal cells"),
+        ):
+            look: dict[str, Any] = {"colors": colour, "names": label}
+            self._log(f"error_mm/{name}", rerun.SeriesLines(**look), rerun.SeriesPoints(**look, marker_sizes=4), static=True)
+
+    # ---- where it goes
+
+    def serve(self, grpc_port: int, web_port: int, memory: str) -> str:
+        """Serve viewers over gRPC, and a viewer for the browser; the address to open there."""
+        address = self._stream.serve_grpc(grpc_port=grpc_port, server_memory_limit=memory, default_blueprint=self._layout())
+        self._rr.serve_web_viewer(web_port=web_port, open_browser=False, connect_to=address)
+        return f"http://localhost:{web_port}/?url={address.replace(':', '%3A').replace('/', '%2F').replace('+', '%2B')}"
+
+    def connect(self, address: str) -> None:
+        """Send to a viewer that runs already; an empty address is the usual one of this machine."""
+        self._stream.connect_grpc(address or None, default_blueprint=self._layout())
+
+    def save(self, path: str) -> None:
+        """Write a file that a viewer opens later."""
+        self._stream.save(path, default_blueprint=self._layout())
+
+    def close(self) -> None:
+        """Send what is still held back, then end the recording."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+    # ---- what is shown
+
+    def set_time(self, stamp: float) -> None:
+        """Of what follows [s]."""
+        self._stream.set_time("time", duration=stamp)
+
+    def camera(self, intrinsics: CameraIntrinsics, camera_in_table: Float64Array) -> None:
+        """Where the camera stands: optical frame in `table`, shape (4, 4). The picture shows the middle of the table."""
+        rr = self._rr
+        corners = np.array([[x, y, 0.0] for x in (-_SHOWN, _SHOWN) for y in (-_SHOWN, _SHOWN)])
+        in_camera = (corners - camera_in_table[:3, 3]) @ camera_in_table[:3, :3]
+        if np.all(in_camera[:, 2] > 0):
+            pixels = in_camera[:, :2] / in_camera[:, 2:] * [intrinsics.fx, intrinsics.fy] + [intrinsics.cx, intrinsics.cy]
+            self._part = pixels.min(axis=0), pixels.max(axis=0)
+            self._stream.send_blueprint(self._layout())
+        self._log("table/camera", rr.Transform3D(translation=camera_in_table[:3, 3], mat3x3=camera_in_table[:3, :3]))
+        matrix = [[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]]
+        self._log("table/camera", rr.Pinhole(image_from_camera=matrix, resolution=[intrinsics.width, intrinsics.height]))
+
+    def depth(self, depth: NDArray[np.float32]) -> None:
+        """A depth image [m], NaN where nothing is seen."""
+        millimetres = np.nan_to_num(1e3 * depth, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 65535).astype(np.uint16)
+        seen = millimetres[millimetres > 0]
+        near, far = (float(v) for v in np.quantile(seen[::17], (0.01, 0.99))) if len(seen) > 17 else (0.0, 1.0)
+        self._log(
+            "table/camera/depth",
+            self._rr.DepthImage(millimetres, meter=1000.0, colormap="grayscale", depth_range=(near - 50.0, far + 20.0)),
+        )
+
+    def tool(self, position: Float64Array, radius: float) -> None:
+        """The tip of the tool [m], shape (3,), and its radius [m]."""
+        rr = self._rr
+        self._log("table/tool", rr.Points3D([position], radii=[max(radius, 0.004)], colors=_TOOL))
+
+    def seen(self, object_id: str, outline: Float64Array, pose: Float64Array, top: float) -> None:
+        """Where an object is seen: outline (n, 2) in its frame, pose (x, y, yaw), height of its upper side [m]."""
+        self._log(f"table/objects/{object_id}/seen", self._lines([transform_points(pose, outline)], top + 2 * _LIFT, _SEEN))
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(pose[2])
+        placed = self._rr.Transform3D(translation=[pose[0], pose[1], top + _LIFT], mat3x3=turn)
+        for name in ("load", "uncertainty"):
+            self._log(f"table/{name}/{object_id}", placed)
+
+    def map(self, object_id: str, cells: CellMap) -> None:
+        """Friction that each cell bears, and how well it is known; both follow the object."""
+        relative = cells.deviation / np.maximum(cells.load, 1e-12)
+        for name, share, palette in (
+            ("load", cells.load / max(float(cells.load.max()), 1e-12), cv2.COLORMAP_VIRIDIS),
+            ("uncertainty", np.clip(relative, 0.0, 1.0), cv2.COLORMAP_MAGMA),
+        ):
+            self._log(f"table/{name}/{object_id}/cells", self._cells(cells, share, palette))
+            centre = self._rr.Points3D([[*cells.centre, _LIFT]], radii=[0.35 * cells.size], colors=[220, 30, 30])
+            self._log(f"table/{name}/{object_id}/centre", centre)
+
+    def predicted(self, object_id: str, outline: Float64Array, poses: Float64Array, top: float) -> None:
+        """A predicted motion, poses (n, 3), as outlines on its way; no poses take it away."""
+        chosen = np.unique(np.linspace(0, len(poses) - 1, min(_GHOSTS, len(poses))).astype(int))
+        ghosts = [transform_points(poses[i], outline) for i in chosen]
+        self._log(f"table/objects/{object_id}/predicted", self._lines(ghosts, top + 3 * _LIFT, _PREDICTED))
+
+    def next_push(self, object_id: str, way: Float64Array, top: float) -> None:
+        """Way (n, 2) of the tool of the push to make next; an empty one takes it away."""
+        rr = self._rr
+        name = f"table/objects/{object_id}/next_push"
+        if len(way) < 2:
+            self._log(name, rr.Clear(recursive=True))
+            return
+        start, end = ([*way[i], top + 3 * _LIFT] for i in (0, -1))
+        self._log(f"{name}/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=_WIDTH * 1.5))
+
+    def next_end(self, object_id: str, outline: Float64Array, top: float) -> None:
+        """Where the next push would leave the object: outline (n, 2) in `table`."""
+        self._log(f"table/objects/{object_id}/next_push/end", self._lines([outline], top + 3 * _LIFT, _NEXT))
+
+    def score(self, error: float, expected: float, uniform: float) -> None:
+        """Cell errors of one push [m]: of the prediction made before it, what that expected of itself, and of equal cells."""
+        for name, value in (("error", error), ("expected", expected), ("uniform", uniform)):
+            if np.isfinite(value):
+                self._log(f"error_mm/{name}", self._rr.Scalars(1e3 * value))
+
+    def words(self, markdown: str) -> None:
+        """What is known, for reading."""
+        self._log("status", self._rr.TextDocument(markdown, media_type="text/markdown"))
+
+    # ---- inside
+
+    def _log(self, entity: str, *what: Any, static: bool = False) -> None:
+        self._stream.log(entity, *what, static=static)
+
+    def _lines(self, polygons: list[Float64Array], height: float, colour: list[int]) -> Any:
+        strips = [np.column_stack([np.vstack([p, p[:1]]), np.full(len(p) + 1, height)]) for p in polygons]
+        return self._rr.LineStrips3D(strips, colors=[colour] * len(strips), radii=[_WIDTH] * len(strips))
+
+    def _cells(self, cells: CellMap, share: Float64Array, palette: int) -> Any:
+        """Squares coloured by `share` from 0 to 1, shape (n,)."""
+        colours = cv2.applyColorMap(np.rint(255 * share).astype(np.uint8)[:, None], palette)[:, 0, ::-1]
+        corners = 0.47 * cells.size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        flat = (cells.cells[:, None] + corners).reshape(-1, 2)
+        first = 4 * np.arange(len(cells.cells))[:, None]
+        triangles = (first[:, :, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+        return self._rr.Mesh3D(
+            vertex_positions=np.column_stack([flat, np.zeros(len(flat))]),
+            triangle_indices=triangles,
+            vertex_colors=np.repeat(colours, 4, axis=0),
+        )
+
+    def _layout(self) -> Any:
+        import rerun.blueprint as layout
+
+        on_table = ["+ table/camera/**", "+ table/tool", "+ table/objects/**"]
+        bounds = None
+        if self._part is not None:
+            (left, top), (right, bottom) = self._part
+            bounds = layout.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
+        above = layout.EyeControls3D(position=(0.75, 0.0, 0.55), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
+        return layout.Blueprint(
+            layout.Vertical(
+                layout.Horizontal(
+                    *(
+                        layout.Spatial2DView(
+                            name=title, origin="table/camera", contents=[*on_table, f"+ table/{what}/**"], visual_bounds=bounds
+                        )
+                        for what, title in (
+                            ("load", "Camera, and the friction each cell bears (yellow: most)"),
+                            ("uncertainty", "Relative deviation of it (black: known, white: unknown)"),
+                        )
+                    )
+                ),
+                layout.Horizontal(
+                    layout.Spatial3DView(
+                        name="Seen (green), predicted (orange), next push (pink)",
+                        origin="table",
+                        contents=[*on_table, "+ table/load/**"],
+                        eye_controls=above,
+                    ),
+                    layout.TimeSeriesView(
+                        name="Cell error at the end of each push [mm]", origin="error_mm", plot_legend=layout.Corner2D.RightTop
+                    ),
+                    layout.TextDocumentView(name="State", origin="status"),
+                    column_shares=[3, 3, 2],
+                ),
+                row_shares=[3, 2],
+            ),
+            layout.TimePanel(play_state="Following", state="collapsed"),
+            collapse_panels=True,
+        )

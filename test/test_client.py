@@ -1,0 +1,84 @@
+"""The client of a cell waits for a push as long as the executor tells how far it is."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from rclpy.action import ActionServer
+from rclpy.action.server import ServerGoalHandle
+from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+
+from push_ident.nodes.client import CellClient, CellTimeout
+from push_ident_msgs.action import ExecutePush
+
+SILENCE = 0.6
+"""[s]"""
+
+
+class Executor(Node):
+    """Takes `speed` seconds over a push, and tells `distance` times how far it is."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("executor", context=context)
+        self._closing, self._idle = threading.Event(), threading.Event()
+        self._idle.set()
+        self._server = ActionServer(self, ExecutePush, "execute_push", self._execute)
+
+    def _execute(self, goal: ServerGoalHandle) -> ExecutePush.Result:
+        self._idle.clear()
+        told = int(goal.request.distance)
+        for i in range(told):
+            goal.publish_feedback(ExecutePush.Feedback(phase=ExecutePush.Feedback.PHASE_PUSH, progress=i / told))
+            self._closing.wait(goal.request.speed / told)
+        if not told:
+            self._closing.wait(goal.request.speed)
+        goal.succeed()
+        self._idle.set()
+        return ExecutePush.Result(push_id=7)
+
+    def close(self) -> None:
+        self._closing.set()
+        self._idle.wait(1.0)
+
+
+@pytest.fixture
+def client() -> Iterator[CellClient]:
+    context = Context()
+    rclpy.init(context=context)
+    node = Executor(context)
+    executor = MultiThreadedExecutor(2, context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    try:
+        with CellClient() as own:
+            yield own
+    finally:
+        node.close()
+        executor.shutdown(timeout_sec=1.0)
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+        thread.join(timeout=2.0)
+
+
+def test_long_push_is_waited_for_while_it_tells_how_far_it_is(client: CellClient) -> None:
+    progress: list[float] = []
+    started = time.monotonic()
+    result = client.execute_push(
+        ExecutePush.Goal(speed=3 * SILENCE, distance=15.0), silence=SILENCE, on_feedback=lambda told: progress.append(told.progress)
+    )
+    assert time.monotonic() - started > 2.9 * SILENCE
+    assert result.push_id == 7 and len(progress) > 10
+
+
+def test_executor_that_falls_silent_is_given_up(client: CellClient) -> None:
+    started = time.monotonic()
+    with pytest.raises(CellTimeout, match=r"told nothing for 1 s .* push_executor_node"):
+        client.execute_push(ExecutePush.Goal(speed=10.0), silence=SILENCE)
+    assert time.monotonic() - started < 8.0
