@@ -74,3 +74,72 @@ def test_reset_forgets_what_was_under_way() -> None:
     assembler.add_pusher(5.0, np.zeros(2))
     assembler.reset()
     assert assembler.finished(flush=True) == [] and assembler.partial("o1") is None
+
+
+@pytest.mark.parametrize("ahead", ["pose", "pusher"])
+def test_order_among_topics_does_not_matter(ahead: str) -> None:
+    """After a stall, or from a bag played fast, one topic may be seconds ahead of the others."""
+    pose_times, pusher_times = times(0, 10), times(2, 3) + times(6, 7)
+    expected = play(pose_times, pusher_times)
+    assembler = PushAssembler()
+    assembler.set_shape("o1", hammer_shape())
+    assembler.set_radius(0.01)
+    kinds = {"pose": pose_times, "pusher": pusher_times}
+    messages = [(ahead, t) for t in kinds.pop(ahead)] + [(kind, t) for kind, values in kinds.items() for t in values]
+    pushes = []
+    for number, (kind, time) in enumerate(messages):
+        if number == len(messages) // 2:
+            assembler.end_push(2.95)
+            assembler.end_push(6.95)
+        if kind == "pose":
+            assert assembler.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+        else:
+            assert assembler.add_pusher(time, np.array([0.1 * time, 0.2]))
+    for _ in range(5):
+        pushes += assembler.finished()
+    assert assembler.run == 1
+    assert len(pushes) == len(expected) == 2
+    for (push,), (other,) in zip(pushes, expected, strict=True):
+        assert np.array_equal(push.poses.time, other.poses.time) and np.array_equal(push.pusher.time, other.pusher.time)
+
+
+def test_push_that_failed_is_left_out_as_from_a_bag() -> None:
+    assembler = PushAssembler()
+    assembler.set_shape("o1", hammer_shape())
+    assembler.set_radius(0.01)
+    for time in times(0, 10):
+        assembler.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+    for time in times(2, 3) + times(6, 7):
+        assembler.add_pusher(time, np.array([0.1 * time, 0.2]))
+    assembler.end_push(2.95, failed_since=2.0)
+    assembler.end_push(6.95)
+    ((push,),) = assembler.finished(flush=True)
+    assert push.pusher.time[0] == 6.0 and assembler.n_failed == 1
+
+
+def test_push_is_not_handed_out_before_the_forces_on_its_way() -> None:
+    assembler = PushAssembler()
+    assembler.set_shape("o1", hammer_shape())
+    assembler.add_wrench(0.0, np.zeros(2))
+    for time in times(0, 5):
+        assembler.add_pose("o1", time, np.zeros(3), COVARIANCE)
+        if 1 <= time <= 2:
+            assembler.add_pusher(time, np.array([time, 0.0]))
+    assert assembler.finished() == []
+    for time in times(0.05, 5):
+        assembler.add_wrench(time, np.array([time, 0.0]))
+    pushes = [push for _ in range(5) for push in assembler.finished()]
+    assert len(pushes) == 1 and pushes[0][0].wrench is not None and len(pushes[0][0].wrench.time) == 21
+
+
+def test_looped_bag_drops_what_a_slower_topic_still_had_to_say_of_the_run_before() -> None:
+    assembler = PushAssembler()
+    assembler.set_shape("o1", hammer_shape())
+    for time in times(0, 10):
+        assembler.add_pose("o1", time, np.zeros(3), COVARIANCE)
+    for time in times(2, 7):
+        assembler.add_pusher(time, np.zeros(2))
+    assert assembler.add_pose("o1", 0.0, np.zeros(3), COVARIANCE) and assembler.run == 2
+    assert not assembler.add_pusher(7.05, np.zeros(2))
+    assert assembler.add_pusher(2.0, np.zeros(2)) and assembler.run == 2
+    assert assembler.now == 2.0

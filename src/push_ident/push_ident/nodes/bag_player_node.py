@@ -12,9 +12,10 @@ from typing import Any, Final
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMsg
 from std_msgs.msg import Bool
 
@@ -27,9 +28,12 @@ from push_ident.nodes.run import run_node
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_RELIABLE: Final = QoSProfile(depth=5000)
+# A listener that keeps all, too, holds the player back until it has room: then nothing is lost, however fast the bag is played.
+_RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
 _CLOCK_PERIOD_NS: Final = 10_000_000
+_DELIVERY: Final = 120.0
+"""Longest wait for listeners to take the last messages [s]."""
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to play: a folder or an .mcap or .db3 file", read_only=True),
@@ -90,8 +94,10 @@ class BagPlayerNode(Node):
             self.get_logger().fatal(str(error))
         self._done.publish(Bool(data=True))
         # Late messages must reach their listeners before their publisher goes.
+        deadline = time.monotonic() + _DELIVERY
         for publisher in self._player_publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=2))
+            while not publisher.wait_for_all_acked(Duration(seconds=0.1)) and not self._stop.is_set() and time.monotonic() < deadline:
+                pass
         if not self._stop.is_set():
             signal.raise_signal(signal.SIGTERM)
 
@@ -137,8 +143,15 @@ class BagPlayerNode(Node):
         publisher = self._player_publishers.get(message.topic)
         if publisher is None:
             return 0
-        publisher.publish(message.data)
-        return 1
+        while not self._stop.is_set():
+            try:
+                publisher.publish(message.data)
+                return 1
+            except rclpy_implementation.RCLError:
+                # No room within DDS's own patience of 0.1 s: a listener is busy.
+                if not self.context.ok():
+                    break
+        return 0
 
 
 def live_object_id(object_id: str) -> str:

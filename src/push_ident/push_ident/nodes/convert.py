@@ -235,7 +235,8 @@ def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None)
     Raises:
         InputError: No cells, sizes that do not fit, or cells and outline of different objects.
     """
-    size, width, height = float(cells.info.resolution), int(cells.info.width), int(cells.info.height)
+    # The resolution is a float32: its shortest decimal is the number that was meant.
+    size, width, height = float(str(np.float32(cells.info.resolution))), int(cells.info.width), int(cells.info.height)
     if len(cells.data) != width * height:
         raise InputError(f"Cells of {cells.header.frame_id!r} have {len(cells.data)} entries, expected {width} * {height}.")
     if not (math.isfinite(size) and size > 0):

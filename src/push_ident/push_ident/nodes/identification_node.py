@@ -5,52 +5,43 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
-from nav_msgs.msg import OccupancyGrid
 from numpy.linalg import LinAlgError
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import InputError, PushIdentError
-from push_ident.geometry.se2 import transform_points
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import predict
 from push_ident.identification.scoring import summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import SOLVERS
-from push_ident.nodes.convert import cylinder_radius_from_msg, force_from_msg, planar_pose_from_msg, position_from_msg, shape_from_msgs
+from push_ident.nodes.convert import planar_pose_of, position_from_msg
 from push_ident.nodes.convert_model import pusher_path_from_msg
-from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.identification_output import ObjectOutput
+from push_ident.nodes.latest_jobs import LatestJobs
 from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node
 from push_ident.physics.simulation import compile_kernels
-from push_ident.pushing.assembly import PushAssembler
 from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, PushRecord
-from push_ident_msgs.msg import PushRecord as PushRecordMsg
+from push_ident.types import ObjectShape, PushRecord
 from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
 __all__ = ["PARAMETERS", "IdentificationNode", "main"]
 
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_RELIABLE: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_AVAILABLE)
-_SILENCE: Final = 2.0
-"""Wall time without a message after which a push counts as finished [s]: the source has gone."""
-_HIDDEN: Final = 10.0
-"""The same where no object was seen since the push [s]: the arm may still be in the way."""
-_JUMP_BACK: Final = 1.0
-"""Stamps this much older than the latest mean that time was set back [s]."""
 _N_LATENCIES: Final = 2000
+_TURN: Final = 2.5e-4
+"""Time after which a thread that computes lets another one go on [s]."""
+_EXPECTED: Final = (PushIdentError, ArithmeticError, LinAlgError)
+"""What a solve or a prediction may raise."""
 
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
@@ -98,7 +89,7 @@ class IdentificationNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take messages in."""
         assert self._configured is not None
-        self._configured.active = True
+        self._configured.resume()
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -128,7 +119,6 @@ class _Identification:
     """What a configured node has."""
 
     def __init__(self, node: IdentificationNode, settings: Parameters) -> None:
-        self.active = False
         self._node, self._settings = node, settings
         folder = Path(settings["state_directory"]).expanduser() if settings["state_directory"] else None
         self._options = SessionOptions(
@@ -144,66 +134,57 @@ class _Identification:
             frame_seconds=settings["max_frame_time"],
             folder=folder,
         )
-        self._lock = threading.RLock()  # of what callbacks collect
         self._solving = threading.Lock()  # of changes of a session; reading its posterior needs none
-        self._assembler = PushAssembler(settings["push_gap"])
         self._sessions: dict[str, ObjectSession] = {}
         self._outputs: dict[str, ObjectOutput] = {}
-        self._latest: dict[str, tuple[float, Float64Array, Float64Array]] = {}
-        self._cells: dict[str, OccupancyGrid] = {}
-        self._outlines: dict[str, PolygonStamped] = {}
-        self._radius = 0.0
-        self._run = 1
-        self._counts: Counter[str] = Counter()
-        self._last_error = ""
         self._solve_time = 0.0
         self._latencies: deque[float] = deque(maxlen=_N_LATENCIES)
-        self._received = time.monotonic()
-        self._flushed = True
         self._updated: dict[str, float] = {}
         self._predicted: dict[str, float] = {}
 
         self._wake = threading.Condition()
         self._finished: deque[list[PushRecord]] = deque()
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
-        self._suggest_for: set[str] = set()
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
-
+        # A frame must not wait for what is only looked at.
+        self._advice = LatestJobs("advise", self._on_failed_advice, _EXPECTED)
+        self._collector = PushCollector(
+            node,
+            settings["push_gap"],
+            on_object=self._on_object,
+            on_shape=self._on_shape,
+            on_pushes=self._on_pushes,
+            on_frame=self._on_frame,
+        )
+        self._counts = self._collector.counts
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._entities: list[Any] = [
-            node.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _RELIABLE),
-            node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED),
-            node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, qos_profile_sensor_data),
-            node.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _RELIABLE),
             node.create_service(PredictPush, "predict_push", self._predict_push),
             node.create_service(SaveModel, "save_model", self._save_model),
             node.create_service(LoadModel, "load_model", self._load_model),
-        ]
-        self._topics = ObjectTopics(node, self._on_new_object)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # On the wall clock: these must run when simulated time stands still.
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._entities += [
-            node.create_timer(1.0, self._report, clock=wall),
-            node.create_timer(0.1, self._collect, clock=wall),
+            # On the wall clock: it must run when simulated time stands still.
+            node.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME)),
             self._diagnostics,
         ]
         self._worker.start()
 
+    def resume(self) -> None:
+        """Take messages in."""
+        self._collector.active = True
+
     def pause(self) -> None:
         """Take no more messages in."""
-        with self._lock:
-            self.active = False
-            self._assembler.reset()
+        self._collector.pause()
 
     def close(self) -> None:
         """Stop the worker, withdraw topics and services."""
-        self.pause()
+        self._collector.close()
         with self._wake:
             self._closing = True
             self._wake.notify()
         self._worker.join(timeout=1.0)
-        self._topics.destroy()
+        self._advice.close(timeout=0.2)
         for output in self._outputs.values():
             output.destroy(self._node)
         for entity in self._entities:
@@ -211,39 +192,17 @@ class _Identification:
 
     # ---- what comes in
 
-    def _on_new_object(self, object_id: str) -> None:
-        node, prefix = self._node, f"objects/{object_id}"
-        with self._lock:
-            self._outputs[object_id] = ObjectOutput(node, object_id)
-        self._entities += [
-            node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape(object_id, cells=m), _LATCHED),
-            node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape(object_id, outline=m), _LATCHED),
-            node.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _RELIABLE),
-        ]
-        node.get_logger().info(f"object {object_id} found")
+    def _on_object(self, object_id: str) -> None:
+        self._outputs[object_id] = ObjectOutput(self._node, object_id)
 
-    def _on_shape(self, object_id: str, *, cells: OccupancyGrid | None = None, outline: PolygonStamped | None = None) -> None:
-        with self._lock:
-            if cells is not None:
-                self._cells[object_id] = cells
-            if outline is not None:
-                self._outlines[object_id] = outline
-            if object_id not in self._cells:
-                return
-            try:
-                shape = shape_from_msgs(self._cells[object_id], self._outlines.get(object_id))
-                known = self._sessions.get(object_id)
-                if known is None:
-                    self._sessions[object_id] = self._new_session(ObjectSession(object_id, shape, self._options))
-                elif not known.shape.is_same_object(shape):
-                    self._node.get_logger().warning(f"object {object_id} is another one now: it begins anew, what was known is put aside")
-                    self._counts["objects replaced"] += 1
-                    self._sessions[object_id] = self._new_session(known.replaced_by(shape))
-            except PushIdentError as error:
-                self._refuse("shapes", f"objects/{object_id}/cells: {error}")
-                return
-            self._assembler.set_shape(object_id, shape)
-            self._counts["shapes"] += 1
+    def _on_shape(self, object_id: str, shape: ObjectShape) -> None:
+        known = self._sessions.get(object_id)
+        if known is None:
+            self._sessions[object_id] = self._new_session(ObjectSession(object_id, shape, self._options))
+        elif not known.shape.is_same_object(shape):
+            self._node.get_logger().warning(f"object {object_id} is another one now: it begins anew, what was known is put aside")
+            self._counts["objects replaced"] += 1
+            self._sessions[object_id] = self._new_session(known.replaced_by(shape))
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:
         if session.restored:
@@ -251,125 +210,46 @@ class _Identification:
             self._publish_map(session, 0.0, session.n_pushes)
         return session
 
-    def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
-        if not self.active:
-            return
-        try:
-            stamp, pose, covariance = planar_pose_from_msg(msg)
-        except InputError as error:
-            self._refuse("poses", f"objects/{object_id}/pose: {error}")
-            return
-        with self._lock:
-            self._arrived(stamp)
-            self._assembler.add_pose(object_id, stamp, pose, covariance)
-            self._latest[object_id] = (stamp, pose, covariance)
-            self._counts["poses"] += 1
-            pushing = self._assembler.is_under_way and object_id in self._sessions
-        if pushing:
-            with self._wake:
-                # A frame that the worker had no time for is not lost: the next update sees it too.
-                self._counts["frames taken together"] += object_id in self._frames
-                self._frames.setdefault(object_id, time.monotonic())
-                self._wake.notify()
+    def _on_frame(self, object_id: str) -> None:
+        with self._wake:
+            # A frame that the worker had no time for is not lost: the next update sees it too.
+            self._counts["frames taken together"] += object_id in self._frames
+            self._frames.setdefault(object_id, time.monotonic())
+            self._wake.notify()
 
-    def _on_pusher(self, msg: PoseStamped) -> None:
-        if not self.active:
-            return
-        try:
-            stamp, position = position_from_msg(msg)
-        except InputError as error:
-            self._refuse("pusher samples", f"pusher/pose: {error}")
-            return
-        with self._lock:
-            self._arrived(stamp)
-            self._assembler.add_pusher(stamp, position[:2])
-            self._counts["pusher samples"] += 1
-
-    def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
-        try:
-            self._radius = cylinder_radius_from_msg(msg)
-        except InputError as error:
-            self._refuse("pusher shapes", f"pusher/shape: {error}")
-            return
-        with self._lock:
-            self._assembler.set_radius(self._radius)
-
-    def _on_wrench(self, msg: WrenchStamped) -> None:
-        if not self.active:
-            return
-        try:
-            stamp, force = force_from_msg(msg)
-        except InputError as error:
-            self._refuse("wrenches", f"pusher/wrench: {error}")
-            return
-        with self._lock:
-            self._assembler.add_wrench(stamp, force)
-
-    def _on_push_record(self, msg: PushRecordMsg) -> None:
-        if not self.active:
-            return
-        with self._lock:
-            self._assembler.end_push()
-            self._counts["push records"] += 1
-
-    def _arrived(self, stamp: float) -> None:
-        if stamp < self._assembler.now - _JUMP_BACK:
-            self._run += 1
-            self._node.get_logger().warning(
-                f"time went back from {self._assembler.now:.2f} s to {stamp:.2f} s: run {self._run}; buffered data dropped, models kept"
-            )
-            self._assembler.reset()
-            self._counts["time jumps"] += 1
-        self._received = time.monotonic()
-        self._flushed = False
-
-    def _refuse(self, what: str, why: str) -> None:
-        self._counts[f"{what} refused"] += 1
-        self._last_error = why
-        self._node.get_logger().warning(why, throttle_duration_sec=5.0)
+    def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
+        with self._wake:
+            self._finished.extend(pushes)
+            self._wake.notify()
 
     # ---- the worker
-
-    def _collect(self) -> None:
-        """Hand complete pushes to the worker."""
-        with self._lock:
-            patience = _HIDDEN if self._assembler.is_awaiting else _SILENCE
-            silent = not self._flushed and time.monotonic() - self._received > patience
-            pushes = self._assembler.finished(flush=silent)
-            self._flushed = self._flushed or silent
-        if pushes:
-            with self._wake:
-                self._finished.extend(pushes)
-                self._wake.notify()
 
     def _work(self) -> None:
         compile_kernels()
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closing or self._finished or self._frames or self._suggest_for)
+                self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
                 if self._closing:
                     return
                 push = self._finished.popleft() if self._finished else None
                 frames: dict[str, float] = {}
-                suggest = None
-                if push is None and self._frames:
+                if push is None:
                     frames, self._frames = self._frames, {}
-                elif push is None:
-                    suggest = self._suggest_for.pop()
             try:
                 if push is not None:
                     self._finish(push)
-                elif suggest is not None:
-                    self._suggest(suggest)
                 for object_id, received in frames.items():
                     self._update(object_id, received)
-            except (PushIdentError, ArithmeticError, LinAlgError) as error:
-                self._refuse("pushes", f"{type(error).__name__}: {error}")
+            except _EXPECTED as error:
+                self._collector.refuse("pushes", f"{type(error).__name__}: {error}")
+
+    def _on_failed_advice(self, error: Exception) -> None:
+        self._collector.refuse("predictions", f"{type(error).__name__}: {error}")
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Learn from a finished push."""
         if not push:
-            self._refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden, or perception down?")
+            self._collector.refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden?")
         for record in push:
             session = self._sessions[record.object_id]
             known_again = session.n_known_again
@@ -377,8 +257,8 @@ class _Identification:
             try:
                 with self._solving:
                     score = session.finish(record)
-            except (PushIdentError, ArithmeticError, LinAlgError) as error:
-                self._refuse("pushes", f"object {record.object_id}, {record.source}: {error}")
+            except _EXPECTED as error:
+                self._collector.refuse("pushes", f"object {record.object_id}, {record.source}: {error}")
                 continue
             self._solve_time = time.perf_counter() - started
             if score is None:
@@ -393,51 +273,49 @@ class _Identification:
                 f"{1e3 * self._solve_time:.0f} ms; predicted to {1e3 * score.error:.1f} mm, expected {1e3 * score.expected:.1f} mm"
             )
             if self._settings["suggest_candidates"]:
-                self._suggest_for.add(record.object_id)
+                object_id = record.object_id
+                self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
 
     def _update(self, object_id: str, received: float) -> None:
         """Learn from the frames of the push under way."""
         now = time.monotonic()
         if now - self._updated.get(object_id, -np.inf) < self._settings["update_period"]:
             return
-        with self._lock:
-            partial = self._assembler.partial(object_id)
+        record = self._collector.partial(object_id)
         session = self._sessions.get(object_id)
-        if partial is None or session is None:
+        if record is None or session is None:
             return
         self._updated[object_id] = now
         with self._solving:
-            update = session.update(partial)
+            update = session.update(record)
         if update is None:
             return
-        self._publish_map(session, float(partial.poses.time[-1]), session.n_pushes + 1)
+        self._publish_map(session, float(record.poses.time[-1]), session.n_pushes + 1)
         self._latencies.append(time.monotonic() - received)
         self._counts["updates during a push"] += 1
         period = self._settings["prediction_period"]
         if period and now - self._predicted.get(object_id, -np.inf) >= period:
             self._predicted[object_id] = now
-            prediction = session.predict_under_way(partial, self._settings["prediction_horizon"])
-            self._outputs[object_id].publish_prediction(prediction, session.status, session.n_pushes + 1)
+            self._advice.put(f"motion of {object_id}", partial(self._predict_under_way, session, record))
+
+    def _predict_under_way(self, session: ObjectSession, record: PushRecord) -> None:
+        prediction = session.predict_under_way(record, self._settings["prediction_horizon"])
+        self._outputs[session.object_id].publish_prediction(prediction, session.status, session.n_pushes + 1)
 
     def _suggest(self, object_id: str) -> None:
         """Publish the push to make next."""
-        with self._lock:
-            session, seen = self._sessions[object_id], self._latest.get(object_id)
-            others = [
-                transform_points(pose, self._sessions[other].shape.outline)
-                for other, (_, pose, _) in self._latest.items()
-                if other != object_id and other in self._sessions
-            ]
-        if seen is None or not self._radius:
+        session, seen = self._sessions[object_id], self._collector.latest(object_id)
+        if seen is None or not self._collector.radius:
             return
-        settings = PushSettings(pusher_radius=self._radius)
+        settings = PushSettings(pusher_radius=self._collector.radius)
+        others = self._collector.outlines_of_others(object_id)
         suggestion = session.suggest(seen[1], settings, others, n_candidates=self._settings["suggest_candidates"])
         if suggestion is not None:
             self._outputs[object_id].publish_next_push(*suggestion, session.status)
             self._counts["pushes suggested"] += 1
 
     def _publish_map(self, session: ObjectSession, stamp: float, n_pushes: int) -> None:
-        latest = self._latest.get(session.object_id)
+        latest = self._collector.latest(session.object_id)
         self._outputs[session.object_id].publish_map(session.posterior, stamp, session.status, n_pushes, latest[1] if latest else None)
 
     # ---- services
@@ -452,19 +330,16 @@ class _Identification:
 
     def _predict_push(self, request: PredictPush.Request, response: PredictPush.Response) -> PredictPush.Response:
         try:
-            with self._lock:
-                session = self._chosen(request.object_id)
-                covariance = None
-                if request.object_pose.header.frame_id:
-                    yawed = PoseWithCovarianceStamped(header=request.object_pose.header)
-                    yawed.pose.pose = request.object_pose.pose
-                    yawed.pose.covariance = [1e-6 if i % 7 == 0 else 0.0 for i in range(36)]
-                    pose = planar_pose_from_msg(yawed)[1]
-                elif session.object_id in self._latest:
-                    _, pose, covariance = self._latest[session.object_id]
-                else:
-                    raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
-                path = pusher_path_from_msg(request.pusher_path, self._radius)
+            session = self._chosen(request.object_id)
+            seen, covariance = self._collector.latest(session.object_id), None
+            if request.object_pose.header.frame_id:
+                position_from_msg(request.object_pose)  # refuses another frame
+                pose = planar_pose_of(request.object_pose.pose)
+            elif seen is not None:
+                _, pose, covariance = seen
+            else:
+                raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
+            path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
             prediction = predict(session.posterior, path, pose, path.time, first_covariance=covariance)
         except PushIdentError as error:
             response.success, response.message = False, str(error)
@@ -475,10 +350,9 @@ class _Identification:
 
     def _save_model(self, request: SaveModel.Request, response: SaveModel.Response) -> SaveModel.Response:
         try:
-            with self._lock:
-                session = self._chosen(request.object_id)
-                path = Path(request.path)
-                save_model(path, session.posterior, object_id=session.object_id, sources=session.sources)
+            session = self._chosen(request.object_id)
+            path = Path(request.path)
+            save_model(path, session.posterior, object_id=session.object_id, sources=session.sources)
             response.success, response.message = True, f"object {session.object_id} written to {path}"
         except PushIdentError as error:
             response.success, response.message = False, str(error)
@@ -487,11 +361,10 @@ class _Identification:
     def _load_model(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
         try:
             in_file, posterior = load_model(Path(request.path))
-            with self._lock:
-                session = self._chosen(request.object_id or in_file)
+            session = self._chosen(request.object_id or in_file)
             with self._solving:
                 session.adopt(posterior, request.path)
-            self._publish_map(session, max(self._assembler.now, 0.0), 0)
+            self._publish_map(session, max(self._collector.now, 0.0), 0)
             response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
         except PushIdentError as error:
             response.success, response.message = False, str(error)
@@ -500,22 +373,17 @@ class _Identification:
     # ---- health
 
     def _report(self) -> None:
-        with self._lock:
-            counts = dict(self._counts)
-            objects = {object_id: session.n_pushes for object_id, session in self._sessions.items()}
-        if not self.active:
-            level, text = DiagnosticStatus.WARN, "inactive: nothing is taken in; activate the node"
-        elif not self._topics.ids:
-            level, text = DiagnosticStatus.WARN, "no objects/<id>/pose is published; is perception (or a bag player) running?"
-        elif not objects:
-            level, text = DiagnosticStatus.WARN, "poses arrive but no objects/<id>/cells; the publisher must keep them (transient local)"
-        elif not counts.get("pusher samples"):
+        values = self._collector.report()
+        missing = self._collector.what_is_missing()
+        pushes = {object_id: session.n_pushes for object_id, session in list(self._sessions.items())}
+        if missing:
+            level, text = DiagnosticStatus.WARN, missing
+        elif not values.get("pusher samples"):
             level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
         else:
-            level, text = DiagnosticStatus.OK, f"pushes by object: {objects}"
-        status = DiagnosticStatus(level=level, name=self._node.get_fully_qualified_name(), message=text, hardware_id="push_ident")
-        values = {**counts, "run": self._run, "last solve [s]": f"{self._solve_time:.3f}", "last error": self._last_error or "none"}
-        for object_id, session in self._sessions.items():
+            level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
+        values |= {"pushes waiting": len(self._finished), "last solve [s]": f"{self._solve_time:.3f}"}
+        for object_id, session in list(self._sessions.items()):
             record = summarise_scores(session.scores)
             if record.n:
                 values[f"{object_id}: predicted before, mean error [m]"] = f"{record.mean_error:.5f}"
@@ -523,6 +391,7 @@ class _Identification:
         if self._latencies:
             median, late = np.quantile(list(self._latencies), [0.5, 0.99])
             values["update latency, median [s]"], values["update latency, 99 % [s]"] = f"{median:.4f}", f"{late:.4f}"
+        status = DiagnosticStatus(level=level, name=self._node.get_fully_qualified_name(), message=text, hardware_id="push_ident")
         status.values = [KeyValue(key=str(k), value=str(v)) for k, v in values.items()]
         msg = DiagnosticArray(status=[status])
         msg.header.stamp = self._node.get_clock().now().to_msg()
@@ -531,6 +400,8 @@ class _Identification:
 
 def main() -> None:
     """Entry point."""
+    # Threads hand over twenty times as often as by default: a frame must not wait for what is only looked at.
+    sys.setswitchinterval(_TURN)
     sys.exit(run_node(IdentificationNode))
 
 

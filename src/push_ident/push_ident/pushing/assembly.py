@@ -2,6 +2,10 @@
 
 The rules are those by which a bag is cut: a push is a run of pusher samples without a pause over `gap`; it takes the poses up to `gap`
 around it or, where the object was hidden then, the nearest one on that side, but none nearer to another push.
+
+Each topic comes in order, but nothing orders one topic among the others: after a stall, or from a bag played fast, poses may be
+seconds ahead of the pusher. Hence nothing here depends on the order across streams: a push is handed out when every stream that still
+delivers has passed it, and time was set back when a stream falls behind itself.
 """
 
 from __future__ import annotations
@@ -17,6 +21,25 @@ __all__ = ["PushAssembler"]
 
 _MAX_BUFFER = 20_000
 """Samples kept of each stream: ten minutes at 30 Hz."""
+_JUMP_BACK = 1.0
+"""A stamp this much older than the latest of its own stream means that time was set back [s]."""
+_MAX_FAILED = 100
+_LOOKS = 3
+"""A stream that brought nothing between so many looks has delivered all it had. A node handles one waiting message of each topic between
+two looks of a timer, so that no message can be waiting then."""
+_ROUNDING = 5e-7
+"""Stamps and ends of pushes went through different roundings [s]."""
+
+
+@dataclass(slots=True)
+class _Stream:
+    """How far one topic has come."""
+
+    latest: float = -np.inf
+    silent: int = 0
+    """Looks since its last sample."""
+    is_behind: bool = False
+    """Time was set back, but this topic has not yet delivered all from before."""
 
 
 @dataclass(slots=True)
@@ -53,6 +76,13 @@ class PushAssembler:
         self._ended: deque[_Span] = deque()
         self._last_end = -np.inf
         self._now = -np.inf
+        self._streams: dict[str, _Stream] = {}
+        self._cuts: deque[float] = deque()
+        self._failed: deque[tuple[float, float]] = deque(maxlen=_MAX_FAILED)
+        self.n_failed = 0
+        """Pushes that were left out since somebody said that they failed."""
+        self.run = 1
+        """Counts how often time was set back, from 1."""
 
     @property
     def now(self) -> float:
@@ -67,37 +97,80 @@ class PushAssembler:
         """Cells and outline of an object."""
         self._shapes[object_id] = shape
 
-    def add_pose(self, object_id: str, stamp: float, pose: Float64Array, covariance: Float64Array) -> None:
-        """A pose of an object, (x, y, yaw) in the table frame, with its 3 x 3 covariance. Stamps that do not increase are dropped."""
-        poses = self._poses.setdefault(object_id, deque(maxlen=_MAX_BUFFER))
-        if not poses or stamp > poses[-1][0]:
-            poses.append((stamp, pose, covariance))
-            self._now = max(self._now, stamp)
+    def add_pose(self, object_id: str, stamp: float, pose: Float64Array, covariance: Float64Array) -> bool:
+        """A pose of an object, (x, y, yaw) in the table frame, with its 3 x 3 covariance.
 
-    def add_wrench(self, stamp: float, force: Float64Array) -> None:
+        Returns whether it was taken, here as for the other streams: stamps that do not increase are dropped, and so is what was still on
+        its way when time was set back.
+        """
+        taken = self._take(f"pose of {object_id}", stamp)
+        if taken:
+            self._poses.setdefault(object_id, deque(maxlen=_MAX_BUFFER)).append((stamp, pose, covariance))
+        return taken
+
+    def add_wrench(self, stamp: float, force: Float64Array) -> bool:
         """Force of the pusher on the object [N], shape (2,), table frame."""
-        if not self._wrench or stamp > self._wrench[-1][0]:
+        taken = self._take("wrench", stamp)
+        if taken:
             self._wrench.append((stamp, float(force[0]), float(force[1])))
+        return taken
 
-    def add_pusher(self, stamp: float, position: Float64Array) -> None:
+    def add_pusher(self, stamp: float, position: Float64Array) -> bool:
         """Position of the pusher [m], shape (2,), table frame; a pause before it ends the push before."""
+        if not self._take("pusher", stamp):
+            return False
+        while self._cuts and stamp > self._cuts[0] + _ROUNDING:
+            self._cuts.popleft()
+            self._end_push()
         if self._open is not None and stamp - self._open.end > self._gap:
-            self.end_push()
+            self._end_push()
         if self._open is None:
             middle = 0.5 * (stamp + self._last_end) if np.isfinite(self._last_end) else -np.inf
             self._open = _Span(after=middle)
             if self._ended:
                 self._ended[-1].before = middle
-        if not self._open.samples or stamp > self._open.end:
-            self._open.samples.append((stamp, float(position[0]), float(position[1])))
-            self._now = max(self._now, stamp)
+        self._open.samples.append((stamp, float(position[0]), float(position[1])))
+        return True
 
-    def end_push(self) -> None:
-        """The push under way has ended (somebody said so, or the pusher paused)."""
+    def end_push(self, stamp: float, failed_since: float | None = None) -> None:
+        """Somebody said that a push ended then [s]; its samples may still be on their way.
+
+        `failed_since`: when it began [s], if it did not go as planned; it is then left out, as from a bag.
+        """
+        if failed_since is not None:
+            self._failed.append((failed_since, stamp))
+        if self._take("push record", stamp) and stamp > self._last_end:
+            self._cuts.append(stamp)
+
+    def _end_push(self) -> None:
         if self._open is not None:
             self._last_end = self._open.end
             self._ended.append(self._open)
             self._open = None
+
+    def _take(self, name: str, stamp: float) -> bool:
+        """Whether a sample belongs to what is collected now."""
+        stream = self._streams.setdefault(name, _Stream())
+        stream.silent = 0
+        if stamp < stream.latest - _JUMP_BACK:
+            if not stream.is_behind:
+                self._set_back(stamp)
+            stream.is_behind = False
+        elif stamp <= stream.latest:
+            return False
+        elif stream.is_behind:
+            stream.is_behind = self._now < stream.latest
+        stream.latest = stamp
+        if not stream.is_behind:
+            self._now = max(self._now, stamp)
+        return not stream.is_behind
+
+    def _set_back(self, stamp: float) -> None:
+        self._forget_all()
+        self._now = stamp
+        self.run += 1
+        for stream in self._streams.values():
+            stream.is_behind = stream.latest > stamp + _JUMP_BACK
 
     def partial(self, object_id: str) -> PushRecord | None:
         """The push under way as far as it has come; None while there is none, or too little of it."""
@@ -107,13 +180,23 @@ class PushAssembler:
         """Pushes that are complete, each as one record per object, oldest first; empty where too little was seen. Each is handed out once.
 
         A push is complete when an object was seen after it and stamps have passed the time in which poses belong to it, or when the
-        next one is nearer. `flush` takes what there is.
+        next one is nearer. Streams that went silent are not waited for; to notice them, call this at regular times, not at every sample.
+        `flush` takes what there is.
         """
-        if self._open is not None and (flush or self._now - self._open.end > self._gap):
-            self.end_push()
+        for stream in self._streams.values():
+            stream.silent += 1
+        passed = np.inf if flush else self._passed
+        if self._open is not None and (passed > self._open.end + self._gap or (self._cuts and passed >= self._cuts[0] - _ROUNDING)):
+            self._end_push()
+        while self._cuts and passed > self._cuts[0] + _ROUNDING:
+            self._cuts.popleft()
         pushes = []
-        while self._ended and (flush or self._complete(self._ended[0])):
+        while self._ended and (flush or self._complete(self._ended[0], passed)):
             span = self._ended.popleft()
+            if any(start < span.end and span.start < end for start, end in self._failed):
+                self.n_failed += 1
+                self._forget(span.end)
+                continue
             records = [record for object_id in self._shapes if (record := self._record(object_id, span)) is not None]
             pushes.append(records)
             self._forget(span.end)
@@ -132,14 +215,25 @@ class PushAssembler:
     def _seen_after(self, span: _Span) -> bool:
         return any(poses and poses[-1][0] >= span.end for poses in self._poses.values())
 
-    def _complete(self, span: _Span) -> bool:
-        return self._now > span.before or (self._seen_after(span) and self._now > span.end + self._gap)
+    def _complete(self, span: _Span, passed: float) -> bool:
+        return passed > span.before or (self._seen_after(span) and passed > span.end + self._gap)
+
+    @property
+    def _passed(self) -> float:
+        """Up to when everything has come in [s]."""
+        return min((s.latest for s in self._streams.values() if s.silent <= _LOOKS and not s.is_behind), default=self._now)
 
     def reset(self) -> None:
-        """Time was set back: forget everything that was buffered, keep the shapes."""
+        """Begin anew: forget everything that was buffered, keep the shapes."""
+        self._forget_all()
+        self._streams.clear()
+
+    def _forget_all(self) -> None:
         self._poses.clear()
         self._wrench.clear()
         self._ended.clear()
+        self._cuts.clear()
+        self._failed.clear()
         self._open = None
         self._last_end = self._now = -np.inf
 

@@ -6,6 +6,7 @@ from push_ident_sim.experiments.cell import EXPERIMENT as _CELL
 from push_ident_sim.experiments.convergence import EXPERIMENT as _CONVERGENCE
 from push_ident_sim.experiments.coverage import EXPERIMENT as _COVERAGE
 from push_ident_sim.experiments.experiment import Experiment
+from push_ident_sim.experiments.live import EXPERIMENT as _LIVE
 from push_ident_sim.experiments.maps import EXPERIMENT as _MAPS
 from push_ident_sim.experiments.next_push import EXPERIMENT as _NEXT_PUSH
 from push_ident_sim.experiments.online import EXPERIMENT as _ONLINE
@@ -17,6 +18,6 @@ from push_ident_sim.experiments.training import EXPERIMENT as _TRAINING
 __all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: dict[str, Experiment] = {
-    e.name: e for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _ONLINE, _CELL, _PERCEPTION, _PUSHING)
+    e.name: e for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _ONLINE, _LIVE, _CELL, _PERCEPTION, _PUSHING)
 }
 """By name, in the order of the report."""

@@ -1,0 +1,51 @@
+"""Work that may wait, beside work that may not."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+__all__ = ["LatestJobs"]
+
+
+class LatestJobs:
+    """A thread that does one job after another; a job that has not begun when a newer one of its name comes is dropped for it.
+
+    Args:
+        name: of the thread.
+        on_error: told of an exception that a job raised and that is one of `errors`.
+        errors: what a job may raise.
+    """
+
+    def __init__(self, name: str, on_error: Callable[[Exception], None], errors: tuple[type[Exception], ...]) -> None:
+        self._on_error, self._errors = on_error, errors
+        self._wake = threading.Condition()
+        self._jobs: dict[str, Callable[[], None]] = {}
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, name: str, job: Callable[[], None]) -> None:
+        """Do `job` as soon as those before it are done."""
+        with self._wake:
+            self._jobs[name] = job
+            self._wake.notify()
+
+    def close(self, timeout: float = 1.0) -> None:
+        """Begin no more jobs; wait for the one under way, at most `timeout` [s]."""
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join(timeout)
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing or self._jobs)
+                if self._closing:
+                    return
+                job = self._jobs.pop(next(iter(self._jobs)))
+            try:
+                job()
+            except self._errors as error:
+                self._on_error(error)

@@ -1,0 +1,278 @@
+"""From the topics of a cell to finished pushes: what every node needs that learns from pushes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final
+
+from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from shape_msgs.msg import SolidPrimitive
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.geometry.se2 import transform_points
+from push_ident.nodes.convert import (
+    cylinder_radius_from_msg,
+    force_from_msg,
+    planar_pose_from_msg,
+    position_from_msg,
+    shape_from_msgs,
+    stamp_from_msg,
+)
+from push_ident.nodes.discovery import ObjectTopics
+from push_ident.pushing.assembly import PushAssembler
+from push_ident.types import Float64Array, ObjectShape, PushRecord
+from push_ident_msgs.msg import PushRecord as PushRecordMsg
+
+__all__ = ["PushCollector"]
+
+_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# What a busy moment leaves waiting is kept: a sender that keeps all, as the bag player does, is held back rather than overwritten.
+_ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)
+_SILENCE: Final = 2.0
+"""Wall time without a message after which a push counts as finished [s]: the source has gone."""
+_HIDDEN: Final = 10.0
+"""The same where no object was seen since the push [s]: the arm may still be in the way."""
+_NO_CLOCK: Final = 3.0
+"""Wall time without /clock after which simulated time counts as missing [s]."""
+_PERIOD: Final = 0.1
+"""Between two looks for pushes that are complete [s], wall time."""
+
+
+class PushCollector:
+    """Subscribes to objects, pusher, wrench and push records of a cell, and cuts them into pushes.
+
+    Args:
+        node: that subscribes.
+        gap: pause of the pusher that ends a push [s].
+        on_object: called with the id of each object as soon as its pose is published.
+        on_shape: called with id and shape of an object whenever its shape is told; what it raises as `PushIdentError` refuses the shape.
+        on_pushes: called with complete pushes, each a list of one record per object; empty where too little was seen.
+        on_frame: called with the id of an object after each new pose while a push is under way.
+
+    Attributes:
+        active: whether messages are taken in.
+        counts: of messages, by kind and what became of them.
+        last_error: why a message was refused last.
+        radius: of the pusher [m]; 0 until it is told.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        gap: float,
+        *,
+        on_object: Callable[[str], None],
+        on_shape: Callable[[str, ObjectShape], None],
+        on_pushes: Callable[[list[list[PushRecord]]], None],
+        on_frame: Callable[[str], None] = lambda object_id: None,
+    ) -> None:
+        self.active = False
+        self.counts: Counter[str] = Counter()
+        self.last_error = ""
+        self.radius = 0.0
+        self._node = node
+        self._on_object, self._on_shape, self._on_pushes, self._on_frame = on_object, on_shape, on_pushes, on_frame
+        self._lock = threading.RLock()
+        self._assembler = PushAssembler(gap)
+        self._latest: dict[str, tuple[float, Float64Array, Float64Array]] = {}
+        self._shapes: dict[str, ObjectShape] = {}
+        self._cells: dict[str, OccupancyGrid] = {}
+        self._outlines: dict[str, PolygonStamped] = {}
+        self._run = 1
+        self._began = self._received = time.monotonic()
+        self._flushed = True
+        self._entities: list[Any] = [
+            node.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _ALL),
+            node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED),
+            node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, _ALL),
+            node.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _ALL),
+            # On the wall clock: it must run when simulated time stands still.
+            node.create_timer(_PERIOD, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME)),
+        ]
+        self._topics = ObjectTopics(node, self._on_new_object)
+
+    # ---- what is known
+
+    @property
+    def now(self) -> float:
+        """Latest stamp seen [s]."""
+        return self._assembler.now
+
+    def latest(self, object_id: str) -> tuple[float, Float64Array, Float64Array] | None:
+        """Stamp [s], pose and covariance of an object as it was seen last; None before that."""
+        return self._latest.get(object_id)
+
+    def outlines_of_others(self, object_id: str) -> list[Float64Array]:
+        """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
+        with self._lock:
+            return [
+                transform_points(pose, self._shapes[other].outline)
+                for other, (_, pose, _) in self._latest.items()
+                if other != object_id and other in self._shapes
+            ]
+
+    def partial(self, object_id: str) -> PushRecord | None:
+        """The push under way as far as it has come; None while there is none."""
+        with self._lock:
+            return self._assembler.partial(object_id)
+
+    def what_is_missing(self) -> str:
+        """Why no pushes come in; empty when they can."""
+        if self._lacks_clock():
+            return "use_sim_time is true but nothing comes on /clock; is the simulator or bag player running?"
+        if not self.active:
+            return "inactive: nothing is taken in; activate the node"
+        if not self._topics.ids:
+            return "no objects/<id>/pose is published; is perception (or a bag player) running?"
+        if not self._shapes:
+            return "poses arrive but no objects/<id>/cells; the publisher must keep them (transient local)"
+        return ""
+
+    def report(self) -> dict[str, Any]:
+        """Counts for diagnostics."""
+        with self._lock:
+            return {
+                **self.counts,
+                "pushes that failed, left out": self._assembler.n_failed,
+                "run": self._run,
+                "last error": self.last_error or "none",
+            }
+
+    def refuse(self, what: str, why: str) -> None:
+        """Count and log something that cannot be used."""
+        self.counts[f"{what} refused"] += 1
+        self.last_error = why
+        self._node.get_logger().warning(why, throttle_duration_sec=5.0)
+
+    def pause(self) -> None:
+        """Take no more messages in; a push under way is let go."""
+        with self._lock:
+            self.active = False
+            self._assembler.reset()
+
+    def close(self) -> None:
+        """Withdraw all subscriptions."""
+        self.pause()
+        self._topics.destroy()
+        for entity in self._entities:
+            entity.destroy()
+
+    # ---- what comes in
+
+    def _on_new_object(self, object_id: str) -> None:
+        node, prefix = self._node, f"objects/{object_id}"
+        self._on_object(object_id)
+        self._entities += [
+            node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape_msg(object_id, cells=m), _LATCHED),
+            node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape_msg(object_id, outline=m), _LATCHED),
+            node.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _ALL),
+        ]
+        node.get_logger().info(f"object {object_id} found")
+
+    def _on_shape_msg(self, object_id: str, *, cells: OccupancyGrid | None = None, outline: PolygonStamped | None = None) -> None:
+        with self._lock:
+            if cells is not None:
+                self._cells[object_id] = cells
+            if outline is not None:
+                self._outlines[object_id] = outline
+            if object_id not in self._cells:
+                return
+            try:
+                shape = shape_from_msgs(self._cells[object_id], self._outlines.get(object_id))
+                self._on_shape(object_id, shape)
+            except PushIdentError as error:
+                self.refuse("shapes", f"objects/{object_id}/cells: {error}")
+                return
+            self._shapes[object_id] = shape
+            self._assembler.set_shape(object_id, shape)
+            self.counts["shapes"] += 1
+
+    def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
+        if not self.active:
+            return
+        try:
+            stamp, pose, covariance = planar_pose_from_msg(msg)
+        except InputError as error:
+            self.refuse("poses", f"objects/{object_id}/pose: {error}")
+            return
+        with self._lock:
+            if not self._arrived("poses", self._assembler.add_pose(object_id, stamp, pose, covariance)):
+                return
+            self._latest[object_id] = (stamp, pose, covariance)
+            pushing = self._assembler.is_under_way and object_id in self._shapes
+        if pushing:
+            self._on_frame(object_id)
+
+    def _on_pusher(self, msg: PoseStamped) -> None:
+        if not self.active:
+            return
+        try:
+            stamp, position = position_from_msg(msg)
+        except InputError as error:
+            self.refuse("pusher samples", f"pusher/pose: {error}")
+            return
+        with self._lock:
+            self._arrived("pusher samples", self._assembler.add_pusher(stamp, position[:2]))
+
+    def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
+        try:
+            self.radius = cylinder_radius_from_msg(msg)
+        except InputError as error:
+            self.refuse("pusher shapes", f"pusher/shape: {error}")
+            return
+        with self._lock:
+            self._assembler.set_radius(self.radius)
+
+    def _on_wrench(self, msg: WrenchStamped) -> None:
+        if not self.active:
+            return
+        try:
+            stamp, force = force_from_msg(msg)
+        except InputError as error:
+            self.refuse("wrenches", f"pusher/wrench: {error}")
+            return
+        with self._lock:
+            self._arrived("wrenches", self._assembler.add_wrench(stamp, force))
+
+    def _on_push_record(self, msg: PushRecordMsg) -> None:
+        if not self.active:
+            return
+        with self._lock:
+            failed_since = stamp_from_msg(msg.start) if msg.error_code else None
+            self._assembler.end_push(stamp_from_msg(msg.end), failed_since)
+            self.counts["push records"] += 1
+
+    def _arrived(self, what: str, taken: bool) -> bool:
+        """Count a message; whether it was taken."""
+        self.counts[what if taken else f"{what} with old stamps"] += 1
+        if self._assembler.run > self._run:
+            self._run = self._assembler.run
+            self._node.get_logger().warning(
+                f"time went back to {self._assembler.now:.2f} s ({what}): run {self._run}; buffered data dropped, models kept"
+            )
+            self.counts["time jumps"] += 1
+        self._received = time.monotonic()
+        self._flushed = False
+        return taken
+
+    def _collect(self) -> None:
+        with self._lock:
+            patience = _HIDDEN if self._assembler.is_awaiting else _SILENCE
+            silent = not self._flushed and time.monotonic() - self._received > patience
+            pushes = self._assembler.finished(flush=silent)
+            self._flushed = self._flushed or silent
+        if pushes:
+            self._on_pushes(pushes)
+
+    def _lacks_clock(self) -> bool:
+        """Whether the node waits for a /clock that nobody publishes."""
+        simulated = self._node.get_parameter("use_sim_time").value
+        patient = time.monotonic() - self._began < _NO_CLOCK
+        return bool(simulated and not patient and self._node.get_clock().now().nanoseconds == 0)
