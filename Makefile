@@ -26,7 +26,7 @@ demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
 bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/benchmarks.md
 	$(VENV)/push-ident bench --page docs/benchmarks.md
 
-EXPERIMENTS := maps training real-protocol coverage next-push online live convergence cell perception pushing
+EXPERIMENTS := maps training real-protocol coverage next-push online live convergence cell perception pushing settle
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
 	@for name in $(EXPERIMENTS); do \
 	  $(VENV)/push-ident experiment $$name --json docs/experiments/$$name.json || exit 1; done

@@ -14,6 +14,7 @@ from push_ident.diagnosis.diagnose import Diagnosis, Verdict, diagnose, to_json
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import simulate
 from push_ident.types import ObjectModel, PoseTrack, PushRecord
 
@@ -75,6 +76,21 @@ def test_effect_that_is_put_into_the_base_is_no_gap_any_more() -> None:
     found = diagnose(_pushes(8, 2, {"pose_latency": [0.03]}), DiagnosisSettings(base_effects=("pose_latency",)))
     assert found.verdict is Verdict.NO_GAP
     assert found.fit is not None and found.fit.names == ("pose_latency",)
+
+
+def test_what_no_effect_explains_is_unknown_and_described() -> None:
+    """More friction in one half of all headings in the table, and a torque with it: no effect of the catalogue does that."""
+    found = diagnose(_pushes(10, 3, {"unknown_wrench": _wrench(along_cos=0.06, along_sin2=0.06, torque_cos=0.04)}))
+    assert found.verdict is Verdict.UNKNOWN, found.sentence
+    assert found.unknown is not None and not found.effects
+    assert "heading in the table" in found.unknown.description
+    assert found.gap is not None and found.gap.shrink > 0.5
+    content = to_json(found)
+    assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 10.0
+
+
+def _wrench(**weights: float) -> list[float]:
+    return [weights.get(p.name, 0.0) for p in EFFECTS["unknown_wrench"].parameters]
 
 
 def test_twins_are_named_together() -> None:

@@ -69,10 +69,10 @@ def push(case: Case, effects: EffectValues | tuple[str, ...], mode: str, *, jaco
 
 
 def test_the_catalogue_is_whole() -> None:
-    assert set(EFFECTS) == CATALOGUE
+    assert {name for name, effect in EFFECTS.items() if not effect.is_remainder} == CATALOGUE
 
 
-@pytest.mark.parametrize("name", [*sorted(CATALOGUE), "all"])
+@pytest.mark.parametrize("name", [*sorted(EFFECTS), "all"])
 def test_an_effect_at_its_null_value_changes_no_bit(name: str) -> None:
     names = tuple(sorted(CATALOGUE)) if name == "all" else (name,)
     for seed in range(4):

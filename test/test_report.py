@@ -16,6 +16,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.report import Provenance, PushErrors, write_report
 from push_ident.identification.result import Identification
+from push_ident.identification.running_record import running_record
 from push_ident.types import PushRecord, SolveStatus
 
 RECORDS = random_records(hammer(3), 5, 3)
@@ -40,6 +41,16 @@ def test_page_stands_alone_and_says_everything(tmp_path: Path) -> None:
         assert text in page
     assert "o&lt;1&gt;" in page and "o<1>" not in page
     assert "Do not trust" not in page
+
+
+def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
+    scores = running_record(RECORDS)
+    assert [score.number for score in scores] == list(range(1, len(RECORDS) + 1))
+    assert np.mean([score.error for score in scores[2:]]) < np.mean([score.uniform for score in scores[2:]])
+    errors = _errors(RESULT, [3])
+    write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), errors, SOURCE, 0.01, scores)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 4 and "How soon it was known" in page
 
 
 def test_page_says_when_nothing_was_held_out(tmp_path: Path) -> None:

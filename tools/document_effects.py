@@ -49,6 +49,8 @@ def section_of(effect: Effect) -> str:
     for p in effect.parameters:
         name = f"`{p.name}`" + (" (shape)" if p.shape else "")
         lines.append(f"| {name} | {p.unit} | {p.nominal:g} | {range_of(p)} | {p.scale:g} | {p.typical:g} | {p.what} |")
+    if effect.is_remainder:
+        lines.insert(2, "Not a cause: it measures what no cause explains, and is never named.\n")
     notes = [f"Acts {PLACES[type(effect.acts)]}", f"Signature: {effect.signature}", f"Rivals: {effect.rivals}", f"Source: {effect.source}"]
     if effect.needs_inertia:
         notes.append("Not in quasi-static pushes")

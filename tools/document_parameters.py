@@ -11,6 +11,7 @@ TABLES = {
     "perception_node": ("push_ident.nodes.perception_node", "PARAMETERS"),
     "push_executor_node": ("push_ident.nodes.push_executor_parameters", "PARAMETERS"),
     "identification_node": ("push_ident.nodes.identification_node", "PARAMETERS"),
+    "gap_diagnosis_node": ("push_ident.nodes.gap_diagnosis_node", "PARAMETERS"),
     "bag_player_node": ("push_ident.nodes.bag_player_node", "PARAMETERS"),
     "bag_recorder_node": ("push_ident.nodes.bag_recorder_node", "PARAMETERS"),
     "viewer_node": ("push_ident.nodes.viewer_node", "PARAMETERS"),

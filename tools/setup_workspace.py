@@ -31,7 +31,7 @@ REQUIREMENTS = ROOT / "requirements"
 ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
 PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
 CORE = ROOT / "src" / "push_ident" / "push_ident"
-KERNELS = (*(CORE / "physics" / f"{name}.py" for name in ("contact", "step", "rollout")), CORE / "perception" / "kernels.py")
+KERNELS = (*sorted((CORE / "physics").rglob("*.py")), CORE / "perception" / "kernels.py")
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}

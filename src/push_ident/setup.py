@@ -32,6 +32,7 @@ setup(
             "identification_node = push_ident.nodes.identification_node:main",
             "bag_player_node = push_ident.nodes.bag_player_node:main",
             "bag_recorder_node = push_ident.nodes.bag_recorder_node:main",
+            "gap_diagnosis_node = push_ident.nodes.gap_diagnosis_node:main",
             "viewer_node = push_ident.nodes.viewer_node:main",
         ],
     },

@@ -22,6 +22,7 @@ from push_ident.identification.picture import draw_knowledge, draw_maps
 from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import push_errors, result_json
+from push_ident.identification.running_record import running_record
 from push_ident.identification.solvers import SOLVERS
 from push_ident.types import Float64Array, SolveStatus
 
@@ -88,6 +89,14 @@ def identify_command(
             seed=seed,
             on_progress=lambda best: progress.update(task, description=f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
+        record = []
+        if out is not None:
+            total = len(loaded.records)
+            record = running_record(
+                loaded.records,
+                prior,
+                on_push=lambda n: progress.update(task, description=f"predicting push {n} of {total} from those before"),
+            )
     content = result_json(result, loaded.object_id, loaded.records, chosen, loaded.notes)
     _show(content, result, loaded)
     if json is not None:
@@ -106,6 +115,7 @@ def identify_command(
             push_errors(result, loaded.records, others),
             Provenance(loaded.object_id, tuple(loaded.records[i].source for i in chosen), tuple(loaded.notes)),
             loaded.records[0].pusher.radius,
+            record,
         )
         files = ("report.html", "model.json", "map.png", "knowledge.png", "result.json")
         console.print(f"written: {', '.join(str(out / name) for name in files)}", highlight=False, soft_wrap=True)

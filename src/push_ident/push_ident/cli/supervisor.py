@@ -40,14 +40,15 @@ _MODULES: Final = {
     "perception_node": "push_ident.nodes.perception_node",
     "push_executor_node": "push_ident.nodes.push_executor_node",
     "identification_node": "push_ident.nodes.identification_node",
+    "gap_diagnosis_node": "push_ident.nodes.gap_diagnosis_node",
     "bag_player_node": "push_ident.nodes.bag_player_node",
     "bag_recorder_node": "push_ident.nodes.bag_recorder_node",
     "viewer_node": "push_ident.nodes.viewer_node",
 }
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
-    "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node"),
+    "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
     "replay": ("perception_node", "identification_node", "bag_player_node"),
-    "arm": ("perception_node", "push_executor_node", "identification_node"),
+    "arm": ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
 }
 _SIM_PATIENCE: Final = 1.0
 """Silence or lag of a simulated arm that is taken for a fault [s]."""

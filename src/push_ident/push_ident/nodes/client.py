@@ -28,7 +28,7 @@ from push_ident.geometry.se2 import wrap_angle
 from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_msg, shape_from_msgs
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.types import Float64Array, ObjectShape
-from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.action import DiagnoseGap, ExecutePush
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.srv import PredictPush, SaveModel
 
@@ -64,6 +64,7 @@ class CellClient:
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         self._topics = ObjectTopics(self.node, self._on_new_object)
         self._push = ActionClient(self.node, ExecutePush, "execute_push")
+        self._diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
         self._predict = self.node.create_client(PredictPush, "predict_push")
         self._save = self.node.create_client(SaveModel, "save_model")
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
@@ -203,6 +204,18 @@ class CellClient:
         heard = time.monotonic()
         missing = f"execute_push told nothing for {silence:.0f} s and gave no result; see the log of push_executor_node"
         return self._answer(handle.get_result_async, silence, missing, lambda: heard).result
+
+    def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
+        """Diagnose the pushes seen so far.
+
+        Raises:
+            CellTimeout: The action is not served, refused the goal, or took longer than `timeout` [s].
+        """
+        self.wait(self._diagnose.server_is_ready, 20.0, "the action diagnose_gap is not served; is gap_diagnosis_node running?")
+        handle = self._answer(lambda: self._diagnose.send_goal_async(goal), 20.0, "diagnose_gap did not answer within 20 s")
+        if not handle.accepted:
+            raise CellTimeout("diagnose_gap refused the goal; is a diagnosis under way?")
+        return self._answer(handle.get_result_async, timeout, f"diagnose_gap gave no result within {timeout:.0f} s").result
 
     def predict(self, object_id: str, path: Path) -> PushPrediction:
         """What the identified model says of a push along `path`, from the object's latest pose."""

@@ -13,11 +13,13 @@ from push_ident_sim.experiments.online import EXPERIMENT as _ONLINE
 from push_ident_sim.experiments.perception import EXPERIMENT as _PERCEPTION
 from push_ident_sim.experiments.pushing import EXPERIMENT as _PUSHING
 from push_ident_sim.experiments.real_protocol import EXPERIMENT as _REAL_PROTOCOL
+from push_ident_sim.experiments.settle import EXPERIMENT as _SETTLE
 from push_ident_sim.experiments.training import EXPERIMENT as _TRAINING
 
 __all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: dict[str, Experiment] = {
-    e.name: e for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _ONLINE, _LIVE, _CELL, _PERCEPTION, _PUSHING)
+    e.name: e
+    for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _ONLINE, _LIVE, _CELL, _PERCEPTION, _PUSHING, _SETTLE)
 }
 """By name, in the order of the report."""

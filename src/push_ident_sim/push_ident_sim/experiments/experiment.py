@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -81,3 +81,5 @@ class Experiment:
     """Packages of the core that a result depends on: after a change there, cases run anew."""
     once: tuple[str, ...] = ()
     """Variants that are one case, of the first object and ground truth."""
+    fewer: Mapping[str, int] = field(default_factory=dict)
+    """Variants of which so many ground truths of each object are enough, however many are asked for."""

@@ -52,7 +52,7 @@ _Frame = tuple[Image, CameraInfo]
 _OBJECT: Final = "o1"
 """As perception calls what it sees first."""
 _N_PUSHES: Final = 12
-_CELLS: Final = 100
+_CELLS: Final = 110
 _PAUSE: Final = 1.5
 """At rest between two pushes, in which the estimate is polished [s]."""
 _AT_REST: Final = 0.2

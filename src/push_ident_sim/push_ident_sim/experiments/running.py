@@ -81,7 +81,8 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         Case(name, model, variant)
         for name, model in models
         for variant in options.variants or experiment.variants
-        if variant not in experiment.once or (name, model) == models[0]
+        if (variant not in experiment.once or (name, model) == models[0])
+        and model - options.seed < experiment.fewer.get(variant, options.n_models)
     ]
     settings = CaseSettings(
         options.truth_folder, Budget(max_seconds=options.max_seconds, processor_time=True), options.truth, options.noise, options.recordings

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from push_ident.identification.picture import draw_cells
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.scoring import PushScore
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
     from push_ident.identification.report.report import PushErrors
 
-__all__ = ["draw_errors", "draw_maps", "draw_push"]
+__all__ = ["draw_errors", "draw_maps", "draw_push", "draw_record"]
 
 _NINETY_2D = 4.605
 """90 % of chi squared with 2 degrees of freedom lie below it."""
@@ -73,6 +75,28 @@ def draw_errors(train: PushErrors, test: PushErrors) -> Figure:
     ):
         ax.plot(pushes, 1e3 * np.array(values), linestyle="none", marker=marker, color=colour, label=name, markersize=9)
     ax.set_xticks(sorted(pushes))
+    ax.set_xlabel("push")
+    ax.set_ylabel("cell error at the end [mm]")
+    ax.set_ylim(bottom=0.0)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def draw_record(scores: Sequence[PushScore]) -> Figure:
+    """Error of the prediction made before each push, what it expected of itself, and equal cells."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
+    ax = figure.subplots()
+    numbers = [score.number for score in scores]
+    for name, colour, style, values in (
+        ("predicted before the push", "#1f5fa8", "o-", [s.error for s in scores]),
+        ("expected by the prediction", "#9fb8d6", "--", [s.expected for s in scores]),
+        ("equal cells, nominal", "#444444", "_", [s.uniform for s in scores]),
+    ):
+        ax.plot(numbers, 1e3 * np.array(values), style, color=colour, label=name)
+    ax.set_xticks(numbers)
     ax.set_xlabel("push")
     ax.set_ylabel("cell error at the end [mm]")
     ax.set_ylim(bottom=0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ from push_ident import __version__
 from push_ident.errors import InputError, PlanningError
 from push_ident.identification.identifiability import Identifiability, identifiability
 from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
-from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push
+from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record
 from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.identification.scoring import PushScore, summarise_scores
 from push_ident.pages.page import svg, write_page
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
@@ -23,6 +25,7 @@ __all__ = ["Provenance", "PushErrors", "write_report"]
 
 _CANDIDATES = 40
 _REFERENCES = 20
+_FEWEST_SCORES = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,13 @@ class Provenance:
 
 
 def write_report(
-    path: Path, result: Identification, train: PushErrors, test: PushErrors, provenance: Provenance, pusher_radius: float
+    path: Path,
+    result: Identification,
+    train: PushErrors,
+    test: PushErrors,
+    provenance: Provenance,
+    pusher_radius: float,
+    record: Sequence[PushScore] = (),
 ) -> None:
     """Write the page.
 
@@ -62,6 +71,7 @@ def write_report(
         test: errors of the others; may be empty.
         provenance: where the data come from.
         pusher_radius: of the pusher that would make the next push [m].
+        record: predictions made before each push, in order.
 
     Raises:
         InputError: the file cannot be written.
@@ -76,6 +86,7 @@ def write_report(
         "errors": svg(draw_errors(train, test)),
         "error_rows": [_error_row("pushes learned from", train), _error_row("pushes held out", test)],
         "held_out": bool(test.pushes),
+        "record": _record(record),
         "quantities": [_quantity(q.name, q.unit, q.value, q.std, q.prior_std, q.knowledge.value) for q in known.quantities],
         "n_combinations": len(known.combinations),
         "n_pinned": known.n_pinned,
@@ -112,6 +123,21 @@ def _error_row(name: str, errors: PushErrors) -> dict[str, Any]:
     means = {n: float(np.nanmean(v)) if len(v) else float("nan") for n, v in (("uniform", errors.uniform), ("scalar", errors.scalar))}
     identified = float(np.nanmean(errors.identified)) if len(errors.identified) else float("nan")
     return {"name": name, "n": len(errors.pushes), **means, "identified": identified}
+
+
+def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
+    """Predictions before each push; None where there are too few to show."""
+    if len(scores) < _FEWEST_SCORES:
+        return None
+    summary = summarise_scores(scores)
+    return {
+        "figure": svg(draw_record(scores)),
+        "n": summary.n,
+        "mean": summary.mean_error,
+        "expected": summary.mean_expected,
+        "uniform": summary.mean_uniform,
+        "share": f"{summary.share_within_ninety:.0%}",
+    }
 
 
 def _quantity(name: str, unit: str, value: float, std: float, before: float, verdict: str) -> dict[str, str]:

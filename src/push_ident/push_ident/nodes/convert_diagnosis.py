@@ -1,0 +1,72 @@
+"""Between diagnoses and messages."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from geometry_msgs.msg import Point
+
+from push_ident.nodes.convert import TABLE_FRAME, stamp_to_msg
+from push_ident_msgs.msg import GapEffect, GapReport
+
+__all__ = ["report_to_msg"]
+
+
+def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushes: int) -> GapReport:
+    """A diagnosis, given as the JSON of the command-line contract, as a message.
+
+    Args:
+        content: see `push_ident.diagnosis.diagnose.to_json`.
+        object_id: that was diagnosed.
+        stamp: of its newest push [s].
+        n_pushes: that the diagnosis rests on.
+    """
+    gap, proposal = content["gap"], content["next_push"]
+    low, high = (_number(value) for value in gap["shrink_interval"])
+    msg = GapReport(
+        object_id=object_id,
+        n_pushes=int(n_pushes),
+        verdict=content["verdict"],
+        sentence=content["sentence"],
+        confusable=list(content["confusable"]),
+        before=_number(gap["before_m"]),
+        after=_number(gap["after_m"]),
+        noise=_number(gap["noise_m"]),
+        shrink=_number(gap["shrink"]),
+        shrink_low=low,
+        shrink_high=high,
+        ranking=[row["name"] for row in content["ranking"]],
+        ranking_evidence=[_number(row["evidence"]) for row in content["ranking"]],
+        ranking_smallest=[_number(row["smallest"]) for row in content["ranking"]],
+        check=content["check"],
+        json=json.dumps(content),
+    )
+    msg.header.stamp = stamp_to_msg(stamp)
+    msg.header.frame_id = TABLE_FRAME
+    for effect in content["effects"]:
+        names = list(effect["parameters"])
+        msg.effects.append(
+            GapEffect(
+                name=effect["name"],
+                parameters=names,
+                values=[_number(effect["parameters"][name]) for name in names],
+                std=[_number(effect["std"][name]) for name in names],
+                evidence=_number(effect["evidence"]),
+            )
+        )
+    if proposal is not None:
+        x, y = proposal["contact_point_m"]
+        msg.has_next_push = True
+        msg.next_push_between = list(proposal["between"])
+        msg.next_push_distance2 = _number(proposal["distance2"])
+        msg.contact_point = Point(x=float(x), y=float(y), z=0.0)
+        msg.direction, msg.distance = float(proposal["direction_rad"]), float(proposal["distance_m"])
+        msg.speed = float(proposal["speed_mps"])
+    return msg
+
+
+def _number(value: float | None) -> float:
+    """JSON has null where a number is not finite."""
+    return math.nan if value is None else float(value)
