@@ -30,6 +30,7 @@ EXPERIMENTS := maps training real-protocol coverage next-push convergence cell p
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
 	@for name in $(EXPERIMENTS); do \
 	  $(VENV)/push-ident experiment $$name --json docs/experiments/$$name.json || exit 1; done
+	$(VENV)/push-ident experiment blind --seed 1000 --models 50 --json docs/experiments/blind.json
 	$(VENV)/push-ident experiment report
 
 test: setup lint  ## lint, types and all tests

@@ -24,7 +24,7 @@ def experiment_command(
     name: Annotated[
         str,
         typer.Argument(
-            help="convergence, maps, training, real-protocol, coverage, next-push, cell, perception, pushing; "
+            help="convergence, maps, training, real-protocol, coverage, next-push, cell, perception, pushing, blind; "
             "`report` writes the page of their results.",
             show_default=False,
         ),

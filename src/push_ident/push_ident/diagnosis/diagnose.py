@@ -15,7 +15,8 @@ from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, separating_push
 from push_ident.diagnosis.residuals import Group, group_frames, left_over
 from push_ident.diagnosis.selection import Candidate, Selection, select_effects
-from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
+from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
 from push_ident.errors import InputError
 from push_ident.identification.observation import observe_push
 from push_ident.physics.effects import EFFECTS
@@ -72,6 +73,8 @@ class Diagnosis:
     next_push: SeparatingPush | None
     check: str
     """What would settle it without a push."""
+    unknown: SmoothWrench | None = None
+    """What a smooth wrench of unknown cause explains, where there is a trace of one."""
 
     @property
     def fit(self) -> EffectFit | None:
@@ -101,8 +104,8 @@ def diagnose(
     report = on_progress or (lambda text: None)
     if not records:
         raise InputError("There is no push to diagnose; give at least three.")
-    if unknown := [name for name in settings.base_effects if name not in EFFECTS]:
-        raise InputError(f"There is no effect `{unknown[0]}`; choose from {', '.join(EFFECTS)}.")
+    if strange := [name for name in settings.base_effects if name not in EFFECTS]:
+        raise InputError(f"There is no effect `{strange[0]}`; choose from {', '.join(EFFECTS)}.")
     gates = check_data(records, settings)
     pushes = [record for record in records if observe_push(record, settings.noise).touched]
     if not all(gate.passed for gate in gates):
@@ -113,14 +116,19 @@ def diagnose(
     if not all(gate.passed for gate in gates):
         return _untrusted(gates)
     selection = select_effects(base, settings.thresholds, report)
-    report("holding pushes out")
-    gap = measure_gap(base, selection.fit, report)
-    if selection.found and _vetoed(gap):
+    report("looking for what the catalogue leaves over")
+    unknown = find_unknown(base, settings.thresholds)
+    is_unknown = unknown is not None and _explains_more(unknown, selection, settings.thresholds)
+    if is_unknown:
         selection = Selection(base, base, selection.steps)
+    report("holding pushes out")
+    gap = measure_gap(base, unknown.fit if unknown is not None and is_unknown else selection.fit, report)
+    if (selection.found or is_unknown) and _vetoed(gap):
+        selection, is_unknown = Selection(base, base, selection.steps), False
         gap = measure_gap(base, base, report)
     effects = _found(selection)
     confusable = _confusable(selection, settings)
-    verdict = _verdict(effects, confusable)
+    verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
     report("looking for the push that would settle it")
     rivals = _rivals(selection, confusable)
     last = pushes[-1].poses.pose[-1]
@@ -128,7 +136,7 @@ def diagnose(
     proposal = separating_push(rivals, np.array(last), limits) if len(rivals) > 1 else None
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, effects, confusable, gap, selection),
+        sentence=_sentence(verdict, effects, confusable, gap, unknown),
         effects=effects,
         confusable=confusable,
         gap=gap,
@@ -137,6 +145,7 @@ def diagnose(
         where=group_frames(left_over(base)),
         next_push=proposal,
         check=check_without_a_push([*(e.name for e in effects[-1:]), *confusable]) if effects else "",
+        unknown=unknown,
     )
 
 
@@ -147,6 +156,12 @@ def _untrusted(gates: list[Gate]) -> Diagnosis:
         f"These data cannot be diagnosed: {failed.found}. {failed.remedy}",
         (), (), None, tuple(gates), None, {}, None, failed.remedy,
     )  # fmt: skip
+
+
+def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thresholds) -> bool:
+    """Whether a smooth wrench says clearly more than everything that was named."""
+    named = selection.fit.log_evidence - selection.base.log_evidence
+    return unknown.gain > max(thresholds.unknown, named + thresholds.apart)
 
 
 def _vetoed(gap: Gap) -> bool:
@@ -214,11 +229,16 @@ def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdi
     return Verdict.ONE_OF if confusable else Verdict.NAMED
 
 
-def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap, selection: Selection) -> str:
+def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap, unknown: SmoothWrench | None) -> str:
     before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
     if verdict is Verdict.NO_GAP:
         return (
             f"No gap beyond noise: pushes held out are predicted to {before:.1f} mm, and {noise:.1f} mm of that are the noise of the poses."
+        )
+    if verdict is Verdict.UNKNOWN and unknown is not None:
+        return (
+            f"The simulation leaves out something that is not in the catalogue: it {unknown.description}. A smooth wrench in its place "
+            f"takes the error on pushes held out from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm."
         )
     sizes = " and ".join(_size(effect) for effect in effects)
     doubt = f" (or {', '.join(confusable)}: these pushes cannot tell)" if confusable else ""
@@ -254,7 +274,16 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "where": {
             by: [
-                {"name": g.name, "n": g.n, "along": g.rms[0], "across": g.rms[1], "rotation": g.rms[2], "mean_m": g.mean_m} for g in groups
+                {
+                    "name": g.name,
+                    "n": g.n,
+                    "along": g.rms[0],
+                    "across": g.rms[1],
+                    "rotation": g.rms[2],
+                    "mean_m": g.mean_m,
+                    "by_chance": dict(zip(("along", "across", "rotation"), g.by_chance, strict=True)),
+                }
+                for g in groups
             ]
             for by, groups in diagnosis.where.items()
         },
@@ -281,5 +310,12 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "distance2": proposal.distance2,
         },
         "check": diagnosis.check,
+        "unknown": None
+        if diagnosis.unknown is None
+        else {
+            "evidence": diagnosis.unknown.gain,
+            "acts_on": diagnosis.unknown.acts_on,
+            "varies_with": diagnosis.unknown.varies_with,
+        },
         "gates": [{"passed": g.passed, "found": g.found, "remedy": g.remedy} for g in diagnosis.gates],
     }

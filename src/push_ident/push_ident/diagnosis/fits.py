@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import Evaluation, FitProblem
@@ -87,14 +88,12 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Effe
     """
     shape, full = records[0].shape, settings.base_prior
     modes = MapParameters(shape, full).modes
-    best: EffectFit | None = None
-    for amplitude in _AMPLITUDES:
+
+    def fit(amplitude: float) -> EffectFit:
         prior = replace(full, mass_map_std=amplitude * full.mass_map_std, friction_map_std=amplitude * full.friction_map_std)
-        fit = _fit(records, settings, prior, modes, settings.base_effects)
-        if best is None or fit.log_evidence > best.log_evidence:
-            best = fit
-    assert best is not None
-    return best
+        return _fit(records, settings, prior, modes, settings.base_effects)
+
+    return max(side_by_side(fit, _AMPLITUDES), key=lambda fit: fit.log_evidence)
 
 
 def fit_effects(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.parallel import side_by_side
 from push_ident.identification.prediction import cell_error, held_out_errors
 from push_ident.types import Float64Array
 
@@ -71,16 +72,11 @@ def measure_gap(base: EffectFit, fit: EffectFit, on_progress: Progress | None = 
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)
-    before, after, gain = np.empty(n), np.empty(n), np.zeros(n)
-    for push in range(n):
-        report(f"leaving out push {push + 1} of {n}")
-        without, density = _left_out(base, push)
-        before[push] = without
-        after[push] = without
-        if fit is not base:
-            after[push], density_after = _left_out(fit, push)
-            gain[push] = density_after - density
-    return Gap(before, after, _noise_errors(fit), gain)
+    report(f"leaving out each of {n} pushes in turn")
+    fits = [base] if fit is base else [base, fit]
+    results = side_by_side(lambda which: _left_out(*which), [(one, push) for one in fits for push in range(n)])
+    error, density = np.array(results).reshape(len(fits), n, 2).transpose(2, 0, 1)
+    return Gap(error[0], error[-1], _noise_errors(fit), density[-1] - density[0])
 
 
 def _left_out(fit: EffectFit, push: int) -> tuple[float, float]:

@@ -1,4 +1,12 @@
-"""Where the gap lies: what is left of every frame, sorted by everything that a cause could depend on."""
+"""Where the gap lies: what is left of every frame, sorted by everything that a cause could depend on.
+
+Rich maps take up most of what an effect leaves, and more in some frames than in others. What residuals would be without any gap is
+therefore drawn from the fit itself, refitted to every draw: with the whitened residuals' derivative J and the precision P of the prior
+
+    r = (I - J (J'J + P)^-1 J') e,      e normal of unit variance
+
+which is a parametric bootstrap with refit in the linear range of the fit.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +21,7 @@ from push_ident.types import Float64Array
 __all__ = ["Frames", "Group", "group_frames", "left_over"]
 
 _N_SECTORS = 8
+_N_DRAWS = 400
 _STILL = 0.01
 """Slower than this an object counts as resting [m/s]."""
 _DEGREES = ("along", "across", "rotation")
@@ -37,6 +46,8 @@ class Frames:
     heading_in_body: Float64Array
     position: Float64Array
     """On the table [m], shape (n, 2)."""
+    without_gap: Float64Array
+    """Residuals as they would be if the model were right, shape (n_draws, n, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +60,8 @@ class Group:
     """Of the standardised residual along, across and in rotation: 1 is noise."""
     mean_m: float
     """Mean distance of the simulated object from the observed one [m]."""
+    by_chance: tuple[float, float, float]
+    """Probability of as much or more in each if the model were right."""
 
 
 PHASES = ("contact", "steady", "stop", "rest")
@@ -58,7 +71,9 @@ def left_over(fit: EffectFit) -> Frames:
     """Residuals of a fit; the first pose of a push, which is fitted, is left out."""
     problem = fit.problem
     mechanics = fit.parameters.mechanics(fit.z)
-    parts = []
+    rng = np.random.default_rng(0)
+    drawn = iter(_refitted_noise(fit, rng))
+    parts, nulls = [], []
     for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(
             record.pusher, problem.first_pose(fit.x, push), seen.time, settings=problem.settings, order=record.order
@@ -90,6 +105,8 @@ def left_over(fit: EffectFit) -> Frames:
             motion.pose[:, :2],
         ]
         parts.append(np.hstack(columns)[1:])
+        to_frame = np.einsum("fij,fjk->fik", turn, np.linalg.inv(seen.whitening)) / deviation[:, :, None]
+        nulls.append(np.einsum("fij,dfj->dfi", to_frame, next(drawn))[:, 1:])
     all_frames = np.vstack(parts)
     return Frames(
         residual=all_frames[:, :3],
@@ -100,7 +117,22 @@ def left_over(fit: EffectFit) -> Frames:
         heading_in_table=all_frames[:, 9],
         heading_in_body=all_frames[:, 10],
         position=all_frames[:, 11:13],
+        without_gap=np.concatenate(nulls, axis=1),
     )
+
+
+def _refitted_noise(fit: EffectFit, rng: np.random.Generator) -> list[Float64Array]:
+    """Draws of whitened residuals of each push without a gap, each of shape (n_draws, n_frames, 3)."""
+    problem = fit.problem
+    counts = [len(seen.time) for seen in problem.observations]
+    noise = rng.normal(size=(_N_DRAWS, 3 * sum(counts)))
+    jacobian = problem.jacobian(fit.x)
+    if jacobian is not None:
+        # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
+        precision = np.diag(np.r_[np.ones(fit.parameters.size), np.zeros(3 * len(counts))])
+        noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
+    split = np.split(noise.reshape(_N_DRAWS, -1, 3), np.cumsum(counts)[:-1], axis=1)
+    return [np.asarray(part) for part in split]
 
 
 def group_frames(frames: Frames) -> dict[str, list[Group]]:
@@ -132,5 +164,10 @@ def _grouped(frames: Frames, key: Float64Array, names: object, values: object) -
         if np.any(chosen):
             rms = np.sqrt(np.mean(frames.residual[chosen] ** 2, axis=0))
             distance = float(np.mean(np.linalg.norm(frames.off[chosen, :2], axis=1)))
-            groups.append(Group(str(name), int(chosen.sum()), (float(rms[0]), float(rms[1]), float(rms[2])), distance))
+            chance = np.mean(np.sqrt(np.mean(frames.without_gap[:, chosen] ** 2, axis=1)) >= rms, axis=0)
+            groups.append(Group(str(name), int(chosen.sum()), _triple(rms), distance, _triple(chance)))
     return groups
+
+
+def _triple(values: Float64Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

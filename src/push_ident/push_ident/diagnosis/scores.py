@@ -9,6 +9,7 @@ The motion is differentiable by the parameters of an effect at their null, so ho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["EffectScore", "score_effects"]
 
+_CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_remainder)
 _MAX_START = 2.0
 """A guess is not taken further than so many prior deviations."""
 
@@ -40,14 +42,15 @@ class EffectScore:
     """Size of its first parameter that would just have been seen, in its unit; infinite where none that makes sense would."""
 
 
-def score_effects(fit: EffectFit, seen: float) -> list[EffectScore]:
-    """Score all effects that `fit` does not have, the most promising first.
+def score_effects(fit: EffectFit, seen: float, names: Sequence[str] = ()) -> list[EffectScore]:
+    """Score effects that `fit` does not have, the most promising first.
 
     Args:
         fit: converged.
         seen: gain of log evidence from which an effect counts as seen [nat].
+        names: of the effects; by default all that name a cause.
     """
-    absent = [name for name in EFFECTS if name not in fit.names]
+    absent = [name for name in names or _CAUSES if name not in fit.names]
     before = fit.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
     problem = FitProblem(fit.problem.records, parameters, noise=fit.problem.noise, settings=fit.problem.settings)

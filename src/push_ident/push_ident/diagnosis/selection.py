@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.scores import EffectScore, score_effects
 from push_ident.diagnosis.settings import Thresholds
 
@@ -84,11 +86,9 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
     while True:
         report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
         scores = tuple(score_effects(fit, thresholds.seen))
-        candidates = []
-        for score in _worth_refitting(scores, thresholds):
-            report(f"refitting with {score.name}")
-            candidates.append(_refitted(fit, score))
-        candidates = _ranked(candidates, thresholds.apart)
+        chosen = _worth_refitting(scores, thresholds)
+        report(f"refitting with {', '.join(score.name for score in chosen)}")
+        candidates = _ranked(side_by_side(partial(_refitted, fit), chosen), thresholds.apart)
         steps.append(Step(fit, scores, tuple(candidates)))
         n_found = len(fit.names) - len(base.names)
         if not candidates or candidates[0].gain < thresholds.seen or n_found >= thresholds.n_effects:

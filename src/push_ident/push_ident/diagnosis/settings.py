@@ -26,6 +26,8 @@ class Thresholds:
     """Effects nearer than this to the best cannot be told from it."""
     sure: float = 12.0
     """An effect that gains less is named with its runners-up only."""
+    unknown: float = 10.0
+    """A smooth wrench must gain so much, and more than everything that was named by `apart`, before the cause counts as unknown."""
     n_effects: int = 3
     """At most so many are added."""
     n_refits: int = 5

@@ -177,6 +177,25 @@ class FitProblem:
             residuals.append(terms.residual)
         return Evaluation(cost, gradient, hessian, np.concatenate(residuals))
 
+    def jacobian(self, x: Float64Array) -> Float64Array | None:
+        """Derivative of the whitened residuals of all frames by all unknowns, shape (3 n_frames of all pushes, size).
+
+        None where a simulation fails.
+        """
+        n_z = self.parameters.size
+        mechanics = self.parameters.mechanics(x[:n_z])
+        parts = []
+        for push in range(len(self.records)):
+            motion = self._simulate_push(mechanics, x, push, jacobian=True)
+            if motion.status is SolveStatus.SIMULATION_FAILED:
+                return None
+            own = self._whitened_jacobian(mechanics, motion, push)
+            rows = np.zeros((len(own), self.size))
+            rows[:, :n_z] = own[:, :n_z]
+            rows[:, n_z + 3 * push : n_z + 3 * push + 3] = own[:, n_z:]
+            parts.append(rows)
+        return np.concatenate(parts)
+
     def evaluate_push(self, x: Float64Array, push: int) -> PushTerms | None:
         """What one push adds to `evaluate`; None where its simulation fails."""
         return self._push_terms(self.parameters.mechanics(x[: self.parameters.size]), x, push)
@@ -187,10 +206,13 @@ class FitProblem:
             return None
         residual = self.residual(motion, push)
         cost, weight = self.weigh(residual)
-        whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
-        # Columns: the body chained to z, then the first pose (scaled).
-        own = whitened[:, :, :3] @ self.first_scale[push]
-        shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
-        jacobian = np.concatenate([shared, own], axis=2).reshape(residual.size, -1)
+        jacobian = self._whitened_jacobian(mechanics, motion, push)
         weighted = jacobian * np.repeat(weight, 3)[:, None]
         return PushTerms(cost, weighted.T @ residual.ravel(), weighted.T @ jacobian, residual)
+
+    def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
+        """Of the residuals of one push by the unknowns of the object, then its own first pose, shape (3 n_frames, parameters.size + 3)."""
+        whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
+        own = whitened[:, :, :3] @ self.first_scale[push]
+        shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
+        return np.concatenate([shared, own], axis=2).reshape(3 * len(whitened), -1)

@@ -210,6 +210,8 @@ class Effect:
     memory: Memory | None = None
     needs_inertia: bool = False
     """Whether it means nothing in a quasi-static push."""
+    is_remainder: bool = False
+    """It names no cause, but measures what no cause explains."""
 
     def __post_init__(self) -> None:
         memory = 0 if self.memory is None else self.memory.size

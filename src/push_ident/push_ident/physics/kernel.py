@@ -14,8 +14,9 @@ from numba import config, njit
 
 __all__ = ["fast_kernel", "kernel"]
 
-kernel = partial(njit, cache=True, error_model="numpy")
-"""Compiles a function; division by zero gives infinity, as in numpy."""
+kernel = partial(njit, cache=True, error_model="numpy", nogil=True)
+"""Compiles a function; division by zero gives infinity, as in numpy. Other threads go on while it runs: those of a node that listens, and
+those that simulate other pushes."""
 
 fast_kernel = partial(kernel, fastmath={"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"})
 """For sums over cells: their order is free, so that they run in vector registers. Not for code that meets NaN or infinity."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from push_ident_sim.experiments.blind import EXPERIMENT as _BLIND
 from push_ident_sim.experiments.cell import EXPERIMENT as _CELL
 from push_ident_sim.experiments.convergence import EXPERIMENT as _CONVERGENCE
 from push_ident_sim.experiments.coverage import EXPERIMENT as _COVERAGE
@@ -16,6 +17,6 @@ from push_ident_sim.experiments.training import EXPERIMENT as _TRAINING
 __all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: dict[str, Experiment] = {
-    e.name: e for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _CELL, _PERCEPTION, _PUSHING)
+    e.name: e for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _CELL, _PERCEPTION, _PUSHING, _BLIND)
 }
 """By name, in the order of the report."""

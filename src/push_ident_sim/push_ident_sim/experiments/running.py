@@ -90,6 +90,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     # Results of other settings or other code have other names, so that no mean is taken over both.
     digest = _digest(experiment, settings)
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
+    sealed = experiment.prepare(cases, folder) if experiment.prepare else None
     missing = [case for case in cases if not files[case].exists()]
     with single_threads(options.jobs) as pool:
         unmade = [
@@ -115,7 +116,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "max_seconds": options.max_seconds,
         "machine": describe_machine(options.jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
-        "summary": experiment.summarise(results),
+        "summary": {**experiment.summarise(results), **({} if sealed is None else {"sealed": sealed})},
     }
 
 
@@ -127,6 +128,7 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
     sources = [_CORE / "types.py", *(path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py"))]
     sources += [Path(module.__file__ or "") for module in (truth, measuring)] + [Path(experiment.run.__code__.co_filename)]
+    sources += [file for path in experiment.sources for file in (path.rglob("*.py") if path.is_dir() else [path])]
     for path in sorted(sources):
         digest.update(ast.dump(ast.parse(path.read_text(encoding="utf-8"))).encode())
     return digest.hexdigest()[:10]

@@ -22,6 +22,8 @@ __all__ = ["draw_proposal", "draw_ranking", "draw_shrink", "draw_where"]
 _ACCENT, _GREY, _WARM = "#1f5fa8", "#9aa5b1", "#c0561d"
 _STRETCH = 10.0
 _N_RANKED = 12
+_RARE = 0.01
+"""Residuals that chance would make less often stand out."""
 
 
 def draw_where(frames: Frames, groups: dict[str, list[Group]]) -> Figure:
@@ -37,7 +39,8 @@ def draw_where(frames: Frames, groups: dict[str, list[Group]]) -> Figure:
     heat.set_yticks(range(len(pushes)), [g.name for g in pushes])
     heat.set_ylabel("push")
     for (row, column), value in np.ndenumerate(values):
-        heat.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=7)
+        rare = pushes[row].by_chance[column] < _RARE
+        heat.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=7, fontweight="bold" if rare else "normal")
     figure.colorbar(image, ax=heat, shrink=0.7)
     heading = frames.heading_in_table
     cos, sin = np.cos(heading), np.sin(heading)
