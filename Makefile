@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo bench experiments test lint format clean
+.PHONY: help setup demo bench experiments blind test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -30,6 +30,10 @@ EXPERIMENTS := maps training real-protocol coverage next-push online live conver
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
 	@for name in $(EXPERIMENTS); do \
 	  $(VENV)/push-ident experiment $$name --json docs/experiments/$$name.json || exit 1; done
+	$(VENV)/push-ident experiment report
+
+blind: setup  ## the diagnosis on sealed cases of two other engines (hours; once for a set of thresholds), then its page
+	$(VENV)/push-ident experiment blind --seed 1000 --models 50 --json docs/experiments/blind.json
 	$(VENV)/push-ident experiment report
 
 test: setup lint  ## lint, types and all tests

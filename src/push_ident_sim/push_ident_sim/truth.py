@@ -11,11 +11,11 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.pushing.push import PushPlan2D, PushSettings
@@ -27,10 +27,17 @@ from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.sources import code_digest, files_behind
 from push_ident_sim.true_motion import TrueMotion
 
-if TYPE_CHECKING:
-    from push_ident_sim.push_world import PushWorld
-
-__all__ = ["CameraNoise", "TruthSettings", "generate_truth", "load_truth", "make_pushes", "observe_motion", "true_model", "truth_file"]
+__all__ = [
+    "CameraNoise",
+    "Engine",
+    "TruthSettings",
+    "generate_truth",
+    "load_truth",
+    "make_pushes",
+    "observe_motion",
+    "true_model",
+    "truth_file",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -90,6 +97,14 @@ class CameraNoise:
     """[Hz]"""
 
 
+class Engine(Protocol):
+    """What simulates one push: `PushWorld` or `PlanarWorld`."""
+
+    def push(self, pose_object_in_table: ArrayLike, path: PusherPath, *, pushes_done: int = 0) -> TrueMotion:
+        """Put the object down at (x, y, yaw) and lead the pusher along `path`."""
+        ...
+
+
 def true_model(thing: SimObject) -> ObjectModel:
     """An object of the simulation as the model that identification should find."""
     shape = ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline)
@@ -97,7 +112,12 @@ def true_model(thing: SimObject) -> ObjectModel:
 
 
 def make_pushes(
-    thing: SimObject, seed: Sequence[int], settings: TruthSettings | None = None, *, in_a_row: bool = False
+    thing: SimObject,
+    seed: Sequence[int],
+    settings: TruthSettings | None = None,
+    *,
+    in_a_row: bool = False,
+    engine: Engine | None = None,
 ) -> list[TrueMotion]:
     """Random pushes as in the paper: any pose on the table, contact uniform over the outline, direction in a cone about its normal.
 
@@ -106,28 +126,35 @@ def make_pushes(
         seed: integers >= 0; push number i depends on them and on i alone.
         settings: of the pushes.
         in_a_row: the object is put down once, at (0, 0, 0), and each push starts from where the one before left it.
+        engine: that pushes `thing`, with the effects of the settings; Bullet by default.
 
     Returns:
         `settings.n_train + settings.n_test` motions.
     """
-    # Here, so that reading pushes and drawing results does without the engine.
+    settings = settings or TruthSettings()
+    if engine is not None:
+        return _in_turn(engine, thing, seed, settings, in_a_row)
+    # Here, so that reading pushes and drawing results does without Bullet.
     from push_ident_sim.push_world import PushWorld
 
-    settings = settings or TruthSettings()
-    shape = true_model(thing).shape
     world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
     try:
-        motions: list[TrueMotion] = []
-        for i in range(settings.n_train + settings.n_test):
-            pose = (motions[-1].pose[-1] if motions else np.zeros(3)) if in_a_row else None
-            motions.append(_one_push(world, shape, [*seed, i], i, settings, pose))
-        return motions
+        return _in_turn(world, thing, seed, settings, in_a_row)
     finally:
         world.close()
 
 
+def _in_turn(engine: Engine, thing: SimObject, seed: Sequence[int], settings: TruthSettings, in_a_row: bool) -> list[TrueMotion]:
+    shape = true_model(thing).shape
+    motions: list[TrueMotion] = []
+    for i in range(settings.n_train + settings.n_test):
+        pose = (motions[-1].pose[-1] if motions else np.zeros(3)) if in_a_row else None
+        motions.append(_one_push(engine, shape, [*seed, i], i, settings, pose))
+    return motions
+
+
 def _one_push(
-    world: PushWorld, shape: ObjectShape, seed: Sequence[int], number: int, settings: TruthSettings, pose: FloatArray | None
+    world: Engine, shape: ObjectShape, seed: Sequence[int], number: int, settings: TruthSettings, pose: FloatArray | None
 ) -> TrueMotion:
     rng = np.random.default_rng(seed)
     while True:

@@ -24,7 +24,8 @@ def experiment_command(
     name: Annotated[
         str,
         typer.Argument(
-            help="convergence, maps, training, real-protocol, coverage, next-push, online, live, cell, perception, pushing, settle; "
+            help="convergence, maps, training, real-protocol, coverage, next-push, online, live, cell, perception, pushing, settle, "
+            "blind; "
             "`report` writes the page of their results.",
             show_default=False,
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from push_ident_sim.experiments.blind import EXPERIMENT as _BLIND
 from push_ident_sim.experiments.cell import EXPERIMENT as _CELL
 from push_ident_sim.experiments.convergence import EXPERIMENT as _CONVERGENCE
 from push_ident_sim.experiments.coverage import EXPERIMENT as _COVERAGE
@@ -20,6 +21,20 @@ __all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: dict[str, Experiment] = {
     e.name: e
-    for e in (_CONVERGENCE, _MAPS, _TRAINING, _REAL_PROTOCOL, _COVERAGE, _NEXT_PUSH, _ONLINE, _LIVE, _CELL, _PERCEPTION, _PUSHING, _SETTLE)
+    for e in (
+        _CONVERGENCE,
+        _MAPS,
+        _TRAINING,
+        _REAL_PROTOCOL,
+        _COVERAGE,
+        _NEXT_PUSH,
+        _ONLINE,
+        _LIVE,
+        _CELL,
+        _PERCEPTION,
+        _PUSHING,
+        _SETTLE,
+        _BLIND,
+    )
 }
 """By name, in the order of the report."""

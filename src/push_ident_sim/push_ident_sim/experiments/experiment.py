@@ -79,6 +79,8 @@ class Experiment:
     """Whether the ground-truth pushes of `CaseSettings.truth_folder` are made before the cases run."""
     stages: tuple[str, ...] = ("geometry", "physics", "identification")
     """Packages of the core that a result depends on: after a change there, cases run anew."""
+    prepare: Callable[[Sequence[Case], Path], Json] | None = None
+    """Called with all cases and the folder of results before any of them runs; what it returns stands in the summary as `sealed`."""
     once: tuple[str, ...] = ()
     """Variants that are one case, of the first object and ground truth."""
     fewer: Mapping[str, int] = field(default_factory=dict)

@@ -91,6 +91,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     # Results of other settings or other code have other names, so that no mean is taken over both.
     digest = _digest(experiment, settings)
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
+    sealed = experiment.prepare(cases, folder) if experiment.prepare else None
     missing = [case for case in cases if not files[case].exists()]
     with single_threads(options.jobs) as pool:
         unmade = [
@@ -116,7 +117,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "max_seconds": options.max_seconds,
         "machine": describe_machine(options.jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
-        "summary": experiment.summarise(results),
+        "summary": {**experiment.summarise(results), **({} if sealed is None else {"sealed": sealed})},
     }
 
 

@@ -1,0 +1,199 @@
+"""One case of the blind check: the diagnosis, how much there was to see, what the truth would have closed, and what simpler ways say."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.diagnosis.diagnose import Diagnosis, diagnose
+from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.identification.parameters import MapParameters
+from push_ident.identification.problem import FitProblem
+from push_ident.physics.effects import EFFECTS
+from push_ident.physics.simulation import GRAVITY
+from push_ident.types import PushRecord
+from push_ident_sim.effects import Effects
+from push_ident_sim.experiments.blind_cases import CATALOGUE, Truth
+from push_ident_sim.experiments.experiment import Json
+from push_ident_sim.objects import SimObject
+
+__all__ = ["TWINS", "score_case", "true_values"]
+
+FloatArray = NDArray[np.float64]
+
+TWINS = {"tool_offset": "camera_translation", "camera_translation": "tool_offset"}
+"""Effects that no push can tell apart: either name is right."""
+_RESIDUAL_NAMES = {
+    "push": "wear",
+    "phase": "pusher_lag",
+    "speed": "speed_dependent_friction",
+    "heading_in_table": "table_tilt",
+    "heading_in_body": "base_anisotropy",
+    "table_region": "position_dependent_friction",
+}
+"""What one would guess from where residuals are largest."""
+_FEW = 5
+"""Frames that make a group."""
+_TUNED = "pusher_friction"
+"""The one existing parameter that the base model takes as given."""
+
+
+def true_values(effects: Effects, name: str, thing: SimObject, first_centre: FloatArray) -> FloatArray:
+    """An injected effect in the parameters in which a diagnosis states it, shape (n_parameters,).
+
+    Args:
+        effects: that were injected.
+        name: of one of them.
+        thing: that was pushed.
+        first_centre: of mass, where the object was put down first [m], shape (2,).
+    """
+    values = np.array(effects[name])
+    if name == "push_height":
+        weight = thing.mass * GRAVITY
+        return np.array([values[0] * float(thing.friction @ weight / weight.sum())])
+    if name == "tether":
+        return np.array([values[0], *(values[0] * first_centre)])
+    return values
+
+
+def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, settings: DiagnosisSettings) -> Json:
+    """Diagnose the pushes of a case; the truth is looked at afterwards."""
+    start, wall = time.process_time(), time.perf_counter()
+    found = diagnose(records, settings)
+    seconds = {"seconds": time.process_time() - start, "wall_seconds": time.perf_counter() - wall}
+    values = {**_outcome(found), **seconds, "truth": truth.as_json()}
+    if found.selection is None or found.gap is None:
+        return values
+    base = found.selection.base
+    if truth.names:
+        pose = records[0].poses.pose[0]
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        centre = thing.mass @ thing.cells / thing.mass.sum()
+        first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
+        wanted = {name: true_values(truth.effects, name, thing, first) for name in truth.names}
+        values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
+        values["detectability"] = _detectability(base, wanted)
+        values["oracle"] = _oracle(found, base, wanted)
+    values["baselines"] = _baselines(found, base)
+    return values
+
+
+def _outcome(found: Diagnosis) -> Json:
+    return {
+        "verdict": found.verdict.value,
+        "sentence": found.sentence,
+        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.evidence} for e in found.effects],
+        "confusable": list(found.confusable),
+        "gap": None if found.gap is None else _gap(found.gap),
+        # Enough to try other thresholds without fitting again.
+        "steps": [] if found.selection is None else [_step(found.selection, i) for i in range(len(found.selection.steps))],
+        "unknown_gain": None if found.unknown is None else found.unknown.gain,
+        "failed_gates": [gate.found for gate in found.gates if not gate.passed],
+    }
+
+
+def _step(selection: Selection, number: int) -> Json:
+    step = selection.steps[number]
+    first = next((score for score in step.scores), None)
+    return {
+        "gains": {c.name: c.gain for c in step.candidates},
+        "costs": {c.name: c.fit.end.cost for c in step.candidates},
+        "best_score": None if first is None else first.name,
+        # What would just have been seen; effects that cannot be seen at any size that makes sense are left out.
+        "smallest": {score.name: score.smallest for score in step.scores if np.isfinite(score.smallest)},
+    }
+
+
+def _gap(gap: Gap) -> Json:
+    low, high = gap.shrink_interval
+    return {
+        "before_m": float(np.mean(gap.before)),
+        "after_m": float(np.mean(gap.after)),
+        "noise_m": float(np.mean(gap.noise)),
+        "above_noise": gap.is_above_noise,
+        "shrink": gap.shrink if gap.is_above_noise else None,
+        "shrink_interval": [low, high] if gap.is_above_noise else None,
+    }
+
+
+def _detectability(base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
+    """How plainly the true effects show, each alone: noncentrality beside everything that the base model fits.
+
+    `alone`: beside the base. `hardest`: also beside that rival of the catalogue which takes most of it away. `gain`: of log evidence that
+    its true size brings on average.
+    """
+    absent = [name for name in CATALOGUE if name not in base.names]
+    before = base.parameters
+    parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*base.names, *absent))
+    problem = FitProblem(base.problem.records, parameters, noise=base.problem.noise, settings=base.problem.settings)
+    n_new = parameters.size - before.size
+    start = 2 * before.n_modes + len(before.effects)
+    new = np.arange(start, start + n_new)
+    end = problem.evaluate(np.insert(base.x, start, np.zeros(n_new)))
+    fitted = np.setdiff1d(np.arange(problem.size), new)
+    onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[np.ix_(fitted, new)])
+    precision = end.hessian[np.ix_(new, new)] - end.hessian[np.ix_(new, fitted)] @ onto
+
+    def place(name: str) -> NDArray[np.int64]:
+        own = parameters.effects.slice_of(name)
+        shapes = np.array([p.shape for p in EFFECTS[name].parameters])
+        return np.arange(own.start, own.stop)[~shapes] - len(before.effects)
+
+    told = {}
+    for name, values in wanted.items():
+        own = place(name)
+        acting = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
+        size = np.array([(values[i] - EFFECTS[name].nominal[i]) / EFFECTS[name].parameters[i].scale for i in acting])
+        held = precision[np.ix_(own, own)]
+        information = held - np.eye(len(own))
+        alone = float(size @ information @ size)
+        hardest, rival = alone, ""
+        for other in absent:
+            if other in (name, TWINS.get(name)):
+                continue
+            between = precision[np.ix_(own, place(other))]
+            rest = information - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
+            if (left := float(size @ rest @ size)) < hardest:
+                hardest, rival = left, other
+        gain = 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])
+        told[name] = {"alone": alone, "hardest": max(hardest, 0.0), "rival": rival, "gain": gain}
+    return told
+
+
+def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
+    """The same machinery told the true effects."""
+    assert found.gap is not None
+    start = np.concatenate([(v - EFFECTS[name].nominal) / [p.scale for p in EFFECTS[name].parameters] for name, v in wanted.items()])
+    fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.z[base.parameters.effect_slice], start]))
+    is_found = {effect.name for effect in found.effects} == set(wanted)
+    after = found.gap.after if is_found else measure_gap(fit, fit).before
+    gap = Gap(found.gap.before, after, found.gap.noise, np.zeros(len(after)))
+    own = fit.effects
+    return {
+        "gain": fit.log_evidence - base.log_evidence,
+        "gap": _gap(gap),
+        "parameters": {name: own.values[own.slice_of(name)].tolist() for name in wanted},
+    }
+
+
+def _baselines(found: Diagnosis, base: EffectFit) -> Json:
+    """What simpler ways would name, and how far tuning what the model already has would come."""
+    assert found.selection is not None and found.gap is not None
+    first = found.selection.steps[0] if found.selection.steps else None
+    refits = {c.name: c.fit.end.cost for c in first.candidates} if first else {}
+    groups = [(max(group.rms), by) for by, members in found.where.items() for group in members if group.n >= _FEW]
+    tuned_fit = fit_effects(base, (*base.names, _TUNED))
+    tuned = measure_gap(tuned_fit, tuned_fit)
+    gap = Gap(found.gap.before, tuned.before, found.gap.noise, np.zeros(len(tuned.before)))
+    return {
+        "evidence": first.best.name if first and first.best else None,
+        "training_fit": min(refits, key=lambda name: refits[name]) if refits else None,
+        "largest_residual": _RESIDUAL_NAMES[max(groups)[1]] if groups else None,
+        "tuned_gap": _gap(gap),
+    }
