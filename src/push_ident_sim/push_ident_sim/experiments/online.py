@@ -42,6 +42,8 @@ _PATIENCE: Final = 60
 """Frames in which an object must be found."""
 _NEAR_EDGE: Final = 0.09
 """An object further from the middle is put back [m]."""
+_TURNED: Final = 0.5
+"""By how much a hand turns it at most [rad]."""
 _PUSHES: Final = PushSettings(pusher_radius=PUSHER_RADIUS)
 
 
@@ -123,11 +125,15 @@ class _FilmedObject:
         }
 
     def _put_back(self) -> None:
-        """As a person would: lifted, and put down near the middle, where perception finds it again by itself."""
+        """As a person would: lifted, and put down near the middle without turning it round, where perception finds it again by itself.
+
+        Turned round, a wrench or a box looks the same to a depth camera: nothing could tell.
+        """
         away = np.array([5.0, 0.0, 0.0])
         for _ in range(_REST):
             self._look(away, None)
-        self._true_pose = self._somewhere()
+        yaw = self._true_pose[2] + self._rng.uniform(-_TURNED, _TURNED)
+        self._true_pose = np.array([*self._somewhere()[:2], yaw])
         for _ in range(_PATIENCE):
             seen = self._look(self._true_pose, None)
             if "o1" in seen:

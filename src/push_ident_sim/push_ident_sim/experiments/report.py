@@ -31,6 +31,8 @@ processor, one thread.
 def write_report(experiments: dict[str, Experiment], page: Path, command: str) -> list[Path]:
     """Write `page` (Markdown) and its pictures from the JSON files in the folder that is called as the page.
 
+    A file may hold a `remark`, a sentence for its reader, such as what has changed since.
+
     Args:
         experiments: by name; those without a file are left out.
         page: such as `docs/experiments.md`, for the files `docs/experiments/NAME.json`.
@@ -73,6 +75,7 @@ def _origin(run: Json) -> str:
         f"`push-ident experiment {run['experiment']}`: {objects}; {run['models']} ground truths each, "
         f"from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
         f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}.{failed}"
+        + (f" {run['remark']}" if run.get("remark") else "")
     )
 
 
