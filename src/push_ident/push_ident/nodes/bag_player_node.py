@@ -31,6 +31,8 @@ _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCA
 # A listener that keeps all, too, holds the player back until it has room: then nothing is lost, however fast the bag is played.
 _RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
+_SEEN: Final = frozenset({Role.POSE, Role.DEPTH})
+_PUSHES: Final = frozenset({Role.PUSHER, Role.WRENCH, Role.PUSH_RECORD})
 _CLOCK_PERIOD_NS: Final = 10_000_000
 _DELIVERY: Final = 120.0
 """Longest wait for listeners to take the last messages [s]."""
@@ -102,17 +104,26 @@ class BagPlayerNode(Node):
             signal.raise_signal(signal.SIGTERM)
 
     def _await_listeners(self) -> None:
-        roles = (Role.POSE, Role.DEPTH)
-        wanted = [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
         expected, patience = self._settings["listeners"], self._settings["wait"]
         deadline = time.monotonic() + patience
-        while (n := max((p.get_subscription_count() for p in wanted), default=expected)) < expected and time.monotonic() < deadline:
+        seen, pushes = self._publishers_of(_SEEN), self._publishers_of(_PUSHES)
+
+        def lacking() -> str:
+            n = max((p.get_subscription_count() for p in seen), default=expected)
+            if n < expected:
+                return f"{n} of {expected} listen to poses or depth"
+            # Whoever learns from poses needs these from the first one on: a push without its beginning is another push.
+            deaf = [p.topic_name for p in pushes if expected and p.get_subscription_count() == 0]
+            return f"nobody listens to {', '.join(deaf)}" if deaf else ""
+
+        while (why := lacking()) and time.monotonic() < deadline:
             if self._stop.wait(0.05):
                 return
-        # Whoever listens to poses has just begun to; its other subscriptions match within moments.
-        self._stop.wait(0.5)
-        if n < expected:
-            self.get_logger().warning(f"{n} of {expected} listen to poses or depth after {patience:.0f} s; playing all the same")
+        if why:
+            self.get_logger().warning(f"{why} after {patience:.0f} s; playing all the same")
+
+    def _publishers_of(self, roles: frozenset[Role]) -> list[Publisher]:
+        return [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
 
     def _play_once(self) -> int:
         rate = self._settings["rate"]
