@@ -77,13 +77,22 @@ def test_a_node_that_cannot_start_says_why_in_one_line():
 def test_interrupt_while_a_node_is_loaded_ends_it_quietly(module, delay, tmp_path):
     # The import times tell when Python itself is up: before that no code of a package runs.
     said = tmp_path / "stderr"
+
+    def listen_to_interrupts():
+        # A shell in the background lets what it starts ignore them.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     with said.open("w") as stderr:
-        process = subprocess.Popen([sys.executable, "-X", "importtime", "-m", module], stdout=stderr, stderr=stderr)
-        while "push_ident.nodes\n" not in said.read_text():
-            time.sleep(0.005)
-        time.sleep(delay)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=5.0) == 0
+        command = [sys.executable, "-X", "importtime", "-m", module]
+        process = subprocess.Popen(command, stdout=stderr, stderr=stderr, preexec_fn=listen_to_interrupts)
+        try:
+            while "push_ident.nodes\n" not in said.read_text():
+                time.sleep(0.005)
+            time.sleep(delay)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=5.0) == 0
+        finally:
+            process.kill()
     assert "Traceback" not in said.read_text()
 
 
