@@ -78,7 +78,7 @@ def test_effect_that_is_put_into_the_base_is_no_gap_any_more() -> None:
     assert found.fit is not None and found.fit.names == ("pose_latency",)
 
 
-def test_what_no_effect_explains_is_unknown_and_described() -> None:
+def test_what_no_effect_explains_is_unknown_and_described(tmp_path: Path) -> None:
     """More friction in one half of all headings in the table, and a torque with it: no effect of the catalogue does that."""
     found = diagnose(_pushes(10, 3, {"unknown_wrench": _wrench(along_cos=0.06, along_sin2=0.06, torque_cos=0.04)}))
     assert found.verdict is Verdict.UNKNOWN, found.sentence
@@ -87,6 +87,8 @@ def test_what_no_effect_explains_is_unknown_and_described() -> None:
     assert found.gap is not None and found.gap.shrink > 0.5
     content = to_json(found)
     assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 10.0
+    write_report(tmp_path / "report.html", found, object_id="o1", sources=[])
+    assert "mm with a smooth wrench" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def _wrench(**weights: float) -> list[float]:

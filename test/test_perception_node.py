@@ -32,6 +32,7 @@ from shape_msgs.msg import SolidPrimitive
 
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.convert import (
     depth_frame_to_msgs,
     planar_pose_from_msg,
@@ -40,7 +41,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.extrinsics import camera_pose, pose_lines
+from push_ident.nodes.extrinsics import pose_lines
 from push_ident.types import DepthFrame
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -178,7 +179,7 @@ def send_until(camera: Camera, condition: Callable[[], object], **how: object) -
 
 
 def test_default_extrinsics_are_those_of_the_camera_of_the_tests():
-    np.testing.assert_allclose(camera_pose([0.55, 0.0, 0.85], [0.67815377, 0.67815377, -0.20026847, -0.20026847]), CAMERA, atol=1e-7)
+    np.testing.assert_allclose(pose_of_quaternion([0.55, 0.0, 0.85], [0.67815377, 0.67815377, -0.20026847, -0.20026847]), CAMERA, atol=1e-7)
 
 
 def test_without_images_the_node_says_on_which_topic_it_waits(camera, node):
@@ -358,7 +359,7 @@ def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tm
             end(process)
     found = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     for prefix, truth in (("", CAMERA), ("side.", SIDE)):
-        difference = camera_pose(found[f"{prefix}camera_position"], found[f"{prefix}camera_quaternion"]) @ np.linalg.inv(truth)
+        difference = pose_of_quaternion(found[f"{prefix}camera_position"], found[f"{prefix}camera_quaternion"]) @ np.linalg.inv(truth)
         assert np.linalg.norm(difference[:3, 3]) < 0.002
         assert np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)) < np.deg2rad(0.5)
 

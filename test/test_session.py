@@ -10,7 +10,7 @@ import pytest
 from objects import hammer, random_records
 
 from push_ident.errors import InputError
-from push_ident.identification.scoring import PushScore, summarise_scores
+from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.state_file import load_state, save_state
 from push_ident.pushing.push import PushSettings
@@ -24,12 +24,13 @@ def test_each_push_is_predicted_by_the_model_that_had_not_seen_it() -> None:
     session = _session()
     scores = [session.finish(record) for record in RECORDS]
     assert [s.number for s in scores if s] == [1, 2, 3, 4, 5, 6]
-    first, *later = session.scores
+    first, *later = session.record.latest
     # Before the first push the prior is all there is.
     assert first.error == pytest.approx(first.uniform, rel=0.5)
     assert np.mean([s.error for s in later[1:]]) < 0.5 * np.mean([s.uniform for s in later[1:]])
-    assert all(s.expected > 0 for s in session.scores)
-    assert summarise_scores(session.scores).n == 6
+    assert all(s.expected > 0 for s in session.record.latest)
+    assert session.record.summary == summarise_scores([s for s in scores if s])
+    assert session.record.summary.n == 6
 
 
 def test_killed_at_any_push_the_maps_are_those_of_the_uninterrupted_run(tmp_path: Path) -> None:
@@ -50,7 +51,7 @@ def test_killed_at_any_push_the_maps_are_those_of_the_uninterrupted_run(tmp_path
             again.finish(record)
         assert again.n_known_again == n_before
         assert np.array_equal(again.posterior.z, lived.posterior.z)
-        assert again.scores == lived.scores
+        assert again.record == lived.record
 
 
 def test_looped_bag_counts_once() -> None:
@@ -115,11 +116,22 @@ def test_score_of_a_push_that_could_not_be_simulated_survives_the_file(tmp_path:
     session.finish(RECORDS[0])
     lost = PushScore(2, "push", 1.0, np.nan, np.nan, np.nan, 0.01)
     file = tmp_path / "s.json"
-    save_state(file, session.online.state, object_id="o1", scores=[*session.scores, lost])
-    kept = load_state(file).scores
-    assert kept[0] == session.scores[0]
-    assert np.isnan(kept[1].error)
-    assert summarise_scores(kept).n == 1
+    save_state(file, session.online.state, object_id="o1", record=session.record.add(lost))
+    kept = load_state(file).record
+    assert kept.latest[0] == session.record.latest[0]
+    assert np.isnan(kept.latest[1].error)
+    assert kept.summary.n == 1
+
+
+def test_running_record_means_all_pushes_and_holds_the_latest() -> None:
+    scores = [PushScore(n, "push", float(n), 1e-3 * n, 1e-3, 2.0 if n % 2 else 20.0, 0.01) for n in range(1, 501)]
+    record = RunningRecord()
+    for score in scores:
+        record = record.add(score)
+    assert record.summary.mean_error == pytest.approx(0.2505)
+    assert (record.summary.n, record.summary.share_within_ninety) == (500, 0.5)
+    assert record.latest[0].number > 1
+    assert record.latest[-1] is scores[-1]
 
 
 def _session(folder: Path | None = None) -> ObjectSession:

@@ -16,9 +16,10 @@ import pytest
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
-from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise, look_at, pose_from_quaternion
+from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
 from push_ident_sim.effects import Effects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
 from push_ident_sim.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
@@ -388,11 +389,11 @@ def test_depth_noise_has_the_published_spread_whole_millimetres_and_a_seed() -> 
 
 
 def test_camera_pose_is_the_same_from_a_target_and_from_a_quaternion() -> None:
-    turned = pose_from_quaternion((0.55, 0.0, 0.85), (0.67815377, 0.67815377, -0.20026847, -0.20026847))
+    turned = pose_of_quaternion((0.55, 0.0, 0.85), (0.67815377, 0.67815377, -0.20026847, -0.20026847))
     np.testing.assert_allclose(turned, CAMERA, atol=1e-7)
     np.testing.assert_allclose(CAMERA[:3, :3] @ CAMERA[:3, :3].T, np.eye(3), atol=1e-12)
     with pytest.raises(InputError, match="unit quaternion"):
-        pose_from_quaternion((0.0, 0.0, 1.0), (1.0, 1.0, 0.0, 0.0))
+        pose_of_quaternion((0.0, 0.0, 1.0), (1.0, 1.0, 0.0, 0.0))
 
 
 # --- node ----------------------------------------------------------------------------------------------------------------

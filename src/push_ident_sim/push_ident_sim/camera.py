@@ -18,7 +18,7 @@ from push_ident.types import CameraIntrinsics
 from push_ident_sim.objects import SimObject
 from push_ident_sim.robot import robot_description
 
-__all__ = ["INTRINSICS", "DepthCamera", "DepthNoise", "look_at", "pose_from_quaternion"]
+__all__ = ["INTRINSICS", "DepthCamera", "DepthNoise", "look_at"]
 
 FloatArray = NDArray[np.float64]
 DepthImage = NDArray[np.float32]
@@ -45,24 +45,6 @@ def look_at(position: ArrayLike, target: ArrayLike) -> FloatArray:
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = position
-    return pose
-
-
-def pose_from_quaternion(position: ArrayLike, quaternion: ArrayLike) -> FloatArray:
-    """Pose (4, 4) of a frame at `position` [m], shape (3,), turned by `quaternion` (x, y, z, w).
-
-    Raises InputError unless the quaternion has unit length.
-    """
-    from scipy.spatial.transform import Rotation
-
-    position, quaternion = np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)
-    if position.shape != (3,) or quaternion.shape != (4,) or not abs(np.linalg.norm(quaternion) - 1.0) < 1e-3:
-        raise InputError(
-            f"A pose is a position (x, y, z) and a unit quaternion (x, y, z, w), got {position.tolist()} and {quaternion.tolist()}."
-        )
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     pose[:3, 3] = position
     return pose
 

@@ -135,7 +135,7 @@ def _film(
             times = np.arange(first, end + noise.rest, 1.0 / noise.rate)
             times = times[kept_frames(effects, len(times), rng)]
             for time in times:
-                pose, tool = (_at(time - begin, motion.time, values) for values in (motion.pose, motion.pusher))
+                pose, tool = motion.pose_at(time - begin), motion.pusher_at(time - begin)
                 links = {"hand_pusher": standing_tool(tool)} if begin <= time <= end else {}
                 depth = sensor.apply(camera.render(pose, links), rng)
                 stamp = start + time + delay
@@ -149,10 +149,6 @@ def _film(
                     writer.write_wrench(start + float(time), force)
             writer.write_push_record(number + 1, "", start + begin, start + end)
             start += end + noise.rest + _PAUSE
-
-
-def _at(time: float, clock: FloatArray, values: FloatArray) -> FloatArray:
-    return np.array([np.interp(time, clock, column) for column in values.T])
 
 
 def standing_tool(tool: FloatArray) -> FloatArray:

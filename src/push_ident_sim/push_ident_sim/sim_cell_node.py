@@ -34,6 +34,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from push_ident.errors import InputError
+from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     depth_frame_to_msgs,
@@ -47,7 +48,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 from push_ident.types import DepthFrame
-from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise, pose_from_quaternion
+from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise
 from push_ident_sim.effects import EFFECTS, Effects
 from push_ident_sim.effects.sensing import PoseSensor, check_rendered, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
@@ -137,7 +138,7 @@ class SimCellNode(Node):
         self._camera: DepthCamera | None = None
         if values["camera_rate"] > 0:
             check_rendered(effects)
-            reported = pose_from_quaternion(values["camera_position"], values["camera_quaternion"])
+            reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
             self._camera = DepthCamera(thing, *true_camera(effects, reported, INTRINSICS))
         (self._latency,), (self._dropped,) = effects["pose_latency"], effects["dropped_frames"]
         self._noise = DepthNoise(scale=values["depth_noise"])

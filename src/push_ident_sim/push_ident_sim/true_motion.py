@@ -26,3 +26,14 @@ class TrueMotion:
     """The same as the arm reports it, as `pusher`; another place only under effects that act on the pusher."""
     force: FloatArray
     """Of the pusher on the object in `table` [N], mean over the step that ends at `time`, shape (n_steps + 1, 2)."""
+
+    def pose_at(self, time: float) -> FloatArray:
+        """Pose at a time [s], shape (3,); before and after the push everything stands still."""
+        return self._at(time, self.pose)
+
+    def pusher_at(self, time: float) -> FloatArray:
+        """Axis of the pusher at a time [s], shape (2,), likewise."""
+        return self._at(time, self.pusher)
+
+    def _at(self, time: float, values: FloatArray) -> FloatArray:
+        return np.array([np.interp(time, self.time, column) for column in values.T])

@@ -21,6 +21,7 @@ from push_ident.bags.contract import CAMERA_FRAME, TABLE_FRAME, Role, object_fra
 from push_ident.bags.typestore import definition_of, jazzy_typestore
 from push_ident.errors import BagError
 from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
 
 __all__ = ["BagWriter"]
@@ -181,10 +182,8 @@ class BagWriter:
 
     def write_extrinsics(self, stamp: float, camera_in_table: ArrayLike, *, frame_id: str = CAMERA_FRAME) -> None:
         """Pose of the optical frame in `table`, homogeneous, shape (4, 4), as a static transform."""
-        from scipy.spatial.transform import Rotation
-
         transform = np.asarray(camera_in_table, dtype=np.float64)
-        turn = self._new("geometry_msgs/msg/Quaternion", *(float(q) for q in Rotation.from_matrix(transform[:3, :3]).as_quat()))
+        turn = self._new("geometry_msgs/msg/Quaternion", *quaternion_of_pose(transform))
         shift = self._new("geometry_msgs/msg/Vector3", *(float(t) for t in transform[:3, 3]))
         body = self._new("geometry_msgs/msg/Transform", shift, turn)
         stamped = self._new("geometry_msgs/msg/TransformStamped", self._header(stamp, TABLE_FRAME), frame_id, body)

@@ -16,6 +16,7 @@ from rich.table import Table
 from push_ident.bags.reader import read_bag
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.supervisor import Supervisor, node_commands
+from push_ident.geometry.se3 import quaternion_of_pose
 
 __all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
 
@@ -99,12 +100,9 @@ def replay_command(
 
 
 def _camera_parameters(camera_in_table: Any) -> dict[str, object]:
-    from scipy.spatial.transform import Rotation
-
-    quaternion = Rotation.from_matrix(camera_in_table[:3, :3]).as_quat()
     return {
         "camera_position": [float(x) for x in camera_in_table[:3, 3]],
-        "camera_quaternion": [float(x) for x in quaternion],
+        "camera_quaternion": list(quaternion_of_pose(camera_in_table)),
     }
 
 

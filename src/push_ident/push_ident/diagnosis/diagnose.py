@@ -13,7 +13,7 @@ from push_ident.diagnosis.fits import EffectFit, fit_base
 from push_ident.diagnosis.gates import Gate, check_data, check_fit
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, separating_push
-from push_ident.diagnosis.residuals import Group, group_frames, left_over
+from push_ident.diagnosis.residuals import Frames, Group, group_frames, left_over
 from push_ident.diagnosis.selection import Candidate, Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
@@ -75,6 +75,8 @@ class Diagnosis:
     """What would settle it without a push."""
     unknown: SmoothWrench | None = None
     """What a smooth wrench of unknown cause explains, where there is a trace of one."""
+    frames: Frames | None = None
+    """What the base model leaves of every frame; `where` is this in groups. None where nothing could be trusted."""
 
     @property
     def fit(self) -> EffectFit | None:
@@ -129,6 +131,7 @@ def diagnose(
     effects = _found(selection)
     confusable = _confusable(selection, settings)
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
+    frames = left_over(base)
     report("looking for the push that would settle it")
     rivals = _rivals(selection, confusable)
     last = pushes[-1].poses.pose[-1]
@@ -142,10 +145,11 @@ def diagnose(
         gap=gap,
         gates=tuple(gates),
         selection=selection,
-        where=group_frames(left_over(base)),
+        where=group_frames(frames),
         next_push=proposal,
         check=check_without_a_push([*(e.name for e in effects[-1:]), *confusable]) if effects else "",
         unknown=unknown,
+        frames=frames,
     )
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.identification.parameters import MapParameters
@@ -20,7 +21,7 @@ from push_ident.identification.problem import FitProblem
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
-__all__ = ["EffectScore", "score_effects"]
+__all__ = ["EffectScore", "information_beside", "score_effects"]
 
 _CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_remainder)
 _MAX_START = 2.0
@@ -51,26 +52,40 @@ def score_effects(fit: EffectFit, seen: float, names: Sequence[str] = ()) -> lis
         names: of the effects; by default all that name a cause.
     """
     absent = [name for name in names or _CAUSES if name not in fit.names]
+    beside = information_beside(fit, absent)
+    if beside is None:
+        return []
+    places, precision, slope = beside
+    scores = []
+    for name, place in places.items():
+        scores.append(_score(name, precision[np.ix_(place, place)], slope[place], seen))
+    return sorted(scores, key=lambda score: -score.gain)
+
+
+def information_beside(fit: EffectFit, absent: Sequence[str]) -> tuple[dict[str, NDArray[np.int64]], Float64Array, Float64Array] | None:
+    """What the pushes tell of absent effects beside everything that was fitted.
+
+    Args:
+        fit: converged.
+        absent: names of effects that it does not have.
+
+    Returns:
+        Where the unknowns of each effect stand; S + 1 of all of them, shape (n, n), their prior being the 1; and their slope g, shape (n,);
+        None where the pushes cannot be simulated.
+    """
     before = fit.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
     problem = FitProblem(fit.problem.records, parameters, noise=fit.problem.noise, settings=fit.problem.settings)
-    n_new = parameters.size - before.size
-    new = slice(2 * before.n_modes + len(before.effects), 2 * before.n_modes + len(before.effects) + n_new)
-    x = np.insert(fit.x, new.start, np.zeros(n_new))
-    end = problem.evaluate(x)
+    n_new, start = parameters.size - before.size, before.effect_slice.stop
+    new = slice(start, start + n_new)
+    end = problem.evaluate(np.insert(fit.x, start, np.zeros(n_new)))
     if not np.isfinite(end.cost):
-        return []
+        return None
     fitted = np.setdiff1d(np.arange(problem.size), np.arange(new.start, new.stop))
     onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[fitted, new]).T
-    # The prior of the new unknowns is part of the Hessian already.
-    precision = end.hessian[new, new] - onto @ end.hessian[fitted, new]
-    slope = end.gradient[new] - onto @ end.gradient[fitted]
-    scores = []
-    for name in absent:
-        own = parameters.effects.slice_of(name)
-        place = slice(own.start - len(before.effects), own.stop - len(before.effects))
-        scores.append(_score(name, precision[place, place], slope[place], seen))
-    return sorted(scores, key=lambda score: -score.gain)
+    own = [parameters.effects.slice_of(name) for name in absent]
+    places = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, own, strict=True)}
+    return places, end.hessian[new, new] - onto @ end.hessian[fitted, new], end.gradient[new] - onto @ end.gradient[fitted]
 
 
 def _score(name: str, precision: Float64Array, slope: Float64Array, seen: float) -> EffectScore:

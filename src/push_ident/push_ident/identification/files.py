@@ -10,7 +10,7 @@ from typing import Any
 
 from push_ident.errors import ModelFileError
 
-__all__ = ["json_text", "write_whole"]
+__all__ = ["finite", "json_text", "write_whole"]
 
 
 def write_whole(path: Path, text: str, what: str) -> None:
@@ -29,14 +29,15 @@ def write_whole(path: Path, text: str, what: str) -> None:
 
 def json_text(content: dict[str, Any]) -> str:
     """JSON in which numbers that are not finite are null: JSON has no others."""
-    return json.dumps(_finite(content), indent=1) + "\n"
+    return json.dumps(finite(content), indent=1) + "\n"
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """The same with None in the place of numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

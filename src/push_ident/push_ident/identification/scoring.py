@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,10 @@ from push_ident.identification.result import ModelPosterior
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["PushScore", "ScoreSummary", "score_push", "summarise_scores"]
+__all__ = ["PushScore", "RunningRecord", "ScoreSummary", "score_push", "summarise_scores"]
+
+_REMEMBERED = 200
+"""Scores that a running record holds one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,34 @@ class ScoreSummary:
     mean_uniform: float
     """[m]"""
     share_within_ninety: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunningRecord:
+    """Scores of an object that is pushed for as long as one likes: sums over all pushes, and the latest ones themselves."""
+
+    n: int = 0
+    """Pushes that could be predicted."""
+    sums: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Over these: error, expected error, error of equal cells [m], pushes within the 90 % region."""
+    latest: tuple[PushScore, ...] = ()
+    """In the order of the pushes, those that could not be predicted too."""
+
+    def add(self, score: PushScore) -> RunningRecord:
+        """With one more push."""
+        record = replace(self, latest=(*self.latest, score)[-_REMEMBERED:])
+        if not np.isfinite(score.error):
+            return record
+        values = (score.error, score.expected, score.uniform, float(score.within_ninety))
+        error, expected, uniform, within = (a + b for a, b in zip(self.sums, values, strict=True))
+        return replace(record, n=self.n + 1, sums=(error, expected, uniform, within))
+
+    @property
+    def summary(self) -> ScoreSummary:
+        """Means over all pushes that could be predicted."""
+        if not self.n:
+            return ScoreSummary(0, np.nan, np.nan, np.nan, np.nan)
+        return ScoreSummary(self.n, *(value / self.n for value in self.sums))
 
 
 def score_push(
@@ -103,11 +134,10 @@ def score_push(
 
 def summarise_scores(scores: Sequence[PushScore]) -> ScoreSummary:
     """Means over the pushes that could be predicted."""
-    valid = [s for s in scores if np.isfinite(s.error)]
-    if not valid:
-        return ScoreSummary(0, np.nan, np.nan, np.nan, np.nan)
-    means = np.mean([(s.error, s.expected, s.uniform, s.within_ninety) for s in valid], axis=0)
-    return ScoreSummary(len(valid), *map(float, means))
+    record = RunningRecord()
+    for score in scores:
+        record = record.add(score)
+    return record.summary
 
 
 def _covariance(whitening: Float64Array) -> Float64Array:

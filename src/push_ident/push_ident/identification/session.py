@@ -15,7 +15,7 @@ from push_ident.identification.online import FrameUpdate, OnlineIdentifier, Onli
 from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import Prediction, predict
 from push_ident.identification.result import ModelPosterior
-from push_ident.identification.scoring import PushScore, score_push
+from push_ident.identification.scoring import PushScore, RunningRecord, score_push
 from push_ident.identification.state_file import load_state, save_state
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
@@ -27,6 +27,10 @@ _SAMPLES_UNDER_WAY = 12
 _LATEST = 0.1
 """The pusher is taken to go on as over the last so many seconds [s]."""
 _N_REFERENCES = 12
+_SOURCES = 200
+"""Latest pushes that a model names as what it rests on."""
+_KNOWN = 10_000
+"""Latest pushes that are known when they come again: memory must not grow for as long as pushes come in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +66,11 @@ class ObjectSession:
         self.object_id = object_id
         self.options = options
         self.sources: list[str] = []
-        self.scores: list[PushScore] = []
+        """Of the latest pushes."""
+        self.record = RunningRecord()
         self.n_known_again = 0
         """Pushes that came a second time (a bag that is played in a loop, or again after a kill) and were left out."""
-        self._known: set[tuple[float, float, float]] = set()
+        self._known: dict[tuple[float, float, float], None] = {}  # in the order they came
         state = OnlineIdentifier.new(shape, options.prior)
         self.restored = False
         """Whether the estimate goes on from a file."""
@@ -73,7 +78,7 @@ class ObjectSession:
             kept = load_state(self.file)
             if kept.state.shape.is_same_object(shape):
                 state, self.restored = kept.state, True
-                self.sources, self.scores, self._known = list(kept.sources), list(kept.scores), set(kept.pushes)
+                self.sources, self.record, self._known = list(kept.sources), kept.record, dict.fromkeys(kept.pushes)
             else:
                 self._put_aside()
         self.online = self._identifier(state)
@@ -126,9 +131,11 @@ class ObjectSession:
         record = replace(record, order=self.n_pushes)
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
         self.online.add(record)
-        self._known.add(_key(record))
-        self.scores.append(score)
-        self.sources.append(record.source)
+        self._known[_key(record)] = None
+        if len(self._known) > _KNOWN:
+            del self._known[next(iter(self._known))]
+        self.record = self.record.add(score)
+        self.sources = [*self.sources, record.source][-_SOURCES:]
         self.save()
         return score
 
@@ -144,7 +151,7 @@ class ObjectSession:
                 f"`{self.object_id}` with {len(self.shape.cells)}; load it for the object that it was made of."
             )
         self.online = self._identifier(OnlineIdentifier.known(posterior))
-        self.sources, self.scores = [source], []
+        self.sources, self.record = [source], RunningRecord()
         self._known.clear()
         self.save()
 
@@ -152,7 +159,7 @@ class ObjectSession:
         """Keep the state; the file on disk is whole at any moment."""
         if self.file is not None:
             save_state(
-                self.file, self.online.state, object_id=self.object_id, sources=self.sources, scores=self.scores, pushes=sorted(self._known)
+                self.file, self.online.state, object_id=self.object_id, sources=self.sources, record=self.record, pushes=list(self._known)
             )
 
     def predict_under_way(self, partial: PushRecord, horizon: float) -> Prediction:

@@ -15,13 +15,13 @@ from push_ident.identification.files import write_whole
 from push_ident.identification.model_file import ModelContent, model_content, posterior_of, prior_of, read_checked
 from push_ident.identification.online import OnlineState
 from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.scoring import PushScore
+from push_ident.identification.scoring import PushScore, RunningRecord
 from push_ident.identification.summary import Summary
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
 
 __all__ = ["KeptState", "load_state", "save_state"]
 
-_FORMAT = "push_ident/state/1"
+_FORMAT = "push_ident/state/2"
 
 
 class _Part(BaseModel):
@@ -63,6 +63,12 @@ class _Score(_Part):
     uniform: float
 
 
+class _Record(_Part):
+    n: int
+    sums: tuple[float, float, float, float]
+    latest: list[_Score]
+
+
 class _State(_Part):
     format: str
     model: ModelContent
@@ -71,9 +77,9 @@ class _State(_Part):
     past: _Past | None
     starts: list[list[float]]
     status: str | None
-    scores: list[_Score]
+    record: _Record
     keys: list[tuple[float, float, float]]
-    """When and where each push that was ever taken in began [s, m, m]."""
+    """When and where each push that is known began [s, m, m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +90,9 @@ class KeptState:
     state: OnlineState
     sources: tuple[str, ...]
     """Bags and pushes that it rests on."""
-    scores: tuple[PushScore, ...]
+    record: RunningRecord
     pushes: tuple[tuple[float, float, float], ...]
-    """When and where each push that was ever taken in began [s, m, m]."""
+    """When and where each push that is known began [s, m, m]."""
 
 
 def save_state(
@@ -95,14 +101,14 @@ def save_state(
     *,
     object_id: str,
     sources: Sequence[str] = (),
-    scores: Sequence[PushScore] = (),
+    record: RunningRecord | None = None,
     pushes: Sequence[tuple[float, float, float]] = (),
 ) -> None:
     """Write a state, and what `KeptState` has beside it; the file appears whole or not at all.
 
     Raises ModelFileError where it cannot be written.
     """
-    past = state.past
+    past, record = state.past, record or RunningRecord()
     content = _State(
         format=_FORMAT,
         model=model_content(state.posterior, object_id, sources),
@@ -119,7 +125,7 @@ def save_state(
         ),
         starts=[x.tolist() for x in state.starts],
         status=state.status.name if state.status else None,
-        scores=[_Score(**asdict(score)) for score in scores],
+        record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
     )
     write_whole(path, content.model_dump_json(), "the state of the identification")
@@ -150,8 +156,9 @@ def load_state(path: Path) -> KeptState:
         )
     except (InputError, KeyError, ValueError) as error:
         raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to begin anew.") from None
-    scores = tuple(PushScore(**score.model_dump()) for score in content.scores)
-    return KeptState(content.model.object_id, state, tuple(content.model.sources), scores, tuple(content.keys))
+    latest = tuple(PushScore(**score.model_dump()) for score in content.record.latest)
+    record = RunningRecord(content.record.n, content.record.sums, latest)
+    return KeptState(content.model.object_id, state, tuple(content.model.sources), record, tuple(content.keys))
 
 
 def _push(record: PushRecord) -> _Push:

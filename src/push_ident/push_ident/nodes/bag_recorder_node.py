@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
-from push_ident.nodes.extrinsics import camera_pose
+from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.recording_port import RECORDING_QOS, RECORDING_TOPIC
 from push_ident.nodes.run import run_node
@@ -58,7 +58,9 @@ class BagRecorderNode(Node):
         self._writer.__enter__()
         quaternion = np.array(self._settings["camera_quaternion"])
         if np.any(quaternion):
-            self._extrinsics: Float64Array | None = camera_pose(self._settings["camera_position"], self._settings["camera_quaternion"])
+            self._extrinsics: Float64Array | None = pose_of_quaternion(
+                self._settings["camera_position"], self._settings["camera_quaternion"]
+            )
         else:
             self._extrinsics = None
         self._counts: Counter[str] = Counter()

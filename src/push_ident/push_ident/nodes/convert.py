@@ -14,13 +14,13 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32, PolygonStamped, Pose, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
+from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.perception.depth import check_intrinsics, depth_from_buffer
 from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 
@@ -125,8 +125,8 @@ def transform_to_msg(stamp: Time, transform: ArrayLike, *, frame_id: str = TABLE
     msg.header.stamp = stamp
     msg.header.frame_id = frame_id
     msg.pose.position.x, msg.pose.position.y, msg.pose.position.z = (float(value) for value in matrix[:3, 3])
-    x, y, z, w = (float(value) for value in Rotation.from_matrix(matrix[:3, :3]).as_quat())
-    msg.pose.orientation.x, msg.pose.orientation.y, msg.pose.orientation.z, msg.pose.orientation.w = x, y, z, w
+    turn = msg.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = quaternion_of_pose(matrix)
     return msg
 
 
@@ -137,13 +137,7 @@ def transform_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> Floa
         InputError: Another frame, values not finite, or no unit quaternion.
     """
     turn = msg.pose.orientation
-    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-    if not abs(float(np.linalg.norm(quaternion)) - 1) < 1e-3:
-        raise InputError(f"Orientation {quaternion.tolist()} is no unit quaternion (x, y, z, w).")
-    transform = np.eye(4)
-    transform[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    transform[:3, 3] = position_from_msg(msg, frame_id=frame_id)[1]
-    return transform
+    return pose_of_quaternion(position_from_msg(msg, frame_id=frame_id)[1], [turn.x, turn.y, turn.z, turn.w])
 
 
 def position_to_msg(stamp: Time, position: ArrayLike, *, yaw: float = 0.0, frame_id: str = TABLE_FRAME) -> PoseStamped:

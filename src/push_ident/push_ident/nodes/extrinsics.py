@@ -9,12 +9,13 @@ import numpy as np
 from rclpy.node import Node
 
 from push_ident.errors import InputError, PerceptionError
+from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.nodes.convert import TABLE_FRAME
 from push_ident.nodes.parameters import Parameter
 from push_ident.perception.calibration import Calibration, Mark, calibrate
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "camera_pose", "mark_of", "pose_lines", "pose_rows"]
+__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "mark_of", "pose_lines", "pose_rows"]
 
 _POSITION: Final = "camera_position"
 _QUATERNION: Final = "camera_quaternion"
@@ -42,34 +43,11 @@ def pose_rows(name: str) -> tuple[Parameter, Parameter]:
     )
 
 
-def camera_pose(position: list[float], quaternion: list[float]) -> Float64Array:
-    """Homogeneous transform, shape (4, 4), of a position [m] and a unit quaternion (x, y, z, w).
-
-    Raises:
-        InputError: The quaternion is not a unit one.
-    """
-    norm = float(np.linalg.norm(quaternion))
-    if abs(norm - 1.0) > 1e-3:
-        raise InputError(f"camera_quaternion {quaternion} has norm {norm:.4f}, expected a unit quaternion (x, y, z, w).")
-    x, y, z, w = np.asarray(quaternion, dtype=np.float64) / norm
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    pose[:3, 3] = position
-    return pose
-
-
 def pose_lines(pose: Float64Array, prefix: str = "") -> tuple[str, str]:
-    """The two lines of a parameter file that give a camera pose, shape (4, 4): the inverse of `camera_pose`."""
-    from scipy.spatial.transform import Rotation
-
-    position, quaternion = pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat()
+    """The two lines of a parameter file that give a camera pose, shape (4, 4): as `FromParameters` reads them."""
     return (
-        f"{prefix}{_POSITION}: {[round(float(value), 6) for value in position]}",
-        f"{prefix}{_QUATERNION}: {[round(float(value), 8) for value in quaternion]}",
+        f"{prefix}{_POSITION}: {[round(float(value), 6) for value in pose[:3, 3]]}",
+        f"{prefix}{_QUATERNION}: {[round(value, 8) for value in quaternion_of_pose(pose)]}",
     )
 
 
@@ -115,7 +93,7 @@ class FromParameters(Extrinsics):
             InputError: They give none.
         """
         try:
-            self._pose = camera_pose(values[prefix + _POSITION], values[prefix + _QUATERNION])
+            self._pose = pose_of_quaternion(values[prefix + _POSITION], values[prefix + _QUATERNION])
         except InputError as error:
             raise InputError(f"{error} Give {prefix}{_POSITION} and {prefix}{_QUATERNION}, or choose other extrinsics.") from None
 
@@ -181,7 +159,7 @@ class TfBuffer:
         except self._error as error:
             raise PerceptionError(f"no transform from {camera_frame} to {TABLE_FRAME}: {error}") from None
         at, turn = found.translation, found.rotation
-        return camera_pose([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
+        return pose_of_quaternion([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
 
 
 class FromTf(Extrinsics):

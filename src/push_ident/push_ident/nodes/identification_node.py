@@ -20,7 +20,6 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import predict
-from push_ident.identification.scoring import summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import SOLVERS
 from push_ident.nodes.convert import planar_pose_of, position_from_msg
@@ -267,7 +266,7 @@ class _Identification:
             self._counts["pushes"] += 1
             stamp = float(record.poses.time[-1])
             self._publish_map(session, stamp, session.n_pushes)
-            self._outputs[record.object_id].publish_score(score, summarise_scores(session.scores), stamp)
+            self._outputs[record.object_id].publish_score(score, session.record.summary, stamp)
             self._node.get_logger().info(
                 f"object {record.object_id}: push {session.n_pushes}, {session.status.name.lower() if session.status else ''}, "
                 f"{1e3 * self._solve_time:.0f} ms; predicted to {1e3 * score.error:.1f} mm, expected {1e3 * score.expected:.1f} mm"
@@ -384,7 +383,7 @@ class _Identification:
             level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
         values |= {"pushes waiting": len(self._finished), "last solve [s]": f"{self._solve_time:.3f}"}
         for object_id, session in list(self._sessions.items()):
-            record = summarise_scores(session.scores)
+            record = session.record.summary
             if record.n:
                 values[f"{object_id}: predicted before, mean error [m]"] = f"{record.mean_error:.5f}"
                 values[f"{object_id}: within the 90 % region"] = f"{record.share_within_ninety:.2f} of {record.n}"

@@ -18,12 +18,12 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scipy.spatial.transform import Rotation
 from shape_msgs.msg import SolidPrimitive
 from std_srvs.srv import Trigger
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.arm_lease import ArmLease
 from push_ident.nodes.arm_port import ArmPort, ArmState
 from push_ident.nodes.convert import TABLE_FRAME, cylinder_to_msg, object_frame, position_to_msg, stamp_from_msg, stamp_to_msg
@@ -420,9 +420,8 @@ class PushExecutorNode(Node):
         msg = position_to_msg(state.stamp, position)
         if self._pushing:
             self._pusher_pub.publish(msg)
-        x, y, z, w = Rotation.from_matrix(state.pose_tip_in_table[:3, :3]).as_quat()
-        orientation = msg.pose.orientation
-        orientation.x, orientation.y, orientation.z, orientation.w = float(x), float(y), float(z), float(w)
+        turn = msg.pose.orientation
+        turn.x, turn.y, turn.z, turn.w = quaternion_of_pose(state.pose_tip_in_table)
         self._tool_pub.publish(msg)
 
     def _publish_diagnostics(self) -> None:

@@ -7,12 +7,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.identification.files import finite
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath
@@ -44,16 +44,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     truth = draw_truth(case.object_name, case.model, camera=case.variant == _CAMERA)
     records = make_records(truth, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
     values = score_case(records, truth, make_object(case.object_name, case.model), DiagnosisSettings())
-    return {**_finite(values), "thresholds_sha256": _thresholds_hash()}
-
-
-def _finite(values: Any) -> Any:
-    """The same without numbers that JSON does not know: None in their place."""
-    if isinstance(values, dict):
-        return {name: _finite(value) for name, value in values.items()}
-    if isinstance(values, list):
-        return [_finite(value) for value in values]
-    return None if isinstance(values, float) and not np.isfinite(values) else values
+    return {**finite(values), "thresholds_sha256": _thresholds_hash()}
 
 
 def _compare_engines(case: Case) -> Json:

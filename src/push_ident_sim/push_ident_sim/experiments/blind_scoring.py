@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from push_ident.diagnosis.diagnose import Diagnosis, diagnose
 from push_ident.diagnosis.fits import EffectFit, fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.scores import information_beside
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.parameters import MapParameters
-from push_ident.identification.problem import FitProblem
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord
@@ -129,21 +128,13 @@ def _detectability(base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
     its true size brings on average.
     """
     absent = [name for name in CATALOGUE if name not in base.names]
-    before = base.parameters
-    parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*base.names, *absent))
-    problem = FitProblem(base.problem.records, parameters, noise=base.problem.noise, settings=base.problem.settings)
-    n_new = parameters.size - before.size
-    start = 2 * before.n_modes + len(before.effects)
-    new = np.arange(start, start + n_new)
-    end = problem.evaluate(np.insert(base.x, start, np.zeros(n_new)))
-    fitted = np.setdiff1d(np.arange(problem.size), new)
-    onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[np.ix_(fitted, new)])
-    precision = end.hessian[np.ix_(new, new)] - end.hessian[np.ix_(new, fitted)] @ onto
+    beside = information_beside(base, absent)
+    if beside is None:
+        return {}
+    places, precision, _ = beside
 
     def place(name: str) -> NDArray[np.int64]:
-        own = parameters.effects.slice_of(name)
-        shapes = np.array([p.shape for p in EFFECTS[name].parameters])
-        return np.arange(own.start, own.stop)[~shapes] - len(before.effects)
+        return places[name][[not p.shape for p in EFFECTS[name].parameters]]
 
     told = {}
     for name, values in wanted.items():

@@ -31,6 +31,7 @@ from push_ident.nodes.convert import depth_frame_to_msgs, stamp_from_msg, stamp_
 from push_ident.types import DepthFrame
 from push_ident_sim.camera import DepthCamera, DepthNoise
 from push_ident_sim.experiments.experiment import Json
+from push_ident_sim.experiments.live_nodes import processor_time
 from push_ident_sim.experiments.seeing import CAMERA_POSE, RATE, views_of_pushes
 from push_ident_sim.objects import make_object
 
@@ -127,7 +128,7 @@ def _measured(player: _Player, pid: int, n_frames: int) -> Json:
                 f"No pose within {_PATIENCE:.0f} s of images; perception says: {player.said.get('why_nothing', 'nothing')}."
             )
         if first_pose_at is not None and number == first_pose_at + _WARM_UP:
-            cpu_at_start = _processor_time(pid)
+            cpu_at_start = processor_time(pid)
         time.sleep(max(0.0, start + number / RATE - time.perf_counter()))
     time.sleep(0.3)
     assert first_pose_at is not None
@@ -141,7 +142,7 @@ def _measured(player: _Player, pid: int, n_frames: int) -> Json:
         "median_s": round(float(np.median(delays)), 5),
         "p99_s": round(float(np.quantile(delays, 0.99)), 5),
         "worst_s": round(float(delays.max()), 5),
-        "cpu_per_frame_s": round((_processor_time(pid) - cpu_at_start) / len(delays), 5),
+        "cpu_per_frame_s": round((processor_time(pid) - cpu_at_start) / len(delays), 5),
         "load": round(os.getloadavg()[0], 2),
     }
 
@@ -154,10 +155,3 @@ def _frames(object_name: str, seed: int) -> list[tuple[Image, CameraInfo]]:
         depth_frame_to_msgs(DepthFrame(0.0, noise.apply(camera.render(view.pose, {}), rng), camera.intrinsics), stamp_to_msg(0.0))
         for view in views
     ]
-
-
-def _processor_time(pid: int) -> float:
-    """Of a process, user and system [s]."""
-    with open(f"/proc/{pid}/stat", encoding="ascii") as file:
-        fields = file.read().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -243,10 +243,6 @@ def _scene(motion: TrueMotion, look: Any) -> _Scene:
     lasts = _AT_REST + float(motion.time[-1]) + _AT_REST
     clock = np.arange(0.0, lasts, 1.0 / RATE)
     tool_clock = np.arange(0.0, lasts, 1.0 / _TOOL_RATE)
-    images = [look(_at(motion, motion.pose, t - _AT_REST), _at(motion, motion.pusher, t - _AT_REST)) for t in clock]
-    tool = np.array([_at(motion, motion.pusher, t - _AT_REST) for t in tool_clock])
+    images = [look(motion.pose_at(t - _AT_REST), motion.pusher_at(t - _AT_REST)) for t in clock]
+    tool = np.array([motion.pusher_at(t - _AT_REST) for t in tool_clock])
     return _Scene(clock, images, tool_clock, tool, [look(motion.pose[-1], None) for _ in range(_N_STILL)])
-
-
-def _at(motion: TrueMotion, values: FloatArray, time: float) -> FloatArray:
-    return np.array([np.interp(time, motion.time, column) for column in values.T])

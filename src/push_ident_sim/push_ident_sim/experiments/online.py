@@ -76,9 +76,9 @@ class _FilmedObject:
         begin = self._clock + _REST / RATE
         poses: list[tuple[float, Float64Array, Float64Array]] = []
         for time in np.arange(-_REST, round(motion.time[-1] * RATE) + _REST) / RATE:
-            tool = _at(motion.time, motion.pusher, time) if 0 <= time <= motion.time[-1] else None
+            tool = motion.pusher_at(time) if 0 <= time <= motion.time[-1] else None
             stamp = self._clock
-            seen = self._look(_at(motion.time, motion.pose, time), tool)
+            seen = self._look(motion.pose_at(time), tool)
             if "o1" in seen:
                 poses.append((stamp, *seen["o1"]))
         self._true_pose = motion.pose[-1]
@@ -150,10 +150,6 @@ def _driven(path: PusherPath) -> PusherPath:
     moves = np.flatnonzero(np.linalg.norm(np.diff(path.position, axis=0), axis=1) > 0)
     part = slice(moves[0], moves[-1] + 2)
     return PusherPath(path.time[part] - path.time[moves[0]], path.position[part], path.radius)
-
-
-def _at(clock: Float64Array, values: Float64Array, time: float) -> Float64Array:
-    return np.array([np.interp(time, clock, column) for column in values.T])
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:

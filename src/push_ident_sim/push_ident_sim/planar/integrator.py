@@ -1,4 +1,6 @@
-"""One push, integrated in steps of 50 microseconds: bristles under every cell, a spring and damper at the pusher, a bed of springs below.
+"""One push, integrated in steps of some 40 microseconds.
+
+Bristles under every cell, a spring and damper at the pusher, a bed of springs below.
 
 Bristles follow Dahl's model in two dimensions, ds/dt = v - |v| s / travel with force -limit s / travel, so that friction opposes the
 motion once a cell has slid a few hundredths of a millimetre; it stores energy and gives less of it back, and never makes any. A step of

@@ -13,7 +13,6 @@ from push_ident import __version__
 from push_ident.diagnosis.diagnose import Diagnosis, Verdict
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
-from push_ident.diagnosis.residuals import left_over
 from push_ident.diagnosis.settings import Thresholds
 from push_ident.pages.page import svg, write_page
 from push_ident.physics.effects import EFFECTS
@@ -50,13 +49,13 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
         ],
     }
     selection, gap = diagnosis.selection, diagnosis.gap
-    if selection is not None and gap is not None:
-        frames = left_over(selection.base)
+    if selection is not None and gap is not None and diagnosis.frames is not None:
+        added = ("a smooth wrench",) if diagnosis.verdict is Verdict.UNKNOWN else selection.found
         context |= {
-            "where": svg(draw_where(frames, diagnosis.where)),
+            "where": svg(draw_where(diagnosis.frames, diagnosis.where)),
             "ranking": svg(draw_ranking(selection, thresholds.seen)),
-            "shrink": svg(draw_shrink(gap, selection.found)),
-            "shrink_text": _shrink_text(gap, selection.found),
+            "shrink": svg(draw_shrink(gap, added)),
+            "shrink_text": _shrink_text(gap, added),
             "effects": [
                 {"name": e.name, "what": EFFECTS[e.name].what, "size": _sizes(e.parameters, e.std, e.name), "evidence": e.evidence}
                 for e in diagnosis.effects
