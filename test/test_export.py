@@ -26,6 +26,7 @@ from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import cell_error
 from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.physics.effect_values import effect_values
 from push_ident.physics.simulation import GRAVITY, body_of_cells, simulate
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.friction import cone_friction_correction
@@ -312,6 +313,49 @@ def test_engines_move_the_exported_object_as_our_own_simulation_does(model: Obje
     print("way", np.round(1e3 * np.array(way), 1), "off in MuJoCo and Bullet [mm]", np.round(1e3 * np.array(off).T, 2).tolist())
     assert np.mean(way) > 0.03
     assert np.all(np.mean(off, axis=0) < 0.02 * np.mean(way))
+
+
+def test_tilted_table_goes_into_mujocos_gravity(tmp_path: Path) -> None:
+    """With it the exported object ends where ours does; without, it would not."""
+    model, effects = MODELS["hammer"], effect_values({"table_tilt": [0.05, -0.04], "pusher_friction": [0.2]})
+    path = tmp_path / "thing.xml"
+    write_description(path, describe(model, object_id="o1", source="model.json", height=HEIGHT, effects=effects), "mjcf")
+    rng = np.random.default_rng(8)
+    off, without = [], []
+    for _ in range(3):
+        pose = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(-np.pi, np.pi)])
+        pusher = random_push(model.shape, pose, rng)
+        end = pushed_in_mujoco(path, pusher, pose)
+        for errors, acting in ((off, effects), (without, None)):
+            own = simulate(model, pusher, pose, pusher.time[-1:], effects=acting).pose[-1]
+            errors.append(cell_error(model.shape.cells, own, end))
+    assert np.mean(off) < 1e-3 < 2.5e-3 < np.mean(without)
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_array_equal(engine.numeric("object_o1_table_tilt").data, [0.05, -0.04])
+
+
+def test_anisotropic_base_goes_into_the_friction_directions_of_sdf(tmp_path: Path) -> None:
+    model, (a, b) = MODELS["arrow"], (0.12, -0.09)
+    path = tmp_path / "thing.sdf"
+    write_description(path, describe(model, object_id="o1", source="m", effects=effect_values({"base_anisotropy": [a, b]})), "sdf")
+    surfaces = [foot.find("surface/friction/ode") for foot in ElementTree.parse(path).iter("collision") if foot.get("name") == "foot"]
+    for ode, friction in zip(surfaces, model.friction, strict=True):
+        assert ode is not None
+        mu, mu2 = (float(ode.findtext(tag, "")) for tag in ("mu", "mu2"))
+        along = np.array(ode.findtext("fdir1", "").split(), dtype=float)[:2]
+        across = np.array([-along[1], along[0]])
+        tensor = mu * np.outer(along, along) + mu2 * np.outer(across, across)
+        np.testing.assert_allclose(tensor, friction * np.array([[1 + a, b], [b, 1 - a]]), atol=1e-12)
+
+
+@pytest.mark.parametrize("format_name", SUFFIXES)
+def test_effects_that_a_format_has_nothing_for_are_told_in_a_comment(format_name: str, tmp_path: Path) -> None:
+    effects = effect_values({"wear": [0.03], "pusher_friction": [0.1]})
+    path = tmp_path / f"thing{SUFFIXES[format_name]}"
+    write_description(path, describe(MODELS["arrow"], object_id="o1", source="m", effects=effects), format_name)
+    text = path.read_text(encoding="utf-8")
+    assert "Effect wear (w = 0.03" in text and "is NOT in this file" in text
+    assert "Effect pusher_friction (excess = 0.1) stands in the friction of the outline." in text
 
 
 @pytest.fixture(scope="module")

@@ -39,9 +39,16 @@ def export_command(
     if path.resolve() == model.resolve():
         raise InputError(f"{path} is the model itself; name another file with --out.")
     object_id, posterior = load_model(model)
-    thing = describe(posterior.model, object_id=object_id, source=model.name, height=height, sliding=_CELLS[cells])
+    thing = describe(
+        posterior.model, object_id=object_id, source=model.name, height=height, sliding=_CELLS[cells], effects=posterior.effects
+    )
     for file in write_description(path, thing, format_name):
         console.print(f"written {file}", highlight=False, soft_wrap=True)
+    if thing.effects:
+        text = (
+            f"note: the model has effects beside its maps ({', '.join(thing.effects)}); a comment in the file says which of them are in it"
+        )
+        console.print(text, highlight=False, soft_wrap=True)
     if not posterior.total_mass_identifiable:
         text = f"note: the total mass, {posterior.total_mass.value:.3g} kg, is the one assumed: pushes alone do not tell it"
         console.print(text, highlight=False, soft_wrap=True)

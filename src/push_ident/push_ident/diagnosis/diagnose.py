@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -18,7 +18,7 @@ from push_ident.diagnosis.selection import Candidate, Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
 from push_ident.errors import InputError
-from push_ident.identification.observation import observe_push
+from push_ident.identification.observation import noise_correlation, observe_push
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
@@ -112,6 +112,9 @@ def diagnose(
     pushes = [record for record in records if observe_push(record, settings.noise).touched]
     if not all(gate.passed for gate in gates):
         return _untrusted(gates)
+    correlation = noise_correlation(records)
+    if correlation > settings.noise.correlation:
+        settings = replace(settings, noise=replace(settings.noise, correlation=correlation))
     report("fitting the base model")
     base = fit_base(pushes, settings)
     gates += check_fit(base)
@@ -123,7 +126,6 @@ def diagnose(
     is_unknown = unknown is not None and _explains_more(unknown, selection, settings.thresholds)
     if is_unknown:
         selection = Selection(base, base, selection.steps)
-    report("holding pushes out")
     gap = measure_gap(base, unknown.fit if unknown is not None and is_unknown else selection.fit, report)
     if (selection.found or is_unknown) and _vetoed(gap):
         selection, is_unknown = Selection(base, base, selection.steps), False

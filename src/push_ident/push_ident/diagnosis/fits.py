@@ -11,15 +11,23 @@ from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import Evaluation, FitProblem
+from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus
 
-__all__ = ["EffectFit", "fit_base", "fit_effects"]
+__all__ = ["EffectFit", "fit_base", "fit_effects", "held_at_zero", "polished", "without_pushes"]
 
 _AMPLITUDES = (1.0, 0.3, 0.1)
 _MAX_ITERATIONS = 40
+_ROUGH = 0.05
+"""Tolerance of fits that are only compared, where whole units of evidence decide [nat]."""
+_AWAY = 0.8
+"""Share of its unknowns at which a fit to fewer pushes starts."""
+_HELD = 1e8
+"""Precision of an unknown that is held."""
+_HOPED = 1.0
 _SHRUNK = 0.4
 """A second start, so much of the way to the first: a linear guess may overshoot."""
 
@@ -59,7 +67,8 @@ class EffectFit:
     @property
     def log_evidence(self) -> float:
         """By Laplace's approximation; only differences between fits of the same pushes mean anything."""
-        return -self.end.cost - 0.5 * float(np.linalg.slogdet(self.end.hessian)[1])
+        prior = np.eye(self.parameters.size) + self.problem.past.hessian
+        return -self.end.cost - 0.5 * float(np.linalg.slogdet(self.end.hessian)[1] - np.linalg.slogdet(prior)[1])
 
     @property
     def covariance(self) -> Float64Array:
@@ -96,17 +105,14 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Effe
     return max(side_by_side(fit, _AMPLITUDES), key=lambda fit: fit.log_evidence)
 
 
-def fit_effects(
-    base: EffectFit, names: Sequence[str], start: Float64Array | None = None, records: Sequence[PushRecord] | None = None
-) -> EffectFit:
-    """Fit other effects under the prior of `base`.
+def fit_effects(base: EffectFit, names: Sequence[str], start: Float64Array | None = None, expected: float = np.inf) -> EffectFit:
+    """Fit other effects to the same pushes under the same prior, as far as it takes to compare it with other fits; see `polished`.
 
     Args:
         base: an earlier fit, whose maps are the start.
         names: of all effects of the fit.
-        start: unknowns of the effects to start from, shape (n_values,); those of `base`, else zero. A second start is tried where this
-            one hardly helps.
-        records: the pushes; those of `base` by default. Of others, the first poses start anew.
+        start: unknowns of the effects to start from, shape (n_values,); those of `base`, else zero.
+        expected: gain of log evidence [nat]. A second start, nearer to zero, is tried where the first hardly helps although it should.
     """
     before = base.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=names)
@@ -115,23 +121,50 @@ def fit_effects(
         if name in base.names:
             guess[parameters.effects.slice_of(name)] = base.z[before.effect_slice][before.effects.slice_of(name)]
     first = guess if start is None else start
-    fits = [_refit(base, parameters, first, records)]
-    if start is not None and np.any(start) and fits[0].end.cost > base.end.cost - 1.0:
-        fits.append(_refit(base, parameters, guess + _SHRUNK * (start - guess), records))
+    fits = [_refit(base, parameters, first)]
+    if start is not None and expected > _HOPED and fits[0].end.cost > base.end.cost - 1.0:
+        fits.append(_refit(base, parameters, guess + _SHRUNK * (start - guess)))
     return max(fits, key=lambda fit: fit.log_evidence)
 
 
-def _refit(base: EffectFit, parameters: MapParameters, start: Float64Array, records: Sequence[PushRecord] | None) -> EffectFit:
-    problem, before = base.problem, base.parameters
-    chosen = problem.records if records is None else list(records)
-    maps, scales = base.z[: 2 * before.n_modes], base.z[-2:]
-    poses = base.x[before.size :].reshape(-1, 3)
-    known = {id(record): pose for record, pose in zip(problem.records, poses, strict=True)}
-    first = [known.get(id(record), np.zeros(3)) for record in chosen]
-    new = FitProblem(chosen, parameters, noise=problem.noise, settings=problem.settings)
-    x0 = np.concatenate([maps, start, scales, *first])
-    x, end, status = minimise(new, x0, _MAX_ITERATIONS)
-    return EffectFit(new, x, end, status)
+def polished(fit: EffectFit) -> EffectFit:
+    """The same fit, converged to full tolerance."""
+    problem = fit.problem.of(fit.parameters, fit.problem.past)
+    return EffectFit(problem, *minimise(problem, fit.x, _MAX_ITERATIONS, start=fit.end))
+
+
+def held_at_zero(fit: EffectFit, unknowns: Sequence[int]) -> EffectFit:
+    """The same fit with some of the unknowns `z` at zero, as if they had never been there."""
+    z, n = fit.z, fit.parameters.size
+    covariance = np.linalg.inv(fit.end.hessian)
+    among = covariance[np.ix_(unknowns, unknowns)]
+    x0 = fit.x - covariance[:, unknowns] @ np.linalg.solve(among, z[unknowns])
+    held = np.zeros(n)
+    held[unknowns] = _HELD
+    problem = fit.problem.of(fit.parameters, fit.problem.past + Quadratic(np.zeros(n), np.zeros(n), np.diag(held)))
+    return EffectFit(problem, *minimise(problem, x0, _MAX_ITERATIONS))
+
+
+def without_pushes(fit: EffectFit, pushes: Sequence[int]) -> EffectFit:
+    """Fit of the same model to all pushes but some.
+
+    It starts a way off the fit to all: the cost has kinks (stick and slip), and from the fit itself it would stay in those that the
+    pushes left out had chosen, and predict them too well.
+
+    Args:
+        fit: converged.
+        pushes: numbers of the pushes in its problem.
+    """
+    problem, n_z = fit.problem.without(pushes), fit.parameters.size
+    poses = np.delete(fit.x[n_z:].reshape(-1, 3), pushes, axis=0)
+    return EffectFit(problem, *minimise(problem, np.r_[_AWAY * fit.z, poses.ravel()], _MAX_ITERATIONS, tolerance=_ROUGH))
+
+
+def _refit(base: EffectFit, parameters: MapParameters, start: Float64Array) -> EffectFit:
+    before = base.parameters
+    maps, scales, poses = base.z[: 2 * before.n_modes], base.z[-2:], base.x[before.size :]
+    problem = base.problem.of(parameters)
+    return EffectFit(problem, *minimise(problem, np.concatenate([maps, start, scales, poses]), _MAX_ITERATIONS, tolerance=_ROUGH))
 
 
 def _fit(
@@ -143,5 +176,4 @@ def _fit(
 ) -> EffectFit:
     parameters = MapParameters(records[0].shape, prior, modes=modes, effects=names)
     problem = FitProblem(records, parameters, noise=settings.noise, settings=settings.numerics)
-    x, end, status = minimise(problem, np.zeros(problem.size), _MAX_ITERATIONS)
-    return EffectFit(problem, x, end, status)
+    return EffectFit(problem, *minimise(problem, np.zeros(problem.size), _MAX_ITERATIONS))

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.observation import observe_push
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.observation import noise_correlation, observe_push
 from push_ident.identification.problem import FitProblem
-from push_ident.types import Float64Array, PushRecord, SolveStatus
+from push_ident.types import BoolArray, Float64Array, PushRecord, SolveStatus
 
 __all__ = ["Gate", "check_data", "check_fit"]
 
@@ -20,6 +22,9 @@ _LARGEST_STEP_EFFECT = 2e-4
 """Mean difference of end positions that half the time step may make [m]."""
 _CORRELATED = 0.8
 _DROPPED = 0.3
+_JUMP = np.array([0.02, 0.02, 0.35])
+"""Beyond noise, from which a pose that comes back has jumped [m, m, rad]: at a frame more than any push moves an object."""
+_JUMPING = 0.02
 
 
 class Gate(tuple[bool, str, str]):
@@ -44,7 +49,7 @@ class Gate(tuple[bool, str, str]):
 
 
 def check_data(records: Sequence[PushRecord], settings: DiagnosisSettings) -> list[Gate]:
-    """Pushes, dropped frames, and errors that last from frame to frame at rest."""
+    """Pushes, dropped frames, poses that jump, and errors that last from frame to frame at rest."""
     touched = [record for record in records if observe_push(record, settings.noise).touched]
     gates = [
         Gate.of(
@@ -61,34 +66,40 @@ def check_data(records: Sequence[PushRecord], settings: DiagnosisSettings) -> li
                 share < _DROPPED, f"{100 * share:.0f} % of the frames are missing", "Find out why the camera drops frames; record again."
             )
         )
-    correlation = _correlation_at_rest(records)
-    if np.isfinite(correlation):
-        gates.append(
-            Gate.of(
-                bool(correlation < _CORRELATED),
-                f"errors of neighbouring frames at rest correlate by {correlation:.2f}",
-                "The poses are filtered or drift: publish unfiltered poses with their covariance.",
-            )
-        )
+    gates += [_jumps(records), _correlated(records)]
     return gates
 
 
-def _correlation_at_rest(records: Sequence[PushRecord]) -> float:
-    """Lag-one autocorrelation of the poses before the pusher moves the object; NaN where too few frames are at rest."""
-    products = squares = 0.0
-    n = 0
-    for record in records:
-        speed = np.linalg.norm(np.gradient(record.poses.pose[:, :2], axis=0), axis=1)
-        rest = int(np.argmax(speed > 3 * np.median(speed[:5]) + 1e-4)) if len(speed) > 5 else 0
-        if rest < 6:
-            continue
-        off = record.poses.pose[:rest] - record.poses.pose[:rest].mean(axis=0)
-        scale = off.std(axis=0) + 1e-12
-        off = off / scale
-        products += float(np.sum(off[1:] * off[:-1]))
-        squares += float(np.sum(off**2)) * (rest - 1) / rest
-        n += rest
-    return products / squares if n >= 20 else float("nan")
+def _jumps(records: Sequence[PushRecord]) -> Gate:
+    """Poses that leave those around them and come back: no object does that."""
+    share = float(np.mean(np.concatenate([_leaves_its_neighbours(record) for record in records])))
+    return Gate.of(
+        share < _JUMPING,
+        f"{100 * share:.1f} % of the poses jump away from those before and after them",
+        "The tracker takes the object for another pose now and then (turned by half a turn, most likely): give it a shape or marks "
+        "without that symmetry, or let it refuse such frames.",
+    )
+
+
+def _leaves_its_neighbours(record: PushRecord) -> BoolArray:
+    """Of each pose, whether it is far from the median of the five around it, shape (n_frames,)."""
+    pose = record.poses.pose
+    if len(pose) < 5:
+        return np.zeros(len(pose), dtype=bool)
+    around = sliding_window_view(np.pad(pose, ((2, 2), (0, 0)), mode="edge"), 5, axis=0) - pose[:, :, None]
+    around[:, 2] = wrap_angle(around[:, 2])
+    deviation = np.sqrt(np.diagonal(record.poses.covariance, axis1=1, axis2=2))
+    return np.any(np.abs(np.median(around, axis=2)) > _JUMP + 8.0 * deviation, axis=1)
+
+
+def _correlated(records: Sequence[PushRecord]) -> Gate:
+    correlation = noise_correlation(records)
+    found = f"errors of neighbouring frames at rest correlate by {correlation:.2f}"
+    return Gate.of(
+        not correlation >= _CORRELATED,
+        found if np.isfinite(correlation) else "too few frames at rest to tell how their errors correlate",
+        "The poses are filtered or drift: publish unfiltered poses with their covariance.",
+    )
 
 
 def check_fit(fit: EffectFit) -> list[Gate]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.fits import EffectFit, without_pushes
 from push_ident.diagnosis.parallel import side_by_side
 from push_ident.identification.prediction import cell_error, held_out_errors
 from push_ident.types import Float64Array
@@ -16,6 +16,8 @@ __all__ = ["Gap", "measure_gap"]
 
 _N_DRAWS = 64
 _N_BOOTSTRAP = 2000
+_N_FOLDS = 14
+"""Pushes are held out one by one, and where they are more than this, two or more at a time."""
 _NOTHING = 2.0
 """The gap before counts as one where it is so many standard errors above the noise."""
 
@@ -24,7 +26,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Mean cell error at the end of pushes held out one at a time."""
+    """Mean cell error at the end of pushes held out."""
 
     before: Float64Array
     """Of each push, without the effects [m], shape (n_pushes,)."""
@@ -33,7 +35,7 @@ class Gap:
     noise: Float64Array
     """That the noise of the poses alone would make [m], shape (n_pushes,)."""
     log_density_gain: Float64Array
-    """Of the held-out push with the effects over without [nat], shape (n_pushes,)."""
+    """Of pushes held out together, with the effects over without [nat], shape (n_folds,)."""
 
     @property
     def is_above_noise(self) -> bool:
@@ -63,7 +65,7 @@ def _shrink(before: Float64Array, after: Float64Array, noise: Float64Array) -> f
 
 
 def measure_gap(base: EffectFit, fit: EffectFit, on_progress: Progress | None = None) -> Gap:
-    """Leave each push out of both fits in turn, and predict it.
+    """Leave each push out of both fits once, and predict it.
 
     Args:
         base: without the effects.
@@ -72,20 +74,25 @@ def measure_gap(base: EffectFit, fit: EffectFit, on_progress: Progress | None = 
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)
-    report(f"leaving out each of {n} pushes in turn")
+    n_folds = min(n, _N_FOLDS)
+    folds = [list(range(first, n, n_folds)) for first in range(n_folds)]
+    report(f"holding out each of {n} pushes once, in {n_folds} fits")
     fits = [base] if fit is base else [base, fit]
-    results = side_by_side(lambda which: _left_out(*which), [(one, push) for one in fits for push in range(n)])
-    error, density = np.array(results).reshape(len(fits), n, 2).transpose(2, 0, 1)
-    return Gap(error[0], error[-1], _noise_errors(fit), density[-1] - density[0])
+    results = side_by_side(lambda which: _left_out(*which), [(one, fold) for one in fits for fold in folds])
+    errors = np.empty((len(fits), n))
+    density = np.empty((len(fits), n_folds))
+    for k, (error, gain) in enumerate(results):
+        one, fold = divmod(k, n_folds)
+        errors[one, folds[fold]], density[one, fold] = error, gain
+    return Gap(errors[0], errors[-1], _noise_errors(fit), density[-1] - density[0])
 
 
-def _left_out(fit: EffectFit, push: int) -> tuple[float, float]:
-    """Cell error of a push under the fit to the others [m], and its log density under it up to a constant [nat]."""
-    records = fit.problem.records
-    others = [record for i, record in enumerate(records) if i != push]
-    rest = fit_effects(fit, fit.names, records=others)
-    error = held_out_errors(rest.model, [records[push]], effects=rest.effects, noise=fit.problem.noise, settings=fit.problem.settings)
-    return float(error[0]), fit.log_evidence - rest.log_evidence
+def _left_out(fit: EffectFit, pushes: Sequence[int]) -> tuple[Float64Array, float]:
+    """Cell errors of pushes under the fit to the others [m], and their log density under it up to a constant [nat]."""
+    rest, problem = without_pushes(fit, pushes), fit.problem
+    records = [problem.records[push] for push in pushes]
+    errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
+    return errors, fit.log_evidence - rest.log_evidence
 
 
 def _noise_errors(fit: EffectFit) -> Float64Array:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit
+from push_ident.diagnosis.parallel import side_by_side
 from push_ident.errors import PlanningError
 from push_ident.identification.next_push import PlannedPush, candidate_pushes
+from push_ident.identification.parameters import Mechanics
+from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
 
@@ -75,14 +78,17 @@ def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: Pu
     """
     rng = np.random.default_rng(0)
     shape = next(iter(fits.values())).parameters.shape
+    speeds = [min(speed, settings.max_speed) for speed in _SPEEDS]
+    spread = [replace(settings, speed_range=(speed, speed)) for speed in speeds]
     try:
-        candidates = candidate_pushes(shape, pose, rng, _N_CANDIDATES, settings)
+        candidates = [push for own in spread for push in candidate_pushes(shape, pose, rng, _N_CANDIDATES // len(spread), own)]
     except PlanningError:
         return None
     names = list(fits)
+    models = {name: _Predictor.of(fit) for name, fit in fits.items()}
+    outcomes = side_by_side(lambda push: {name: _outcome(models[name], push) for name in names}, candidates)
     best: SeparatingPush | None = None
-    for push in candidates:
-        seen = {name: _outcome(fits[name], push) for name in names}
+    for push, seen in zip(candidates, outcomes, strict=True):
         pairs = [
             (_distance2(seen[a], seen[b]), (a, b))  # type: ignore[arg-type]
             for i, a in enumerate(names)
@@ -97,17 +103,30 @@ def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: Pu
     return best
 
 
-def _outcome(fit: EffectFit, push: PlannedPush) -> tuple[Float64Array, Float64Array] | None:
+@dataclass(frozen=True, slots=True)
+class _Predictor:
+    """What predictions of a fit need, made once."""
+
+    mechanics: Mechanics
+    covariance: Float64Array
+    settings: SimulationSettings
+    order: int
+    """Pushes made before."""
+
+    @classmethod
+    def of(cls, fit: EffectFit) -> _Predictor:
+        return cls(fit.parameters.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
+
+
+def _outcome(model: _Predictor, push: PlannedPush) -> tuple[Float64Array, Float64Array] | None:
     """Predicted poses, shape (n_frames, 3), and their covariance by the uncertainty of the fit, all frames together."""
-    pusher = push.pusher
+    pusher, mechanics = push.pusher, model.mechanics
     time = np.linspace(pusher.time[0], pusher.time[-1], _N_FRAMES)
-    motion = fit.parameters.mechanics(fit.z).simulate(
-        pusher, push.pose_object_in_table, time, settings=fit.problem.settings, order=len(fit.problem.records), jacobian=True
-    )
+    motion = mechanics.simulate(pusher, push.pose_object_in_table, time, settings=model.settings, order=model.order, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
-    rows = (motion.jacobian[:, :, 3:] @ fit.parameters.mechanics(fit.z).derivative[3:]).reshape(3 * _N_FRAMES, -1)
-    return motion.pose, np.asarray(rows @ fit.covariance @ rows.T)
+    rows = (motion.jacobian[:, :, 3:] @ mechanics.derivative[3:]).reshape(3 * _N_FRAMES, -1)
+    return motion.pose, np.asarray(rows @ model.covariance @ rows.T)
 
 
 def _distance2(a: tuple[Float64Array, Float64Array], b: tuple[Float64Array, Float64Array]) -> float:

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.identification.parameters import MapParameters
-from push_ident.identification.problem import FitProblem
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
-__all__ = ["EffectScore", "information_beside", "score_effects"]
+__all__ = ["EffectScore", "Information", "information_beside", "score_effects"]
 
 _CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_remainder)
 _MAX_START = 2.0
@@ -43,49 +42,56 @@ class EffectScore:
     """Size of its first parameter that would just have been seen, in its unit; infinite where none that makes sense would."""
 
 
-def score_effects(fit: EffectFit, seen: float, names: Sequence[str] = ()) -> list[EffectScore]:
-    """Score effects that `fit` does not have, the most promising first.
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What pushes tell of absent effects beside everything that was fitted."""
+
+    places: dict[str, NDArray[np.int64]]
+    """Where the unknowns of each effect stand."""
+    precision: Float64Array
+    """S + 1 of all of them, their prior being the 1, shape (n, n)."""
+    slope: Float64Array
+    """g, shape (n,)."""
+
+
+def information_beside(fit: EffectFit, names: Sequence[str] = ()) -> Information | None:
+    """What the pushes of a fit tell of effects that it does not have.
 
     Args:
         fit: converged.
-        seen: gain of log evidence from which an effect counts as seen [nat].
         names: of the effects; by default all that name a cause.
-    """
-    absent = [name for name in names or _CAUSES if name not in fit.names]
-    beside = information_beside(fit, absent)
-    if beside is None:
-        return []
-    places, precision, slope = beside
-    scores = []
-    for name, place in places.items():
-        scores.append(_score(name, precision[np.ix_(place, place)], slope[place], seen))
-    return sorted(scores, key=lambda score: -score.gain)
-
-
-def information_beside(fit: EffectFit, absent: Sequence[str]) -> tuple[dict[str, NDArray[np.int64]], Float64Array, Float64Array] | None:
-    """What the pushes tell of absent effects beside everything that was fitted.
-
-    Args:
-        fit: converged.
-        absent: names of effects that it does not have.
 
     Returns:
-        Where the unknowns of each effect stand; S + 1 of all of them, shape (n, n), their prior being the 1; and their slope g, shape (n,);
         None where the pushes cannot be simulated.
     """
+    absent = [name for name in names or _CAUSES if name not in fit.names]
     before = fit.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
-    problem = FitProblem(fit.problem.records, parameters, noise=fit.problem.noise, settings=fit.problem.settings)
+    problem = fit.problem.of(parameters)
     n_new, start = parameters.size - before.size, before.effect_slice.stop
-    new = slice(start, start + n_new)
+    new = np.arange(start, start + n_new)
     end = problem.evaluate(np.insert(fit.x, start, np.zeros(n_new)))
     if not np.isfinite(end.cost):
         return None
-    fitted = np.setdiff1d(np.arange(problem.size), np.arange(new.start, new.stop))
-    onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[fitted, new]).T
+    fitted = np.setdiff1d(np.arange(problem.size), new)
+    onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[np.ix_(fitted, new)]).T
     own = [parameters.effects.slice_of(name) for name in absent]
     places = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, own, strict=True)}
-    return places, end.hessian[new, new] - onto @ end.hessian[fitted, new], end.gradient[new] - onto @ end.gradient[fitted]
+    between = end.hessian[np.ix_(fitted, new)]
+    return Information(places, end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted])
+
+
+def score_effects(told: Information | None, seen: float) -> list[EffectScore]:
+    """Score absent effects, the most promising first; none where nothing is told.
+
+    Args:
+        told: by the pushes.
+        seen: gain of log evidence from which an effect counts as seen [nat].
+    """
+    if told is None:
+        return []
+    scores = [_score(name, told.precision[np.ix_(place, place)], told.slope[place], seen) for name, place in told.places.items()]
+    return sorted(scores, key=lambda score: -score.gain)
 
 
 def _score(name: str, precision: Float64Array, slope: Float64Array, seen: float) -> EffectScore:

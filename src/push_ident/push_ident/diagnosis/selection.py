@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.fits import EffectFit, fit_effects, polished
 from push_ident.diagnosis.parallel import side_by_side
-from push_ident.diagnosis.scores import EffectScore, score_effects
+from push_ident.diagnosis.scores import EffectScore, Information, information_beside, score_effects
 from push_ident.diagnosis.settings import Thresholds
 
 __all__ = ["Candidate", "Selection", "Step", "select_effects"]
@@ -24,6 +24,9 @@ _TOGETHER = (
 
 _NESTED = {"tether": "table_tilt"}
 """Effects that hold another as a special case: the simpler one is preferred unless the larger gains much more."""
+
+_PROMISING = -2.0
+"""Expected gain of log evidence below which a refit is not worth its time [nat]: a score is of second order only, but not that far off."""
 
 Progress = Callable[[str], None]
 
@@ -43,6 +46,8 @@ class Step:
     """One round: every absent effect scored, the best refitted."""
 
     before: EffectFit
+    told: Information | None
+    """By the pushes, of the absent effects."""
     scores: tuple[EffectScore, ...]
     candidates: tuple[Candidate, ...]
     """Refitted, the best first."""
@@ -85,21 +90,23 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
     fit, steps = base, []
     while True:
         report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
-        scores = tuple(score_effects(fit, thresholds.seen))
+        told = information_beside(fit)
+        scores = tuple(score_effects(told, thresholds.seen))
         chosen = _worth_refitting(scores, thresholds)
-        report(f"refitting with {', '.join(score.name for score in chosen)}")
+        if chosen:
+            report(f"refitting with {', '.join(score.name for score in chosen)}")
         candidates = _ranked(side_by_side(partial(_refitted, fit), chosen), thresholds.apart)
-        steps.append(Step(fit, scores, tuple(candidates)))
+        steps.append(Step(fit, told, scores, tuple(candidates)))
         n_found = len(fit.names) - len(base.names)
         if not candidates or candidates[0].gain < thresholds.seen or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps))
-        fit = _without_needless(base, candidates[0].fit, thresholds)
+        fit = _without_needless(base, polished(candidates[0].fit), thresholds)
         if fit.log_evidence <= steps[-1].before.log_evidence:
             return Selection(base, steps[-1].before, tuple(steps))
 
 
 def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds) -> list[EffectScore]:
-    chosen = {score.name for score in scores[: thresholds.n_refits]}
+    chosen = {score.name for score in scores[: thresholds.n_refits] if score.gain > _PROMISING}
     for group in _TOGETHER:
         if chosen & group and any(s.gain > 0 for s in scores if s.name in group):
             chosen |= group
@@ -118,9 +125,7 @@ def _ranked(candidates: list[Candidate], apart: float) -> list[Candidate]:
 
 def _refitted(fit: EffectFit, score: EffectScore) -> Candidate:
     names = (*fit.names, score.name)
-    start = list(fit.z[fit.parameters.effect_slice]) + list(score.start)
-
-    own = fit_effects(fit, names, np.array(start))
+    own = fit_effects(fit, names, np.concatenate([fit.z[fit.parameters.effect_slice], score.start]), score.gain)
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
 
 
@@ -129,5 +134,5 @@ def _without_needless(base: EffectFit, fit: EffectFit, thresholds: Thresholds) -
     for name in [n for n in fit.names if n not in base.names][:-1]:
         rest = fit_effects(fit, [n for n in fit.names if n != name])
         if rest.log_evidence > fit.log_evidence - 0.5 * thresholds.seen:
-            return rest
+            return polished(rest)
     return fit

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.fits import EffectFit, fit_effects, held_at_zero
 from push_ident.diagnosis.parallel import side_by_side
-from push_ident.diagnosis.scores import score_effects
+from push_ident.diagnosis.scores import information_beside, score_effects
 from push_ident.diagnosis.settings import Thresholds
 from push_ident.physics.effects.unknown_wrench import COMPONENTS, EFFECT, FEATURES
 
@@ -27,8 +27,9 @@ class SmoothWrench:
     """Maps and a smooth wrench that together fit the pushes."""
 
     fit: EffectFit
+    """With those parts of the wrench that the pushes need."""
     gain: float
-    """Of log evidence over the base model [nat]."""
+    """Of log evidence over the base model, less what its parts cost for having been chosen [nat]."""
     acts_on: dict[str, float]
     """Share of each component of the wrench, see `COMPONENTS`; they sum to 1."""
     varies_with: dict[str, float]
@@ -50,7 +51,7 @@ class SmoothWrench:
 
 def find_unknown(base: EffectFit, thresholds: Thresholds) -> SmoothWrench | None:
     """Fit a smooth wrench in place of all effects that were added to `base`; None where there is no trace of one."""
-    (score,) = score_effects(base, thresholds.seen, (EFFECT.name,)) or (None,)
+    (score,) = score_effects(information_beside(base, (EFFECT.name,)), thresholds.seen) or (None,)
     if score is None or score.gain < _PROMISING:
         return None
     known = base.z[base.parameters.effect_slice]
@@ -58,12 +59,16 @@ def find_unknown(base: EffectFit, thresholds: Thresholds) -> SmoothWrench | None
     # The score's guess reaches far and may end in another valley than the way from zero.
     starts = [np.concatenate([known, start]) for start in (score.start, np.zeros_like(score.start))]
     fits = side_by_side(lambda start: fit_effects(base, names, start), starts)
-    fit, (parts, gain) = max(((fit, _needed_parts(fit)) for fit in fits), key=lambda found: found[0].log_evidence + found[1][1])
+    fit = max(fits, key=lambda fit: fit.log_evidence + _needed_parts(fit)[1])
+    parts, _ = _needed_parts(fit)
+    first = fit.parameters.effect_slice.start + fit.parameters.effects.slice_of(EFFECT.name).start
+    needless = [first + number for part, numbers in _blocks().items() if part not in parts for number in numbers]
+    fit = held_at_zero(fit, needless)
     acts_on, varies_with = dict.fromkeys(COMPONENTS, 0.0), dict.fromkeys(FEATURES, 0.0)
     for (component, feature), share in parts.items():
         acts_on[component] += share
         varies_with[feature] += share
-    return SmoothWrench(fit, fit.log_evidence - base.log_evidence + gain, acts_on, varies_with)
+    return SmoothWrench(fit, fit.log_evidence - base.log_evidence - _CHOICE * len(parts), acts_on, varies_with)
 
 
 def _needed_parts(fit: EffectFit) -> tuple[dict[tuple[str, str], float], float]:
@@ -94,9 +99,9 @@ def _needed_parts(fit: EffectFit) -> tuple[dict[tuple[str, str], float], float]:
             break
         best = value
         gone += kept.pop(part)
-    says = {part: -change([*gone, *numbers]) + change(gone) for part, numbers in kept.items()}
-    total = sum(max(v, 0.0) for v in says.values())
-    return {part: max(v, 0.0) / total for part, v in says.items() if total > 0}, best
+    says = {part: max(change(gone) - change([*gone, *numbers]), 0.0) for part, numbers in kept.items()}
+    total = max(sum(says.values()), 1e-9)
+    return {part: share / total for part, share in says.items()}, best
 
 
 def _blocks() -> dict[tuple[str, str], list[int]]:

@@ -5,11 +5,13 @@ frames between, a limited number is kept. Noise is that of the frame plus a disc
 gone, since no model of pushing is exact, and frames of one push share it.
 
 How far a mean is better than a frame, the rest frames tell: where they scatter as their covariance says, the error averages out;
-where they scatter far less, as those of a tracker do, the covariance is of an error that they share.
+where they scatter far less, as those of a tracker do, the covariance is of an error that they share. Errors that last from frame to
+frame (`NoiseModel.correlation`) average out more slowly, and neighbouring frames of the motion say the same twice.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +20,15 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["NoiseModel", "Observation", "observe_push"]
+__all__ = ["NoiseModel", "Observation", "noise_correlation", "observe_push"]
 
 _ENOUGH = 12
 """Degrees of freedom from which the scatter of rest frames is trusted."""
+_ENOUGH_PAIRS = 40
+"""Pairs of neighbouring frames at rest from which their correlation is trusted."""
+_MOST_CORRELATION = 0.95
+_OUTLIER = 6.0
+"""A frame at rest that is so many deviations off the others is a wrong pose, not noise."""
 _COAST = 0.15  # an object let go at 0.3 m/s on friction 0.2 rests within this [s]
 
 
@@ -45,6 +52,8 @@ class NoiseModel:
     """Factor on the stated deviation of a rest pose that was seen once: nothing checks it."""
     max_moving_frames: int = 10
     """Frames kept of the motion itself."""
+    correlation: float = 0.0
+    """Of the errors of one frame and the next; see `noise_correlation`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +77,78 @@ class Observation:
 def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
     """Condense one push record."""
     noise = noise or NoiseModel()
+    poses = record.poses
+    before, after, touched = _rests(record)
+    moving = np.arange(before[-1] + 1, after[0])
+    stride = max(1.0, len(moving) / noise.max_moving_frames)
+    if len(moving) > noise.max_moving_frames:
+        moving = moving[np.linspace(0, len(moving) - 1, noise.max_moving_frames).round().astype(int)]
+    before, after = _agreeing(record, before), _agreeing(record, after)
+    singles = [np.array([frame]) for frame in moving]
+    groups = [before, *singles, after] if after[0] > before[-1] else [before[:-1], after]
+
+    time = np.array([poses.time[g].mean() for g in groups])
+    pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
+    floor = np.diag([noise.floor_position**2, noise.floor_position**2, noise.floor_yaw**2])
+    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
+    travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
+    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2
+    scatter = _scatter(record, before, after)
+    repeated = _repetition(noise.correlation**stride)
+    stated = [poses.covariance[g].mean(axis=0) * max(scatter, 1.0) * repeated for g in groups]
+    for end in (0, -1):
+        n = len(groups[end])
+        shared = max(0.0, 1.0 - 2.0 * scatter)
+        apart = min(1.0, _repetition(noise.correlation) / n)
+        stated[end] = stated[end] / repeated * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) * apart)
+    covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched)
+
+
+def noise_correlation(records: Sequence[PushRecord]) -> float:
+    """Correlation of the errors of one frame and the next, from the frames at rest; NaN where they are too few.
+
+    For neighbours in time, of a first-order autoregressive error; the mean of each rest, which takes a part of it, is allowed for
+    (Marriott & Pope, Bias in the estimation of autocorrelations, Biometrika 41, 1954).
+    """
+    products = squares = 0.0
+    n_pairs = n_frames = n_rests = 0
+    for record in records:
+        before, after, _ = _rests(record)
+        for rest in (_agreeing(record, before), _agreeing(record, after)):
+            if len(rest) < 4:
+                continue
+            off = record.poses.pose[rest] - record.poses.pose[rest].mean(axis=0)
+            off = off / np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2))
+            products += float(np.sum(off[1:] * off[:-1]))
+            squares += float(np.sum(off**2))
+            n_pairs, n_frames, n_rests = n_pairs + max(len(off) - 1, 0), n_frames + len(off), n_rests + 1
+    if n_pairs < _ENOUGH_PAIRS or squares <= 0.0:
+        return float("nan")
+    length = n_frames / n_rests
+    raw = products / n_pairs / (squares / n_frames)
+    return float(np.clip((raw + 1.0 / length) / max(1.0 - 3.0 / length, 0.25), -_MOST_CORRELATION, _MOST_CORRELATION))
+
+
+def _agreeing(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Frames at rest without wrong poses: a single one would drag the mean along."""
+    off = record.poses.pose[rest] - np.median(record.poses.pose[rest], axis=0)
+    deviation = np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2))
+    fits = np.max(np.abs(off) / deviation, axis=1) < _OUTLIER
+    return rest[fits] if np.any(fits) else rest
+
+
+def _repetition(correlation: float) -> float:
+    """By how much the variance of a mean of many is larger than if they were independent."""
+    rho = min(max(correlation, 0.0), _MOST_CORRELATION)
+    return (1.0 + rho) / (1.0 - rho)
+
+
+def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
+    """Frames at rest before the touch and after the push, at least one each; and whether the pusher comes near the object at all."""
     poses, pusher = record.poses, record.pusher
-    gap = _gaps(record)
-    near = gap < max(3e-3, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
+    near = _gaps(record) < max(3e-3, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
     touch_time = float(pusher.time[np.argmax(near)]) if np.any(near) else np.inf
     speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
     driving = near & (speed > 0.05 * max(float(speed.max()), 1e-9))
@@ -81,26 +159,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     after = np.flatnonzero(poses.time >= max(rest_time, touch_time)) if np.isfinite(touch_time) else np.array([], dtype=int)
     after = after[after > before[-1]]
     after = after if len(after) else np.array([len(poses.time) - 1])
-    moving = np.arange(before[-1] + 1, after[0])
-    if len(moving) > noise.max_moving_frames:
-        moving = moving[np.linspace(0, len(moving) - 1, noise.max_moving_frames).round().astype(int)]
-    groups = [before, *([i] for i in moving), after] if after[0] > before[-1] else [before[:-1], after]
-
-    time = np.array([poses.time[g].mean() for g in groups])
-    pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
-    floor = np.diag([noise.floor_position**2, noise.floor_position**2, noise.floor_yaw**2])
-    travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
-    travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
-    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2
-    scatter = _scatter(record, before, after)
-    stated = [poses.covariance[g].mean(axis=0) * max(scatter, 1.0) for g in groups]
-    for end in (0, -1):
-        n = len(groups[end])
-        shared = max(0.0, 1.0 - 2.0 * scatter)
-        stated[end] = stated[end] * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) / n)
-    covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, bool(np.any(near)))
+    return before, after, bool(np.any(near))
 
 
 def _scatter(record: PushRecord, *rests: NDArray[np.intp]) -> float:

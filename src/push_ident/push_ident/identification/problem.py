@@ -14,7 +14,8 @@ the maps with it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,6 +101,20 @@ class FitProblem:
         self.meter = meter or Meter()
         self.past = past or Quadratic.zero(parameters.size)
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
+
+    def of(self, parameters: MapParameters, past: Quadratic | None = None) -> FitProblem:
+        """The same pushes under a model with other unknowns, of which `past` is known beyond the prior."""
+        other = copy(self)
+        other.parameters, other.past, other.meter = parameters, past or Quadratic.zero(parameters.size), Meter()
+        return other
+
+    def without(self, pushes: Collection[int]) -> FitProblem:
+        """The same problem with some pushes, by their numbers, left out."""
+        rest = copy(self)
+        for name in ("records", "observations", "first_scale"):
+            setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
+        rest.meter = Meter()
+        return rest
 
     @property
     def size(self) -> int:

@@ -291,7 +291,7 @@ def rollout(
                 for k in range(n_contacts):
                     add_rebound(contacts[k], k, rebound, dt, rows)
                 if acts_on_table:
-                    table_action(effects, table.inputs, centre, arms, table.factor, table.result)
+                    table_action(effects, table.inputs, -1, centre, arms, table.factors, table.factor, table.result)
                     forces.skew[:], forces.pull[:] = table.result[:2], table.result[2:]
                 if effects.loads:
                     for i in range(limit.shape[0]):

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.effect import MAX_LOAD_NUMBERS, STEP_OF_INPUT, Body, Cell, Equation, OnTable, equation
+from push_ident.physics.effect import MAX_LOAD_NUMBERS, STEP_OF_INPUT, Body, Cell, Effect, Equation, OnTable, equation
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.kernel import kernel
 from push_ident.physics.support import cell_friction
@@ -82,6 +82,8 @@ class TableScratch(NamedTuple):
     """The inputs, one of them turned by the complex step."""
     factor: Float64Array
     """Of the friction limit of each cell, shape (n_cells,)."""
+    factors: Float64Array
+    """The same of each effect alone, where it acts, shape (n_effects, n_cells)."""
     limit: Float64Array
     """Friction limit of each cell in this step [N], shape (n_cells,)."""
     d_factor: NDArray[np.complex128]
@@ -97,7 +99,7 @@ def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratc
     """Scratch space of the effects; `n_cells` is 0 where none acts on the table."""
     n_inputs = N_FIXED_INPUTS + n_memory + n_values + _PADDING
     return TableScratch(
-        np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.ones(n_cells), np.zeros(n_cells),
+        np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.ones(n_cells), np.ones((len(EFFECTS), n_cells)), np.zeros(n_cells),
         np.zeros(n_cells, dtype=np.complex128), np.zeros((3, n_cells)), np.zeros(5),
         np.zeros(5, dtype=np.complex128), np.zeros(n_memory, dtype=np.complex128),
     )  # fmt: skip
@@ -119,7 +121,7 @@ def _cell_of(body: Body, rx: Any, ry: Any) -> Cell:
 
 
 @equation
-def _no_load(places: Places, inputs: Any, body: Body, arms: Float64Array, dx: Any, dy: Any, factor: Any) -> None:
+def _no_load(places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any) -> None:
     factor[:] = 1.0
 
 
@@ -138,14 +140,28 @@ def _no_memory(places: Places, inputs: Any, body: Body, dt: float, after: Any) -
     after[:] = 0.0
 
 
-def _with_load(others: Equation, load: Equation, place: int) -> Equation:
+def _with_load(others: Equation, effect: Effect, load: Equation, place: int) -> Equation:
+    n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
+
     @equation
-    def loads(places: Places, inputs: Any, body: Body, arms: Float64Array, dx: Any, dy: Any, factor: Any) -> None:
-        others(places, inputs, body, arms, dx, dy, factor)
-        if places.values[place] >= 0:
-            p, memory = _four(inputs, places.values[place]), _four(inputs, places.memory[place])
+    def loads(
+        places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any
+    ) -> None:
+        others(places, inputs, turned, body, arms, dx, dy, factors, factor)
+        own, past = places.values[place], places.memory[place]
+        if own < 0:
+            return
+        if turned >= N_FIXED_INPUTS and not own <= turned < own + n_values and not past <= turned < past + n_memory:
+            # Values and memory of another effect change nothing here.
             for i in range(arms.shape[1]):
-                factor[i] *= load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
+                factor[i] *= factors[place, i]
+            return
+        p, memory = _four(inputs, own), _four(inputs, past)
+        for i in range(arms.shape[1]):
+            value = load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
+            factor[i] *= value
+            if turned < 0:
+                factors[place, i] = value.real
 
     return loads
 
@@ -189,7 +205,7 @@ _loads, _skews, _pulls, _memories = _no_load, _no_skew, _no_pull, _no_memory
 for _place, _effect in enumerate(EFFECTS.values()):
     if isinstance(_effect.acts, OnTable):
         if _effect.acts.load is not None:
-            _loads = _with_load(_loads, _effect.acts.load, _place)
+            _loads = _with_load(_loads, _effect, _effect.acts.load, _place)
         if _effect.acts.skew is not None:
             _skews = _with_skew(_skews, _effect.acts.skew, _place)
         if _effect.acts.pull is not None:
@@ -225,19 +241,30 @@ def _body_of(effects: ActiveEffects, inputs: Any, centre: Float64Array) -> Any:
 
 
 @equation
-def table_action(effects: ActiveEffects, inputs: Any, centre: Float64Array, arms: Float64Array, factor: Any, result: Any) -> None:
+def table_action(
+    effects: ActiveEffects,
+    inputs: Any,
+    turned: int,
+    centre: Float64Array,
+    arms: Float64Array,
+    factors: Float64Array,
+    factor: Any,
+    result: Any,
+) -> None:
     """The effects on the table for these inputs.
 
     Args:
         effects: which act.
         inputs: as above, real or complex.
+        turned: which of them is turned by the complex step; -1 where none is.
         centre, arms: nominal centre of mass, shape (2,), and the cells' centres from there, shape (2, n_cells), object axes.
+        factors: of each effect alone, shape (n_effects, n_cells); filled where no input is turned, used where one is.
         factor: filled with the factor of the friction limit of each cell, shape (n_cells,), where an effect changes it.
         result: filled with the skew (a, b) and the pull (fx, fy, torque) [N, N, N m], object axes, shape (5,).
     """
     body, dx, dy = _body_of(effects, inputs, centre)
     if effects.loads:
-        _loads(effects.places, inputs, body, arms, dx, dy, factor)
+        _loads(effects.places, inputs, turned, body, arms, dx, dy, factors, factor)
         for i in range(arms.shape[1]):
             if factor[i].real < 0.0:
                 factor[i] = 0.0
@@ -325,7 +352,7 @@ def table_sensitivity(
         if k >= n_inputs - n_values and not effects.on_table[k - (n_inputs - n_values)]:
             continue
         turned[k] += STEP_OF_INPUT * 1j
-        table_action(effects, turned, centre, arms, d_factor, scratch.d_result)
+        table_action(effects, turned, k, centre, arms, scratch.factors, d_factor, scratch.d_result)
         turned[k] = inputs[k]
         a, b = scratch.d_result[0].imag, scratch.d_result[1].imag
         gx, gy, gt = scratch.d_result[2].imag, scratch.d_result[3].imag, scratch.d_result[4].imag

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from push_ident.diagnosis.diagnose import Diagnosis, diagnose
 from push_ident.diagnosis.fits import EffectFit, fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
-from push_ident.diagnosis.scores import information_beside
+from push_ident.diagnosis.scores import Information
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord
 from push_ident_sim.effects import Effects
-from push_ident_sim.experiments.blind_cases import CATALOGUE, Truth
+from push_ident_sim.experiments.blind_cases import Truth
 from push_ident_sim.experiments.experiment import Json
 from push_ident_sim.objects import SimObject
 
@@ -77,7 +77,7 @@ def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, se
         first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
         wanted = {name: true_values(truth.effects, name, thing, first) for name in truth.names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
-        values["detectability"] = _detectability(base, wanted)
+        values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
         values["oracle"] = _oracle(found, base, wanted)
     values["baselines"] = _baselines(found, base)
     return values
@@ -102,6 +102,7 @@ def _step(selection: Selection, number: int) -> Json:
     first = next((score for score in step.scores), None)
     return {
         "gains": {c.name: c.gain for c in step.candidates},
+        "scores": {score.name: score.gain for score in step.scores},
         "costs": {c.name: c.fit.end.cost for c in step.candidates},
         "best_score": None if first is None else first.name,
         # What would just have been seen; effects that cannot be seen at any size that makes sense are left out.
@@ -121,22 +122,20 @@ def _gap(gap: Gap) -> Json:
     }
 
 
-def _detectability(base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
+def _detectability(told: Information | None, wanted: Mapping[str, FloatArray]) -> Json:
     """How plainly the true effects show, each alone: noncentrality beside everything that the base model fits.
 
     `alone`: beside the base. `hardest`: also beside that rival of the catalogue which takes most of it away. `gain`: of log evidence that
     its true size brings on average.
     """
-    absent = [name for name in CATALOGUE if name not in base.names]
-    beside = information_beside(base, absent)
-    if beside is None:
+    if told is None:
         return {}
-    places, precision, _ = beside
+    places, precision = told.places, told.precision
 
     def place(name: str) -> NDArray[np.int64]:
         return places[name][[not p.shape for p in EFFECTS[name].parameters]]
 
-    told = {}
+    shown = {}
     for name, values in wanted.items():
         own = place(name)
         acting = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
@@ -145,7 +144,7 @@ def _detectability(base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
         information = held - np.eye(len(own))
         alone = float(size @ information @ size)
         hardest, rival = alone, ""
-        for other in absent:
+        for other in places:
             if other in (name, TWINS.get(name)):
                 continue
             between = precision[np.ix_(own, place(other))]
@@ -153,8 +152,8 @@ def _detectability(base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
             if (left := float(size @ rest @ size)) < hardest:
                 hardest, rival = left, other
         gain = 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])
-        told[name] = {"alone": alone, "hardest": max(hardest, 0.0), "rival": rival, "gain": gain}
-    return told
+        shown[name] = {"alone": alone, "hardest": max(hardest, 0.0), "rival": rival, "gain": gain}
+    return shown
 
 
 def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:

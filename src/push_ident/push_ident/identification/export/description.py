@@ -4,10 +4,14 @@ The object is a frame that carries the outline, and below it one link per cell. 
 centre; the outline hovers over the table, so that it meets the pusher alone. Cells that slide along the vertical each rest on their
 own weight, as the model has it; the frame then moves in the plane only (x, y, yaw). Cells that are fixed make one rigid body that moves
 freely in space, and leave to the engine how they share its weight.
+
+Effects that were identified beside the maps go into what a format has for them; those it has nothing for stand in a comment, with their
+equation and values.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -16,9 +20,11 @@ import numpy as np
 from push_ident import __version__
 from push_ident.errors import InputError
 from push_ident.geometry.convex import convex_pieces
+from push_ident.physics.effect_values import EffectValues, changed_friction, effect_values
+from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, ObjectModel
 
-__all__ = ["CLEARANCE", "DEFAULT_HEIGHT", "ObjectDescription", "add_comment", "describe", "numbers", "printable"]
+__all__ = ["CLEARANCE", "DEFAULT_HEIGHT", "ObjectDescription", "add_comment", "describe", "effect_notes", "numbers", "printable"]
 
 CLEARANCE = 1e-3
 """Of the outline over the table [m]."""
@@ -51,6 +57,9 @@ class ObjectDescription:
     pieces: tuple[Float64Array, ...]
     """Convex polygons whose union is the outline, counter-clockwise [m], each shape (n, 2)."""
     pusher_friction: float
+    """With the effect on it, where there is one."""
+    effects: Mapping[str, tuple[float, ...]]
+    """Values of the effects that act beside the maps, by name."""
     height: float
     """Of the top of the outline [m]."""
     foot_radius: float
@@ -75,7 +84,15 @@ class ObjectDescription:
         return [np.array([[x, y, z] for z in (CLEARANCE, self.height) for x, y in piece]) for piece in self.pieces]
 
 
-def describe(model: ObjectModel, *, object_id: str, source: str, height: float = DEFAULT_HEIGHT, sliding: bool = True) -> ObjectDescription:
+def describe(
+    model: ObjectModel,
+    *,
+    object_id: str,
+    source: str,
+    height: float = DEFAULT_HEIGHT,
+    sliding: bool = True,
+    effects: EffectValues | None = None,
+) -> ObjectDescription:
     """Describe an object for a simulator.
 
     Args:
@@ -84,12 +101,14 @@ def describe(model: ObjectModel, *, object_id: str, source: str, height: float =
         source: file the model comes from, for the reader.
         height: of the object [m]; a push in the plane does not depend on it.
         sliding: each cell on a vertical joint of its own; else one rigid body.
+        effects: that act beside the maps.
 
     Raises:
         InputError: a height within the clearance of the outline, or an outline that is no simple polygon.
     """
     if not (np.isfinite(height) and height > 2 * CLEARANCE):
         raise InputError(f"The height is {height} m, expected more than {2 * CLEARANCE} m, twice the gap below the outline.")
+    acting = effect_values(effects)
     size, total = model.shape.cells.size, model.total_mass
     across = model.mass * (size**2 + height**2) / 12
     arms = model.shape.cells.centres - model.mass @ model.shape.cells.centres / total
@@ -102,12 +121,29 @@ def describe(model: ObjectModel, *, object_id: str, source: str, height: float =
         frame_mass=_FRAME_SHARE * total,
         frame_inertia=_FRAME_SHARE * float(model.mass @ (np.sum(arms**2, axis=1) + size**2 / 6)),
         pieces=tuple(convex_pieces(model.shape.outline)),
-        pusher_friction=model.pusher_friction,
+        pusher_friction=changed_friction(acting, model.pusher_friction)[0],
+        effects={name: tuple(map(float, acting.values[acting.slice_of(name)])) for name in acting.names},
         height=height,
         foot_radius=_FOOT_RADIUS * size,
         sliding=sliding,
         provenance=f"Object {object_id} of {source}, exported by push_ident {__version__}.",
     )
+
+
+def effect_notes(thing: ObjectDescription, carried: Mapping[str, str]) -> list[str]:
+    """A line for each effect.
+
+    Args:
+        thing: the object.
+        carried: where an effect stands in the file, by name; it is not in the file otherwise.
+    """
+    lines = []
+    for name, values in thing.effects.items():
+        effect = EFFECTS[name]
+        sizes = ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in zip(effect.parameters, values, strict=True))
+        where = f"stands in {carried[name]}." if name in carried else f"is NOT in this file. {effect.what} {effect.equation}"
+        lines.append(f"Effect {name} ({sizes}) {where}")
+    return lines
 
 
 def numbers(*values: float) -> str:

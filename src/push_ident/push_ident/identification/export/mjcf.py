@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-from push_ident.identification.export.description import ObjectDescription, add_comment, numbers
+from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
+from push_ident.physics.support import GRAVITY
 
 __all__ = ["mjcf"]
 
@@ -13,6 +14,10 @@ _NOTE = (
     'A model that this one is attached to needs the option cone="elliptic" too.',
     "The table can have MuJoCo's default contype and conaffinity; with 2 for both a pusher meets the outline alone.",
 )
+_CARRIED = {
+    "pusher_friction": "the friction of the outline",
+    "table_tilt": "the option gravity, which a model that this one is attached to needs too",
+}
 _SOLREF = (0.004, 1.0)
 """Time constant [s] and damping ratio of a contact. With MuJoCo's own 20 ms the outline gives way to the pusher."""
 
@@ -20,9 +25,16 @@ _SOLREF = (0.004, 1.0)
 def mjcf(thing: ObjectDescription) -> Element:
     """The object as a model without table and pusher, to be included or attached."""
     root = Element("mujoco", model=thing.name)
-    add_comment(root, thing.provenance, *_NOTE)
+    add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
     # With the default pyramid, friction is stronger along some directions of the table than along others.
-    SubElement(root, "option", cone="elliptic")
+    option = SubElement(root, "option", cone="elliptic")
+    if "table_tilt" in thing.effects:
+        slope_x, slope_y = thing.effects["table_tilt"]
+        option.set("gravity", numbers(GRAVITY * slope_x, GRAVITY * slope_y, -GRAVITY))
+    if thing.effects:
+        custom = SubElement(root, "custom")
+        for name, values in thing.effects.items():
+            SubElement(custom, "numeric", name=f"{thing.name}_{name}", data=numbers(*values))
     _add_defaults(SubElement(root, "default"), thing)
     asset = SubElement(root, "asset")
     meshes = [f"{thing.name}_outline_{i}" for i in range(len(thing.pieces))]

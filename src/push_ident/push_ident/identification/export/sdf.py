@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from xml.etree.ElementTree import Element, SubElement
 
-from push_ident.identification.export.description import ObjectDescription, add_comment, numbers
+from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
 
 __all__ = ["sdf"]
 
 _VERSION = "1.9"
+_CARRIED = {
+    "pusher_friction": "the friction of the outline",
+    "base_anisotropy": "mu, mu2 and fdir1 of the cells",
+}
 _NOTE = (
     "Gazebo takes the smaller of two coefficients of friction: the table's and the pusher's must be no smaller than the object's.",
     "The table can have the default collide_bitmask; with 2 the pusher meets the outline alone.",
@@ -23,7 +28,7 @@ _CELL_BIT, _OUTLINE_BITS = "1", "3"
 def sdf(thing: ObjectDescription, mesh: str) -> Element:
     """The object as a model; `mesh` is the file name of its outline. Sliding cells hang on a chain of joints from the world."""
     root = Element("sdf", version=_VERSION)
-    add_comment(root, thing.provenance, *_NOTE)
+    add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
     model = SubElement(root, "model", name=thing.name)
     frame_inertia = [thing.frame_inertia] * 3
     if thing.sliding:
@@ -44,7 +49,7 @@ def sdf(thing: ObjectDescription, mesh: str) -> Element:
         foot = SubElement(cell, "collision", name="foot")
         _add_text(foot, "pose", numbers(0, 0, thing.foot_radius, 0, 0, 0))
         _add_text(SubElement(SubElement(foot, "geometry"), "sphere"), "radius", numbers(thing.foot_radius))
-        _add_surface(foot, friction, _CELL_BIT)
+        _add_surface(foot, friction, _CELL_BIT, thing.effects.get("base_anisotropy", (0.0, 0.0)))
     if thing.sliding:
         _add_joint(model, f"{thing.name}_x_joint", "prismatic", "world", f"{thing.name}_x", "1 0 0")
         _add_joint(model, f"{thing.name}_y_joint", "prismatic", f"{thing.name}_x", f"{thing.name}_y", "0 1 0")
@@ -85,9 +90,14 @@ def _add_inertial(link: Element, mass: float, height: float, inertia: Iterable[f
         _add_text(tensor, tag, "0")
 
 
-def _add_surface(collision: Element, friction: float, bits: str) -> None:
+def _add_surface(collision: Element, friction: float, bits: str, skew: tuple[float, ...] = (0.0, 0.0)) -> None:
+    """`skew`: (a, b) of E = [[a, b], [b, -a]], by whose eigenvalues friction is more along one direction and less across it."""
     surface = SubElement(collision, "surface")
     ode = SubElement(SubElement(surface, "friction"), "ode")
-    for tag in ("mu", "mu2"):
-        _add_text(ode, tag, numbers(friction))
+    strength = math.hypot(*skew)
+    for tag, value in (("mu", friction * (1.0 + strength)), ("mu2", friction * (1.0 - strength))):
+        _add_text(ode, tag, numbers(value))
+    if strength:
+        along = 0.5 * math.atan2(skew[1], skew[0])
+        _add_text(ode, "fdir1", numbers(math.cos(along), math.sin(along), 0.0))
     _add_text(SubElement(surface, "contact"), "collide_bitmask", bits)

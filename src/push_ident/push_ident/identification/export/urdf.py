@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-from push_ident.identification.export.description import ObjectDescription, add_comment, numbers
+from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
 
 __all__ = ["urdf"]
 
@@ -18,6 +18,7 @@ _NOTE = (
     "Bullet swells meshes by 1 mm: make a round pusher 1 mm thinner, and rather a capsule than a cylinder.",
     "PyBullet cannot tell the state of a body with more than 127 joints.",
 )
+_CARRIED = {"pusher_friction": "the friction of the outline"}
 _NO_LIMIT = 1e6
 """For effort [N], speed [m/s] and way [m]: the format wants limits where there are none."""
 
@@ -25,7 +26,7 @@ _NO_LIMIT = 1e6
 def urdf(thing: ObjectDescription, mesh: str) -> Element:
     """The object as a robot; `mesh` is the file name of its outline. Sliding cells hang on a chain of joints from the link `table`."""
     root = Element("robot", name=thing.name)
-    add_comment(root, thing.provenance, *_NOTE)
+    add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
     if thing.sliding:
         table = SubElement(root, "link", name="table")
         # Without mass: Bullet then keeps it where it is.

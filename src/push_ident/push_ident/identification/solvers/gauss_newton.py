@@ -16,10 +16,10 @@ _FAILED_DAMPING = 1e-2
 """At least so much after a step that failed: less would only shorten it by a hair."""
 _TOLERANCE = 5e-3
 """Converged when a full step is expected to lower the cost by less (in units of 1/2 chi^2)."""
-_CREEP = 0.05
+_CREEP = 10.0
 _CREEP_STEPS = 6
-"""Converged, too, when so many steps together lowered the cost by less: the cost has kinks (stick and slip), along which a
-solve could creep for long without the data being able to tell one point from the next."""
+"""Converged, too, when so many steps together lowered the cost by less than so many tolerances: the cost has kinks (stick and slip),
+along which a solve could creep for long without the data being able to tell one point from the next."""
 MAX_ITERATIONS = 60
 
 
@@ -29,14 +29,28 @@ def gauss_newton(problem: FitProblem, x0: Float64Array, rng: np.random.Generator
     return x, status
 
 
-def minimise(problem: FitProblem, x0: Float64Array, max_iterations: int = MAX_ITERATIONS) -> tuple[Float64Array, Evaluation, SolveStatus]:
+def minimise(
+    problem: FitProblem,
+    x0: Float64Array,
+    max_iterations: int = MAX_ITERATIONS,
+    *,
+    tolerance: float = _TOLERANCE,
+    start: Evaluation | None = None,
+) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """Minimise the cost of `problem` from `x0`, shape (problem.size,).
+
+    Args:
+        problem: to solve.
+        x0: where to begin.
+        max_iterations: evaluations at most, beside the first.
+        tolerance: a full step that is expected to lower the cost by less is not worth its while (in units of 1/2 chi^2).
+        start: evaluation at `x0`, where it is known already.
 
     Returns:
         The best point, its evaluation, and how the solve ended.
     """
     x = np.array(x0, dtype=np.float64)
-    best = problem.evaluate(x)
+    best = problem.evaluate(x) if start is None else start
     if not np.isfinite(best.cost):
         return x, best, SolveStatus.SIMULATION_FAILED
     problem.meter.offer(x, best.cost)
@@ -46,9 +60,9 @@ def minimise(problem: FitProblem, x0: Float64Array, max_iterations: int = MAX_IT
         scale = np.diag(best.hessian)
         step = -cho_solve(cho_factor(best.hessian + damping * np.diag(scale)), best.gradient)
         expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
-        if expected < _TOLERANCE and damping <= 1e-2:
+        if expected < tolerance and damping <= 1e-2:
             return x, best, SolveStatus.CONVERGED
-        if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP:
+        if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance:
             return x, best, SolveStatus.CONVERGED
         if problem.meter.spent:
             return x, best, SolveStatus.BUDGET_SPENT
