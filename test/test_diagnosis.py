@@ -11,9 +11,12 @@ import pytest
 from objects import hammer, random_records
 
 from push_ident.diagnosis.diagnose import Diagnosis, Verdict, diagnose, to_json
+from push_ident.diagnosis.fits import fit_base, fit_effects, held_at_zero, without_pushes
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
+from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import simulate
 from push_ident.types import ObjectModel, PoseTrack, PushRecord
@@ -100,6 +103,61 @@ def test_twins_are_named_together() -> None:
     assert found.verdict is Verdict.ONE_OF
     assert {found.effects[0].name, *found.confusable} >= {"tool_offset", "camera_translation"}
     assert "mark" in found.check
+
+
+def test_poses_that_jump_and_come_back_are_not_trusted() -> None:
+    rng = np.random.default_rng(0)
+    turned = []
+    for record in _pushes(8, 1):
+        pose = record.poses.pose.copy()
+        pose[rng.random(len(pose)) < 0.05, 2] += np.pi
+        turned.append(replace(record, poses=replace(record.poses, pose=pose)))
+    found = diagnose(turned)
+    assert found.verdict is Verdict.NOT_TRUSTWORTHY
+    assert "jump away" in found.sentence
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_correlation_of_noise_is_measured_at_rest_and_makes_means_worth_less(rho: float) -> None:
+    rng = np.random.default_rng(2)
+    records = []
+    for record in _pushes(14, 1):
+        noise = rng.normal(size=record.poses.pose.shape)
+        for k in range(1, len(noise)):
+            noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
+        track = PoseTrack(record.poses.time, record.poses.pose + 2.0 * DEVIATION * noise, 5.0 * record.poses.covariance)
+        records.append(replace(record, poses=track))
+    measured = noise_correlation(records)
+    assert measured == pytest.approx(rho, abs=0.2)
+    told, naive = (observe_push(records[0], noise) for noise in (NoiseModel(correlation=max(measured, 0.0)), NoiseModel()))
+    ratio = told.last_covariance[0, 0] / naive.last_covariance[0, 0]
+    assert (2.0 < ratio < 5.0) if rho else ratio == pytest.approx(1.0, abs=0.35)
+
+
+def test_one_wrong_pose_at_rest_does_not_move_the_rest_pose() -> None:
+    record = _pushes(1, 1)[0]
+    pose = record.poses.pose.copy()
+    pose[2, 2] += np.pi
+    spoilt = observe_push(replace(record, poses=replace(record.poses, pose=pose)))
+    assert np.abs(spoilt.pose[0] - observe_push(record).pose[0]).max() < 3e-3
+
+
+def test_effect_held_at_zero_is_as_if_it_had_never_been_there() -> None:
+    base = fit_base(_pushes(4, 1), DiagnosisSettings())
+    fit = fit_effects(base, ("table_tilt", "pose_latency"))
+    span = range(fit.parameters.effect_slice.start, fit.parameters.effect_slice.stop)
+    held = held_at_zero(fit, list(span))
+    assert np.abs(held.effects.values).max() < 1e-6
+    assert held.log_evidence == pytest.approx(base.log_evidence, abs=0.1)
+    assert fit.log_evidence != pytest.approx(base.log_evidence, abs=0.1)
+
+
+def test_push_held_out_is_fitted_without_it() -> None:
+    base = fit_base(_pushes(5, 1), DiagnosisSettings())
+    rest = without_pushes(base, [2])
+    assert [record.source for record in rest.problem.records] == ["push 0", "push 1", "push 3", "push 4"]
+    # As good as a fit that starts from nothing.
+    assert rest.end.cost < minimise(rest.problem, np.zeros(rest.problem.size))[1].cost + 0.5
 
 
 def test_too_few_pushes_are_not_trusted() -> None:

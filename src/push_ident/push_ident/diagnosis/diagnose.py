@@ -64,7 +64,7 @@ class Diagnosis:
     """What an engineer needs to know, in one sentence."""
     effects: tuple[FoundEffect, ...]
     confusable: tuple[str, ...]
-    """Effects that these pushes cannot tell from the last one found."""
+    """Effects that these pushes cannot tell from the last one found, or from any that was found if they are the same to all pushes."""
     gap: Gap | None
     """On pushes held out; None where nothing could be trusted."""
     gates: tuple[Gate, ...]
@@ -165,9 +165,10 @@ def _untrusted(gates: list[Gate]) -> Diagnosis:
 
 
 def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thresholds) -> bool:
-    """Whether a smooth wrench says clearly more than everything that was named."""
+    """Whether a smooth wrench says clearly more than everything that was named, and that is not most of it: no named law is quite
+    that of the world, and a wrench that may have any shape fits the rest as well."""
     named = selection.fit.log_evidence - selection.base.log_evidence
-    return unknown.gain > max(thresholds.unknown, named + thresholds.apart)
+    return unknown.gain > max(thresholds.unknown, named + thresholds.apart, named / thresholds.most)
 
 
 def _vetoed(gap: Gap) -> bool:
@@ -210,8 +211,8 @@ def _confusable(selection: Selection, settings: DiagnosisSettings) -> tuple[str,
     apart = thresholds.apart if last.gain >= thresholds.sure else max(thresholds.apart, last.gain - 1.0)
     names = [c.name for c in step.rivals(apart) if c.gain > 1.0]
     for same in _SAME:
-        if last.name in same:
-            names += [name for name in same if name != last.name and name not in names]
+        if same & set(selection.found):
+            names += [name for name in sorted(same) if name not in (*selection.found, *names)]
     return tuple(names)
 
 
@@ -238,9 +239,10 @@ def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdi
 def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap, unknown: SmoothWrench | None) -> str:
     before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
     if verdict is Verdict.NO_GAP:
-        return (
-            f"No gap beyond noise: pushes held out are predicted to {before:.1f} mm, and {noise:.1f} mm of that are the noise of the poses."
+        share = (
+            f"and {noise:.1f} mm of that are the noise of the poses" if noise < before else f"within the {noise:.1f} mm of the poses' noise"
         )
+        return f"No gap beyond noise: pushes held out are predicted to {before:.1f} mm, {share}."
     if verdict is Verdict.UNKNOWN and unknown is not None:
         return (
             f"The simulation leaves out something that is not in the catalogue: it {unknown.description}. A smooth wrench in its place "

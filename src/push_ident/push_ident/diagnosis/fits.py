@@ -21,6 +21,8 @@ __all__ = ["EffectFit", "fit_base", "fit_effects", "held_at_zero", "polished", "
 
 _AMPLITUDES = (1.0, 0.3, 0.1)
 _MAX_ITERATIONS = 40
+_MAX_BASE_ITERATIONS = 150
+"""The base model has to converge even where a strong effect bends it."""
 _ROUGH = 0.05
 """Tolerance of fits that are only compared, where whole units of evidence decide [nat]."""
 _AWAY = 0.8
@@ -176,4 +178,4 @@ def _fit(
 ) -> EffectFit:
     parameters = MapParameters(records[0].shape, prior, modes=modes, effects=names)
     problem = FitProblem(records, parameters, noise=settings.noise, settings=settings.numerics)
-    return EffectFit(problem, *minimise(problem, np.zeros(problem.size), _MAX_ITERATIONS))
+    return EffectFit(problem, *minimise(problem, np.zeros(problem.size), _MAX_BASE_ITERATIONS))

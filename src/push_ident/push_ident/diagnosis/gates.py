@@ -82,14 +82,15 @@ def _jumps(records: Sequence[PushRecord]) -> Gate:
 
 
 def _leaves_its_neighbours(record: PushRecord) -> BoolArray:
-    """Of each pose, whether it is far from the median of the five around it, shape (n_frames,)."""
+    """Of each pose, whether it is far from most of the two before and the two after it, shape (n_frames,)."""
     pose = record.poses.pose
     if len(pose) < 5:
         return np.zeros(len(pose), dtype=bool)
     around = sliding_window_view(np.pad(pose, ((2, 2), (0, 0)), mode="edge"), 5, axis=0) - pose[:, :, None]
     around[:, 2] = wrap_angle(around[:, 2])
     deviation = np.sqrt(np.diagonal(record.poses.covariance, axis1=1, axis2=2))
-    return np.any(np.abs(np.median(around, axis=2)) > _JUMP + 8.0 * deviation, axis=1)
+    far = np.any(np.abs(around) > (_JUMP + 8.0 * deviation)[:, :, None], axis=1)
+    return np.asarray(far.sum(axis=1) >= 3)
 
 
 def _correlated(records: Sequence[PushRecord]) -> Gate:

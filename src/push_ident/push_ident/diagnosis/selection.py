@@ -98,7 +98,8 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         candidates = _ranked(side_by_side(partial(_refitted, fit), chosen), thresholds.apart)
         steps.append(Step(fit, told, scores, tuple(candidates)))
         n_found = len(fit.names) - len(base.names)
-        if not candidates or candidates[0].gain < thresholds.seen or n_found >= thresholds.n_effects:
+        needed = thresholds.also if n_found else thresholds.seen
+        if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps))
         fit = _without_needless(base, polished(candidates[0].fit), thresholds)
         if fit.log_evidence <= steps[-1].before.log_evidence:

@@ -22,12 +22,16 @@ class Thresholds:
 
     seen: float = 5.0
     """An effect that gains less is not there as far as these data go."""
+    also: float = 10.0
+    """The same of an effect beside another one: the law of the first may not be quite that of the world."""
     apart: float = 6.0
     """Effects nearer than this to the best cannot be told from it."""
     sure: float = 12.0
     """An effect that gains less is named with its runners-up only."""
     unknown: float = 10.0
     """A smooth wrench must gain so much, and more than everything that was named by `apart`, before the cause counts as unknown."""
+    most: float = 0.6
+    """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
     n_effects: int = 3
     """At most so many are added."""
     n_refits: int = 5
