@@ -29,6 +29,8 @@ Progress = Callable[[str], None]
 
 _SAME = ({"tool_offset", "camera_translation"},)
 """Effects that no push can tell apart."""
+_CHANCE = 0.005
+"""Probability below which residuals are not those of a model that is right."""
 _VETO = -2.0
 """Mean gain of held-out log density per push, in standard errors, below which an effect is not believed."""
 
@@ -52,7 +54,7 @@ class FoundEffect:
     parameters: dict[str, float]
     std: dict[str, float]
     evidence: float
-    """Gain of log evidence [nat]."""
+    """Gain of log evidence, beside those found before it [nat]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,8 @@ class Diagnosis:
     """What a smooth wrench of unknown cause explains, where there is a trace of one."""
     frames: Frames | None = None
     """What the base model leaves of every frame; `where` is this in groups. None where nothing could be trusted."""
+    leftover: float = np.nan
+    """Mean square of the residuals beside all that the catalogue explains, over that of a model that is right."""
 
     @property
     def fit(self) -> EffectFit | None:
@@ -122,18 +126,21 @@ def diagnose(
         return _untrusted(gates)
     selection = select_effects(base, settings.thresholds, report)
     report("looking for what the catalogue leaves over")
-    unknown = find_unknown(base, settings.thresholds)
-    is_unknown = unknown is not None and _explains_more(unknown, selection, settings.thresholds)
+    thresholds, frames = settings.thresholds, left_over(base)
+    (leftover, by_chance), unknown = (frames if selection.fit is base else left_over(selection.fit)).misfit, find_unknown(selection)
+    wrench = unknown if unknown is not None and unknown.gain > thresholds.unknown else None
+    is_unknown = leftover > thresholds.leftover and by_chance < _CHANCE
+    is_unknown |= wrench is not None and _explains_more(wrench, selection, thresholds)
     if is_unknown:
         selection = Selection(base, base, selection.steps)
-    gap = measure_gap(base, unknown.fit if unknown is not None and is_unknown else selection.fit, report)
-    if (selection.found or is_unknown) and _vetoed(gap):
-        selection, is_unknown = Selection(base, base, selection.steps), False
+    gap = measure_gap(base, wrench.fit if wrench is not None and is_unknown else selection.fit, report)
+    if selection.found and _vetoed(gap):
+        selection = Selection(base, base, selection.steps)
         gap = measure_gap(base, base, report)
     effects = _found(selection)
     confusable = _confusable(selection, settings)
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
-    frames = left_over(base)
+    where = group_frames(frames)
     report("looking for the push that would settle it")
     rivals = _rivals(selection, confusable)
     last = pushes[-1].poses.pose[-1]
@@ -141,17 +148,18 @@ def diagnose(
     proposal = separating_push(rivals, np.array(last), limits) if len(rivals) > 1 else None
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, effects, confusable, gap, unknown),
+        sentence=_unknown_sentence(gap, wrench, leftover, where) if is_unknown else _sentence(verdict, effects, confusable, gap),
         effects=effects,
         confusable=confusable,
         gap=gap,
         gates=tuple(gates),
         selection=selection,
-        where=group_frames(frames),
+        where=where,
         next_push=proposal,
         check=check_without_a_push([*(e.name for e in effects[-1:]), *confusable]) if effects else "",
-        unknown=unknown,
+        unknown=wrench if is_unknown else unknown,
         frames=frames,
+        leftover=leftover,
     )
 
 
@@ -168,7 +176,7 @@ def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thre
     """Whether a smooth wrench says clearly more than everything that was named, and that is not most of it: no named law is quite
     that of the world, and a wrench that may have any shape fits the rest as well."""
     named = selection.fit.log_evidence - selection.base.log_evidence
-    return unknown.gain > max(thresholds.unknown, named + thresholds.apart, named / thresholds.most)
+    return unknown.gain > max(named + thresholds.apart, named / thresholds.most)
 
 
 def _vetoed(gap: Gap) -> bool:
@@ -180,7 +188,9 @@ def _vetoed(gap: Gap) -> bool:
 def _found(selection: Selection) -> tuple[FoundEffect, ...]:
     fit = selection.fit
     values, std = fit.effects.values, fit.posterior.effects_std
-    gains = {step.best.name: step.best.gain for step in selection.steps if step.best}
+    gains: dict[str, float] = {}
+    for candidate in (c for step in selection.steps for c in step.candidates):
+        gains[candidate.name] = max(candidate.gain, gains.get(candidate.name, -np.inf))
     effects = []
     for name in selection.found:
         own = fit.effects.slice_of(name)
@@ -236,22 +246,37 @@ def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdi
     return Verdict.ONE_OF if confusable else Verdict.NAMED
 
 
-def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap, unknown: SmoothWrench | None) -> str:
-    before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
+def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap) -> str:
+    before, after, noise = _millimetres(gap)
     if verdict is Verdict.NO_GAP:
-        share = (
-            f"and {noise:.1f} mm of that are the noise of the poses" if noise < before else f"within the {noise:.1f} mm of the poses' noise"
-        )
+        share = f"and {noise:.1f} mm of that are the noise of the poses"
+        if noise > before:
+            share = f"less than the {noise:.1f} mm that the noise of the poses alone may make"
         return f"No gap beyond noise: pushes held out are predicted to {before:.1f} mm, {share}."
-    if verdict is Verdict.UNKNOWN and unknown is not None:
-        return (
-            f"The simulation leaves out something that is not in the catalogue: it {unknown.description}. A smooth wrench in its place "
-            f"takes the error on pushes held out from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm."
-        )
     sizes = " and ".join(_size(effect) for effect in effects)
     doubt = f" (or {', '.join(confusable)}: these pushes cannot tell)" if confusable else ""
     closed = f"; with it the error on pushes held out falls from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm"
     return f"The simulation leaves out {sizes}{doubt}{closed}."
+
+
+def _unknown_sentence(gap: Gap, wrench: SmoothWrench | None, leftover: float, where: dict[str, list[Group]]) -> str:
+    before, after, noise = _millimetres(gap)
+    if wrench is not None:
+        return (
+            f"The simulation leaves out something that is not in the catalogue: it {wrench.description}. A smooth wrench in its place "
+            f"takes the error on pushes held out from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm."
+        )
+    _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
+    return (
+        f"The simulation leaves out something that is not in the catalogue, and no smooth force explains it either: residuals are "
+        f"{np.sqrt(leftover):.1f} times those of a model that is right, most by {by.replace('_', ' ')} at {name}. Pushes held out are "
+        f"predicted to {before:.1f} mm, noise is {noise:.1f} mm."
+    )
+
+
+def _millimetres(gap: Gap) -> tuple[float, float, float]:
+    before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
+    return before, after, noise
 
 
 def _size(effect: FoundEffect) -> str:

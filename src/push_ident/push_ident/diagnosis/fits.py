@@ -17,7 +17,7 @@ from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus
 
-__all__ = ["EffectFit", "fit_base", "fit_effects", "held_at_zero", "polished", "without_pushes"]
+__all__ = ["EffectFit", "fit_base", "fit_effects", "held_at_zero", "polished", "with_another", "without_pushes"]
 
 _AMPLITUDES = (1.0, 0.3, 0.1)
 _MAX_ITERATIONS = 40
@@ -127,6 +127,24 @@ def fit_effects(base: EffectFit, names: Sequence[str], start: Float64Array | Non
     if start is not None and expected > _HOPED and fits[0].end.cost > base.end.cost - 1.0:
         fits.append(_refit(base, parameters, guess + _SHRUNK * (start - guess)))
     return max(fits, key=lambda fit: fit.log_evidence)
+
+
+def with_another(fit: EffectFit, old: str, new: str, other: EffectFit) -> EffectFit:
+    """Fit with one effect in the place of another.
+
+    Args:
+        fit: to start from.
+        old: the effect that goes.
+        new: the one that comes.
+        other: a fit that has it.
+    """
+    names = [*(name for name in fit.names if name != old), new]
+    parameters = MapParameters(fit.parameters.shape, fit.parameters.prior, modes=fit.parameters.modes, effects=names)
+    start = np.zeros(len(parameters.effects))
+    for name in names:
+        source = other if name == new else fit
+        start[parameters.effects.slice_of(name)] = source.z[source.parameters.effect_slice][source.parameters.effects.slice_of(name)]
+    return _refit(fit, parameters, start)
 
 
 def polished(fit: EffectFit) -> EffectFit:

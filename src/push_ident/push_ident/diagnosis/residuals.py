@@ -49,6 +49,13 @@ class Frames:
     without_gap: Float64Array
     """Residuals as they would be if the model were right, shape (n_draws, n, 3)."""
 
+    @property
+    def misfit(self) -> tuple[float, float]:
+        """Mean square of the residuals over that of a model that is right, and the probability of as much by chance."""
+        without_gap = np.mean(self.without_gap**2, axis=(1, 2))
+        left = float(np.mean(self.residual**2))
+        return left / float(np.mean(without_gap)), float(np.mean(without_gap >= left))
+
 
 @dataclass(frozen=True, slots=True)
 class Group:

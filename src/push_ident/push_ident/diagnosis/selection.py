@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, fit_effects, polished
+from push_ident.diagnosis.fits import EffectFit, fit_effects, polished, with_another
 from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.scores import EffectScore, Information, information_beside, score_effects
 from push_ident.diagnosis.settings import Thresholds
@@ -25,6 +25,10 @@ _TOGETHER = (
 _NESTED = {"tether": "table_tilt"}
 """Effects that hold another as a special case: the simpler one is preferred unless the larger gains much more."""
 
+_RIVAL = 0.5
+"""Share of the best one's gain from which another effect may yet take its place."""
+_CLEARLY = 0.5
+"""Gain of log evidence from which it does [nat]."""
 _PROMISING = -2.0
 """Expected gain of log evidence below which a refit is not worth its time [nat]: a score is of second order only, but not that far off."""
 
@@ -101,7 +105,7 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         needed = thresholds.also if n_found else thresholds.seen
         if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps))
-        fit = _without_needless(base, polished(candidates[0].fit), thresholds)
+        fit = _without_needless(base, _swapped(polished(candidates[0].fit), steps), thresholds)
         if fit.log_evidence <= steps[-1].before.log_evidence:
             return Selection(base, steps[-1].before, tuple(steps))
 
@@ -128,6 +132,20 @@ def _refitted(fit: EffectFit, score: EffectScore) -> Candidate:
     names = (*fit.names, score.name)
     own = fit_effects(fit, names, np.concatenate([fit.z[fit.parameters.effect_slice], score.start]), score.gain)
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
+
+
+def _swapped(fit: EffectFit, steps: list[Step]) -> EffectFit:
+    """Beside a new effect, an earlier one may turn out to have stood for one of its rivals."""
+    trials = [
+        (step.best.name, rival)
+        for step in steps[:-1]
+        if step.best and step.best.name in fit.names
+        for rival in step.candidates[1:]
+        if rival.name not in fit.names and rival.gain > _RIVAL * step.best.gain
+    ]
+    fits = side_by_side(lambda trial: with_another(fit, trial[0], trial[1].name, trial[1].fit), trials)
+    best = max(fits, key=lambda other: other.log_evidence, default=fit)
+    return polished(best) if best.log_evidence > fit.log_evidence + _CLEARLY else fit
 
 
 def _without_needless(base: EffectFit, fit: EffectFit, thresholds: Thresholds) -> EffectFit:

@@ -30,7 +30,9 @@ class Thresholds:
     """An effect that gains less is named with its runners-up only."""
     unknown: float = 10.0
     """A smooth wrench must gain so much, and more than everything that was named by `apart`, before the cause counts as unknown."""
-    most: float = 0.6
+    leftover: float = 1.2
+    """Mean square of the residuals beside all that was named, over that of a model that is right, from which something else is there."""
+    most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
     n_effects: int = 3
     """At most so many are added."""

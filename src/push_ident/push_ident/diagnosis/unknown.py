@@ -8,14 +8,17 @@ import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit, fit_effects, held_at_zero
 from push_ident.diagnosis.parallel import side_by_side
-from push_ident.diagnosis.scores import information_beside, score_effects
-from push_ident.diagnosis.settings import Thresholds
+from push_ident.diagnosis.scores import information_beside
+from push_ident.diagnosis.selection import Selection
 from push_ident.physics.effects.unknown_wrench import COMPONENTS, EFFECT, FEATURES
+from push_ident.types import Float64Array
 
 __all__ = ["SmoothWrench", "find_unknown"]
 
-_PROMISING = -10.0
-"""Expected gain of log evidence below which a refit is not worth its time [nat]: the score is of second order only."""
+_PROMISING = 3.0
+"""Expected gain of log evidence beside all that was named below which a refit is not worth its time [nat]."""
+_MAX_START = 2.0
+"""A guess is not taken further than so many prior deviations."""
 _CHOICE = 2.0
 """What a part costs for having been chosen among all [nat]."""
 _STANDS_OUT = 0.2
@@ -49,19 +52,31 @@ class SmoothWrench:
         )
 
 
-def find_unknown(base: EffectFit, thresholds: Thresholds) -> SmoothWrench | None:
-    """Fit a smooth wrench in place of all effects that were added to `base`; None where there is no trace of one."""
-    (score,) = score_effects(information_beside(base, (EFFECT.name,)), thresholds.seen) or (None,)
-    if score is None or score.gain < _PROMISING:
+def find_unknown(selection: Selection) -> SmoothWrench | None:
+    """Fit a smooth wrench in place of all effects that were added to the base model.
+
+    Returns:
+        None where there is no trace of one beside them.
+    """
+    told = information_beside(selection.fit, (EFFECT.name,))
+    if told is None:
         return None
-    known = base.z[base.parameters.effect_slice]
-    names = (*base.names, EFFECT.name)
-    # The score's guess reaches far and may end in another valley than the way from zero.
-    starts = [np.concatenate([known, start]) for start in (score.start, np.zeros_like(score.start))]
+    covariance = np.asarray(np.linalg.inv(told.precision), dtype=np.float64)
+    weight = -covariance @ told.slope
+    expected = -0.5 * float(told.slope @ weight) - 0.5 * float(np.linalg.slogdet(told.precision)[1])
+    if expected + _needed_parts(weight, covariance)[1] < _PROMISING:
+        return None
+    base = selection.base
+    known, names = base.z[base.parameters.effect_slice], (*base.names, EFFECT.name)
+    if selection.found and (beside := information_beside(base, (EFFECT.name,))) is not None:
+        weight = np.asarray(-np.linalg.solve(beside.precision, beside.slope), dtype=np.float64)
+    # The linear guess reaches far and may end in another valley than the way from zero.
+    near = weight * min(1.0, _MAX_START / float(np.linalg.norm(weight)))
+    starts = [np.concatenate([known, start]) for start in (near, np.zeros_like(near))]
     fits = side_by_side(lambda start: fit_effects(base, names, start), starts)
-    fit = max(fits, key=lambda fit: fit.log_evidence + _needed_parts(fit)[1])
-    parts, _ = _needed_parts(fit)
-    first = fit.parameters.effect_slice.start + fit.parameters.effects.slice_of(EFFECT.name).start
+    fit = max(fits, key=lambda fit: fit.log_evidence + _needed_parts_of(fit)[1])
+    parts, _ = _needed_parts_of(fit)
+    first = _place(fit).start
     needless = [first + number for part, numbers in _blocks().items() if part not in parts for number in numbers]
     fit = held_at_zero(fit, needless)
     acts_on, varies_with = dict.fromkeys(COMPONENTS, 0.0), dict.fromkeys(FEATURES, 0.0)
@@ -71,17 +86,28 @@ def find_unknown(base: EffectFit, thresholds: Thresholds) -> SmoothWrench | None
     return SmoothWrench(fit, fit.log_evidence - base.log_evidence - _CHOICE * len(parts), acts_on, varies_with)
 
 
-def _needed_parts(fit: EffectFit) -> tuple[dict[tuple[str, str], float], float]:
+def _place(fit: EffectFit) -> slice:
+    """Where the weights stand among the unknowns."""
+    own, first = fit.parameters.effects.slice_of(EFFECT.name), fit.parameters.effect_slice.start
+    return slice(first + own.start, first + own.stop)
+
+
+def _needed_parts_of(fit: EffectFit) -> tuple[dict[tuple[str, str], float], float]:
+    place = _place(fit)
+    return _needed_parts(fit.z[place], fit.covariance[place, place])
+
+
+def _needed_parts(weight: Float64Array, covariance: Float64Array) -> tuple[dict[tuple[str, str], float], float]:
     """The parts of the wrench that the pushes need, with the share of what each says, and the evidence that goes with the others.
 
-    Around the fit the posterior is normal with covariance S. With the weights r of some parts held at zero the log evidence changes by
+    With the weights r of some parts held at zero the log evidence of a normal posterior changes by
     -1/2 w_r' S_rr^-1 w_r - 1/2 log det S_rr, without another fit. Parts are taken away while that grows; each that stays costs as
     much as there was to choose from.
+
+    Args:
+        weight: posterior mean w, shape (n_weights,).
+        covariance: S, shape (n_weights, n_weights).
     """
-    own = fit.parameters.effects.slice_of(EFFECT.name)
-    first = fit.parameters.effect_slice.start
-    place = slice(first + own.start, first + own.stop)
-    weight, covariance = fit.z[place], fit.covariance[place, place]
     blocks = _blocks()
 
     def change(without: list[int]) -> float:

@@ -103,8 +103,8 @@ def _plan() -> tuple[Scenario, ...]:
 
 def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
     """What is in a case: the plan tells the scenario, the seed the rest. What no camera can film becomes a null there."""
-    first = FIRST_REPORT_MODEL if phase_of(model) == "report" else 0
-    plan = _plan()
+    # A report begins at the other end of the plan than tuning did.
+    first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
     if camera:
         filmed = all(name in EFFECTS and name != "tether" and EFFECTS[name].acts_on != "poses" for name in scenario.names)

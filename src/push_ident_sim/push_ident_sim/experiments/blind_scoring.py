@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from push_ident.diagnosis.diagnose import Diagnosis, diagnose
 from push_ident.diagnosis.fits import EffectFit, fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
-from push_ident.diagnosis.residuals import Frames
 from push_ident.diagnosis.scores import Information
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -93,17 +92,11 @@ def _outcome(found: Diagnosis) -> Json:
         "gap": None if found.gap is None else _gap(found.gap),
         # Enough to try other thresholds without fitting again.
         "steps": [] if found.selection is None else [_step(found.selection, i) for i in range(len(found.selection.steps))],
-        "misfit": None if found.frames is None else _misfit(found.frames),
+        "misfit": None if found.frames is None else found.frames.misfit,
+        "leftover": found.leftover,
         "unknown_gain": None if found.unknown is None else found.unknown.gain,
         "failed_gates": [gate.found for gate in found.gates if not gate.passed],
     }
-
-
-def _misfit(frames: Frames) -> Json:
-    """Mean square of what the base model leaves over what it would leave if it were right, and the probability of as much by chance."""
-    without_gap = np.mean(frames.without_gap**2, axis=(1, 2))
-    left = float(np.mean(frames.residual**2))
-    return {"ratio": left / float(np.mean(without_gap)), "by_chance": float(np.mean(without_gap >= left))}
 
 
 def _step(selection: Selection, number: int) -> Json:

@@ -50,7 +50,8 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
     }
     selection, gap = diagnosis.selection, diagnosis.gap
     if selection is not None and gap is not None and diagnosis.frames is not None:
-        added = ("a smooth wrench",) if diagnosis.verdict is Verdict.UNKNOWN else selection.found
+        is_wrench = diagnosis.verdict is Verdict.UNKNOWN and diagnosis.unknown is not None
+        added = ("a smooth wrench",) if is_wrench else selection.found
         context |= {
             "where": svg(draw_where(diagnosis.frames, diagnosis.where)),
             "ranking": svg(draw_ranking(selection, thresholds.seen)),
