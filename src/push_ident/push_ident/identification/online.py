@@ -141,28 +141,35 @@ class OnlineIdentifier:
         self.state = OnlineState(state.shape, state.prior, records, past, result.starts, result.posterior, result.status)
         return result
 
-    def update(self, partial: PushRecord) -> FrameUpdate:
-        """Estimate with the push under way, as far as it has come."""
+    def update(self, partial: PushRecord) -> FrameUpdate | None:
+        """Estimate with the push under way, as far as it has come; None where it does not touch the object yet."""
         started = time.perf_counter()
         start = float(partial.pusher.time[0])
         latest = self._under_way[1] if self._under_way and self._under_way[0] == start else None
-        x, posterior, status = self._fit_frame(partial, latest)
+        fit = self._fit_frame(partial, latest)
+        if fit is None:
+            return None
+        x, posterior, status = fit
         if np.all(np.isfinite(x)) and status is not SolveStatus.SIMULATION_FAILED:
             self._under_way, self.posterior = (start, x), posterior
         return FrameUpdate(self.posterior, status, time.perf_counter() - started)
 
-    def _fit_frame(self, partial: PushRecord, latest: Float64Array | None) -> tuple[Float64Array, ModelPosterior, SolveStatus]:
+    def _fit_frame(self, partial: PushRecord, latest: Float64Array | None) -> tuple[Float64Array, ModelPosterior, SolveStatus] | None:
         before = self.state.posterior
         n_z = before.parameters.size
         if self._method == "gauss_newton":
             past = Quadratic.beyond_unit_normal(before.z, before.covariance)
             problem = FitProblem([partial], before.parameters, noise=self._noise, settings=self._settings, past=past)
+            if not problem.observations[0].touched:
+                return None
             x, end, status = minimise(problem, np.r_[before.z, np.zeros(3)] if latest is None else latest, _FRAME_ITERATIONS)
             covariance = np.linalg.inv(end.hessian)[:n_z, :n_z]
             return x, replace(before, z=x[:n_z], covariance=0.5 * (covariance + covariance.T)), status
         records: Sequence[PushRecord] = (*self.state.records, partial)
         meter = Meter(self._frame_budget)
         problem = FitProblem(records, before.parameters, noise=self._noise, settings=self._settings, meter=meter)
+        if not problem.observations[-1].touched:
+            return None
         x0 = np.zeros(problem.size)
         known = latest if latest is not None else (self.state.starts[0] if self.state.starts else x0)
         x0[: len(known)] = known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ class Estimate:
     std: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ModelPosterior:
     """A Gaussian over the unknowns of one object, as the pushes left it."""
 
@@ -35,12 +36,16 @@ class ModelPosterior:
     total_mass_identifiable: bool
     """Whether a wrench or a given weight pins it; poses never do."""
 
-    @property
+    @cached_property
     def model(self) -> ObjectModel:
         """The mean model, at the total mass known best."""
         at_nominal = self.parameters.model(self.z)
         scale = self.total_mass.value / at_nominal.total_mass
         return ObjectModel(at_nominal.shape, at_nominal.mass * scale, at_nominal.friction, at_nominal.pusher_friction)
+
+    @cached_property
+    def _log_derivatives(self) -> tuple[Float64Array, Float64Array]:
+        return self.parameters.log_derivatives(self.model)
 
     @property
     def prior(self) -> Prior:
@@ -60,29 +65,26 @@ class ModelPosterior:
 
     def _log_std(self, rows: Float64Array, left_out: float, other: float) -> Float64Array:
         """Deviation of a logarithm with derivative `rows`; `left_out` and `other` are variances of the lost modes and of anything else."""
-        variance = np.einsum("ip,pq,iq->i", rows, self.covariance, rows)
+        variance = np.sum((rows @ self.covariance) * rows, axis=1)
         return np.sqrt(variance + left_out * self.parameters.map_remainder + other)
 
     @property
     def mass_std(self) -> Float64Array:
         """Standard deviation of the mass of each cell [kg], shape (n_cells,)."""
-        model = self.model
-        d_mass, _ = self.parameters.log_derivatives(model)
+        model, (d_mass, _) = self.model, self._log_derivatives
         total = (self.total_mass.std / self.total_mass.value) ** 2
         return np.asarray(model.mass * self._log_std(d_mass, self.prior.mass_map_std**2, total))
 
     @property
     def friction_std(self) -> Float64Array:
         """Standard deviation of the support friction of each cell, shape (n_cells,)."""
-        model = self.model
-        _, d_friction = self.parameters.log_derivatives(model)
+        model, (_, d_friction) = self.model, self._log_derivatives
         return np.asarray(model.friction * self._log_std(d_friction, self.prior.friction_map_std**2, 0.0))
 
     @property
     def mass_friction_std(self) -> Float64Array:
         """Standard deviation of mass times friction of each cell [kg], shape (n_cells,)."""
-        model = self.model
-        d_mass, d_friction = self.parameters.log_derivatives(model)
+        model, (d_mass, d_friction) = self.model, self._log_derivatives
         left_out = self.prior.mass_map_std**2 + self.prior.friction_map_std**2
         total = (self.total_mass.std / self.total_mass.value) ** 2
         return np.asarray(model.mass * model.friction * self._log_std(d_mass + d_friction, left_out, total))

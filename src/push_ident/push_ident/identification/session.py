@@ -113,9 +113,7 @@ class ObjectSession:
 
     def update(self, partial: PushRecord) -> FrameUpdate | None:
         """Estimate with the push under way; None where it does not touch the object yet, or is known already."""
-        if self.knows(partial) or not observe_push(partial, self.options.noise).touched:
-            return None
-        return self.online.update(partial)
+        return None if self.knows(partial) else self.online.update(partial)
 
     def finish(self, record: PushRecord) -> PushScore | None:
         """Score the prediction of a finished push, learn from it, and keep the state; None where there is nothing to learn.

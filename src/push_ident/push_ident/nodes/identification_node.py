@@ -28,7 +28,7 @@ from push_ident.nodes.identification_output import ObjectOutput
 from push_ident.nodes.latest_jobs import LatestJobs
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.push_collector import PushCollector
-from push_ident.nodes.run import run_node
+from push_ident.nodes.run import run_node, settle_memory
 from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.push import PushSettings
 from push_ident.types import ObjectShape, PushRecord
@@ -225,6 +225,7 @@ class _Identification:
 
     def _work(self) -> None:
         compile_kernels()
+        settle_memory()
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
@@ -293,7 +294,7 @@ class _Identification:
         self._latencies.append(time.monotonic() - received)
         self._counts["updates during a push"] += 1
         period = self._settings["prediction_period"]
-        if period and now - self._predicted.get(object_id, -np.inf) >= period:
+        if period and self._outputs[object_id].prediction_is_wanted and now - self._predicted.get(object_id, -np.inf) >= period:
             self._predicted[object_id] = now
             self._advice.put(f"motion of {object_id}", partial(self._predict_under_way, session, record))
 

@@ -83,6 +83,11 @@ class ObjectOutput:
         if pose is not None and self._markers.get_subscription_count() > 0:
             self._markers.publish(_markers(msg, pose))
 
+    @property
+    def prediction_is_wanted(self) -> bool:
+        """Whether anybody listens to the prediction of the push under way."""
+        return bool(self._prediction.get_subscription_count() or self._prediction_path.get_subscription_count())
+
     def publish_prediction(self, prediction: Prediction, status: SolveStatus | None, push_id: int) -> PushPrediction:
         """Of the push under way, or of one that was asked about."""
         msg = prediction_to_msg(prediction, self._id, map_status(status), push_id=push_id)
