@@ -37,7 +37,8 @@ blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; on
 	$(VENV)/push-ident experiment report
 
 test: setup lint  ## lint, types and all tests
-	ROS_PYTHON_CHECK_FIELDS=1 $(VENV)/pytest
+	OMP_NUM_THREADS=1 $(VENV)/pytest -m "not alone" -n 2 --dist loadfile
+	$(VENV)/pytest -m alone
 
 lint: setup  ## ruff and mypy
 	$(VENV)/ruff check

@@ -26,6 +26,8 @@ from push_ident.bags.salvage import salvage
 from push_ident.nodes.convert import position_to_msg
 from push_ident.nodes.recording_port import RECORDING_QOS
 
+pytestmark = pytest.mark.alone
+
 FULL = 10_000_000
 """[MiB] that no disk has free."""
 

@@ -17,6 +17,8 @@ from rclpy.node import Node
 from push_ident.nodes.client import CellClient, CellTimeout
 from push_ident_msgs.action import ExecutePush
 
+pytestmark = pytest.mark.alone
+
 SILENCE = 0.6
 """[s]"""
 

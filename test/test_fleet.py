@@ -14,6 +14,8 @@ from push_ident.fleet import FleetOptions, find_jobs, read_table, run_fleet, wri
 from push_ident.fleet.job import Outcome
 from push_ident.identification.model_file import load_model
 
+pytestmark = pytest.mark.alone
+
 BAG = Path(__file__).resolve().parents[1] / "bags" / "hammer_depth"
 OPTIONS = FleetOptions(max_seconds=5.0)
 

@@ -28,6 +28,8 @@ from push_ident_msgs.msg import GapReport
 from push_ident_sim.effects import Effects
 from push_ident_sim.recording import RecordingSettings, record_pushes
 
+pytestmark = pytest.mark.alone
+
 N_PUSHES = 6
 TILT = 0.03
 

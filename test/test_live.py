@@ -13,6 +13,8 @@ from objects import hammer, random_records
 
 from push_ident.bags.records import write_records
 
+pytestmark = pytest.mark.alone
+
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = {"push_ident": "ament_python", "push_ident_sim": "ament_python", "push_ident_msgs": "ament_cmake"}
 PYTHON_PACKAGES = [name for name, kind in PACKAGES.items() if kind == "ament_python"]

@@ -44,6 +44,8 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.extrinsics import pose_lines
 from push_ident.types import DepthFrame
 
+pytestmark = pytest.mark.alone
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SIDE = look_at((0.0, -0.6, 0.8), (0.0, 0.0, 0.0))
 CONFIG = Path(__file__).parents[1] / "src/push_ident/config/push_ident.yaml"

@@ -43,6 +43,8 @@ from push_ident_msgs.msg import HandStatus, PushRecord
 from push_ident_sim.robot import HOME, robot_description
 from push_ident_sim.sim_hand_node import SimHandNode
 
+pytestmark = pytest.mark.alone
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RADIUS = 0.018
 BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])

@@ -19,6 +19,8 @@ from push_ident_sim.experiments.experiment import Case, CaseResult
 from push_ident_sim.experiments.live_cell import Heard
 from push_ident_sim.robot import HOME, robot_description
 
+pytestmark = pytest.mark.alone
+
 LAG, START = 0.030, 100.0
 PARKED = (1.4, *HOME[1:])
 

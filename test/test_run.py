@@ -9,6 +9,8 @@ import time
 
 import pytest
 
+pytestmark = pytest.mark.alone
+
 SCRIPT = """
 import sys, time
 from rclpy.node import Node

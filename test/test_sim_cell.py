@@ -26,6 +26,8 @@ from push_ident_sim.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_descrip
 from push_ident_sim.trajectory import JointTrajectory
 from push_ident_sim.world import CellWorld, WorldConfig
 
+pytestmark = pytest.mark.alone
+
 G = 9.81
 CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
 

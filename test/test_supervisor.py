@@ -17,6 +17,8 @@ import yaml
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
 
+pytestmark = pytest.mark.alone
+
 SLEEP = "import time; print('ready'); time.sleep(60)"
 DIES = "import sys, time; time.sleep(0.2); print('no camera', file=sys.stderr); sys.exit(7)"
 IGNORES_CTRL_C = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('ready'); time.sleep(60)"

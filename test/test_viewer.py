@@ -38,6 +38,8 @@ from push_ident_sim.experiments.seeing import CAMERA_POSE
 from push_ident_sim.objects import make_object
 from push_ident_sim.truth import true_model
 
+pytestmark = pytest.mark.alone
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CONFIG = Path(__file__).resolve().parents[1] / "src" / "push_ident" / "config"
 
