@@ -115,7 +115,8 @@ def _headline(result: Identification, train: PushErrors, test: PushErrors, known
     learned = f"From {n} push{'es' if n != 1 else ''}: {place}; {weight}."
     if not test.pushes:
         return learned
-    better = f"The maps predict {len(test.pushes)} pushes that they never saw to {1e3 * np.nanmean(test.identified):.1f} mm"
+    pushes = "one push" if len(test.pushes) == 1 else f"{len(test.pushes)} pushes"
+    better = f"The maps predict {pushes} that they never saw to {1e3 * np.nanmean(test.identified):.1f} mm"
     return f"{learned} {better}, equal cells with nominal values to {1e3 * np.nanmean(test.uniform):.1f} mm."
 
 
