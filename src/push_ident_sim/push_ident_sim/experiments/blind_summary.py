@@ -174,9 +174,10 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
     """Figures by engine and by number of pushes, the confusion matrix, what can be seen at all, and every case in a line."""
     cases = [judge(result) for result in results]
     groups: dict[str, list[Judged]] = {"all": cases}
-    for of in (lambda case: case.pushes, lambda case: case.engine):
-        for case in cases:
-            groups.setdefault(of(case), []).append(case)
+    for case in cases:
+        # The camera is an engine and a variant.
+        for name in {case.pushes, case.engine}:
+            groups.setdefault(name, []).append(case)
     return {
         "figures": {name: figures(own) for name, own in groups.items()},
         "by_noncentrality": _by_noncentrality(cases),
