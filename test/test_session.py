@@ -61,6 +61,14 @@ def test_looped_bag_counts_once() -> None:
     assert (session.n_pushes, session.n_known_again) == (2, 2)
 
 
+def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("push_ident.identification.session._KNOWN", 2)
+    session = _session()
+    for record in RECORDS[:3]:
+        session.finish(record)
+    assert [session.knows(record) for record in RECORDS[:4]] == [False, True, True, False]
+
+
 def test_another_object_under_the_same_id_begins_anew_and_the_first_is_put_aside(tmp_path: Path) -> None:
     session = _session(tmp_path)
     session.finish(RECORDS[0])

@@ -70,7 +70,7 @@ class ObjectSession:
         self.record = RunningRecord()
         self.n_known_again = 0
         """Pushes that came a second time (a bag that is played in a loop, or again after a kill) and were left out."""
-        self._known: dict[tuple[float, float, float], None] = {}  # in the order they came
+        self._known = _KnownPushes()
         state = OnlineIdentifier.new(shape, options.prior)
         self.restored = False
         """Whether the estimate goes on from a file."""
@@ -78,7 +78,7 @@ class ObjectSession:
             kept = load_state(self.file)
             if kept.state.shape.is_same_object(shape):
                 state, self.restored = kept.state, True
-                self.sources, self.record, self._known = list(kept.sources), kept.record, dict.fromkeys(kept.pushes)
+                self.sources, self.record, self._known = list(kept.sources), kept.record, _KnownPushes(kept.pushes)
             else:
                 self._put_aside()
         self.online = self._identifier(state)
@@ -129,9 +129,7 @@ class ObjectSession:
         record = replace(record, order=self.n_pushes)
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
         self.online.add(record)
-        self._known[_key(record)] = None
-        if len(self._known) > _KNOWN:
-            del self._known[next(iter(self._known))]
+        self._known.add(_key(record))
         self.record = self.record.add(score)
         self.sources = [*self.sources, record.source][-_SOURCES:]
         self.save()
@@ -150,14 +148,14 @@ class ObjectSession:
             )
         self.online = self._identifier(OnlineIdentifier.known(posterior))
         self.sources, self.record = [source], RunningRecord()
-        self._known.clear()
+        self._known = _KnownPushes()
         self.save()
 
     def save(self) -> None:
         """Keep the state; the file on disk is whole at any moment."""
         if self.file is not None:
             save_state(
-                self.file, self.online.state, object_id=self.object_id, sources=self.sources, record=self.record, pushes=list(self._known)
+                self.file, self.online.state, object_id=self.object_id, sources=self.sources, record=self.record, pushes=self._known.keys
             )
 
     def predict_under_way(self, partial: PushRecord, horizon: float) -> Prediction:
@@ -221,6 +219,34 @@ class ObjectSession:
             max_seconds=options.max_seconds,
             frame_seconds=options.frame_seconds,
         )
+
+
+class _KnownPushes:
+    """The latest pushes that were learned from, in memory that is taken at once.
+
+    Args:
+        keys: see `_key`, in the order they came.
+    """
+
+    def __init__(self, keys: Sequence[tuple[float, float, float]] = ()) -> None:
+        self._ring = np.full((_KNOWN, 3), np.nan)
+        self._n = 0
+        for key in keys:
+            self.add(key)
+
+    def add(self, key: tuple[float, float, float]) -> None:
+        """One more; for it, the oldest is forgotten where there are too many."""
+        self._ring[self._n % _KNOWN] = key
+        self._n += 1
+
+    def __contains__(self, key: tuple[float, float, float]) -> bool:
+        return bool(np.any(np.all(self._ring == key, axis=1)))
+
+    @property
+    def keys(self) -> list[tuple[float, float, float]]:
+        """In the order they came."""
+        order = np.arange(max(0, self._n - _KNOWN), self._n) % _KNOWN
+        return [(time, x, y) for time, x, y in self._ring[order].tolist()]
 
 
 def _key(record: PushRecord) -> tuple[float, float, float]:

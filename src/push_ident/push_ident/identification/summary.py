@@ -26,6 +26,8 @@ __all__ = ["Summary", "summarise"]
 
 _POSE_STEPS = 2
 """Newton steps that put the first pose of a push where it fits best."""
+_FORCES = 200
+"""Latest measured forces that are kept: their median is known long before, and memory must not grow with the pushes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +40,11 @@ class Summary:
     cost: Quadratic
     """Of the unknowns, in units of the prior at full amplitude."""
     log_forces: Float64Array
-    """Of each push with a wrench, see `total_mass.log_force`, shape (n,)."""
+    """Of the latest pushes with a wrench, see `total_mass.log_force`, shape (n,)."""
 
     def __add__(self, other: Summary) -> Summary:
         """Both; `other` is the later one, around whose fit the costs are taken."""
-        forces = np.concatenate([self.log_forces, other.log_forces])
+        forces = np.concatenate([self.log_forces, other.log_forces])[-_FORCES:]
         return Summary(self.n_pushes + other.n_pushes, self.modes, self.cost + other.cost, forces)
 
 
