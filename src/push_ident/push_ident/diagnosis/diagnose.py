@@ -14,7 +14,7 @@ from push_ident.diagnosis.gates import Gate, check_data, check_fit
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, separating_push
 from push_ident.diagnosis.residuals import Frames, Group, group_frames, left_over
-from push_ident.diagnosis.selection import Candidate, Selection, select_effects
+from push_ident.diagnosis.selection import Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
 from push_ident.errors import InputError
@@ -54,7 +54,7 @@ class FoundEffect:
     parameters: dict[str, float]
     std: dict[str, float]
     evidence: float
-    """Gain of log evidence, beside those found before it [nat]."""
+    """Gain of log evidence in the step in which it came, beside those found before it [nat]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,11 +188,8 @@ def _vetoed(gap: Gap) -> bool:
 def _found(selection: Selection) -> tuple[FoundEffect, ...]:
     fit = selection.fit
     values, std = fit.effects.values, fit.posterior.effects_std
-    gains: dict[str, float] = {}
-    for candidate in (c for step in selection.steps for c in step.candidates):
-        gains[candidate.name] = max(candidate.gain, gains.get(candidate.name, -np.inf))
     effects = []
-    for name in selection.found:
+    for name, (_, candidate) in selection.added.items():
         own = fit.effects.slice_of(name)
         names = [p.name for p in EFFECTS[name].parameters]
         effects.append(
@@ -200,26 +197,19 @@ def _found(selection: Selection) -> tuple[FoundEffect, ...]:
                 name,
                 dict(zip(names, map(float, values[own]), strict=True)),
                 dict(zip(names, map(float, std[own]), strict=True)),
-                float(gains[name]),
+                candidate.gain,
             )
         )
     return tuple(effects)
 
 
-def _last_step(selection: Selection) -> Candidate | None:
-    """The candidate that was added last."""
-    added = [step.best for step in selection.steps if step.best and step.best.name in selection.found]
-    return added[-1] if added else None
-
-
 def _confusable(selection: Selection, settings: DiagnosisSettings) -> tuple[str, ...]:
-    last = _last_step(selection)
-    if last is None:
+    if not selection.found:
         return ()
-    step = next(s for s in selection.steps if s.best is last)
+    step, last = list(selection.added.values())[-1]
     thresholds = settings.thresholds
     apart = thresholds.apart if last.gain >= thresholds.sure else max(thresholds.apart, last.gain - 1.0)
-    names = [c.name for c in step.rivals(apart) if c.gain > 1.0]
+    names = [c.name for c in step.rivals(last, apart) if c.gain > 1.0 and c.name not in selection.found]
     for same in _SAME:
         if same & set(selection.found):
             names += [name for name in sorted(same) if name not in (*selection.found, *names)]
@@ -228,11 +218,10 @@ def _confusable(selection: Selection, settings: DiagnosisSettings) -> tuple[str,
 
 def _rivals(selection: Selection, confusable: Sequence[str]) -> dict[str, EffectFit]:
     """Explanations that are open, by name."""
-    last = _last_step(selection)
-    if last is None:
-        step = selection.steps[0] if selection.steps else None
-        return {"no effect": selection.base, **({c.name: c.fit for c in step.candidates[:2]} if step else {})}
-    step = next(s for s in selection.steps if s.best is last)
+    if not selection.found:
+        first = selection.steps[0] if selection.steps else None
+        return {"no effect": selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
+    step, last = list(selection.added.values())[-1]
     open_ones = {c.name: c.fit for c in step.candidates if c is last or c.name in confusable}
     # Where nothing else is open, the push that would show the effect most clearly confirms it.
     return open_ones if len(open_ones) > 1 else {f"without {last.name}": step.before, **open_ones}

@@ -60,10 +60,10 @@ class Step:
     def best(self) -> Candidate | None:
         return self.candidates[0] if self.candidates else None
 
-    def rivals(self, apart: float) -> tuple[Candidate, ...]:
-        """Those that explain the pushes nearly as well as the best; one that only holds the best as a special case is none."""
-        best = self.candidates[0]
-        return tuple(c for c in self.candidates[1:] if c.gain > best.gain - apart and _NESTED.get(c.name) != best.name)
+    def rivals(self, to: Candidate, apart: float) -> tuple[Candidate, ...]:
+        """Those that explain the pushes nearly as well as one of them; one that only holds it as a special case is none."""
+        others = (c for c in self.candidates if c is not to)
+        return tuple(c for c in others if c.gain > to.gain - apart and _NESTED.get(c.name) != to.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,19 @@ class Selection:
     def found(self) -> tuple[str, ...]:
         """Effects beyond those of the base."""
         return tuple(name for name in self.fit.names if name not in self.base.names)
+
+    @property
+    def added(self) -> dict[str, tuple[Step, Candidate]]:
+        """Of each effect that was found, in the order they came: the step in which it came, and the effect as it was refitted there.
+
+        An effect that took the place of another one stands in that one's step.
+        """
+        own = {number: step.best for number, step in enumerate(self.steps) if step.best and step.best.name in self.found}
+        for name in self.found:
+            if name not in {candidate.name for candidate in own.values()}:
+                free = ((n, c) for n, step in enumerate(self.steps) for c in step.candidates if c.name == name and n not in own)
+                own.update([next(free)])
+        return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(own.items())}
 
 
 def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progress | None = None) -> Selection:
