@@ -5,15 +5,23 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from objects import hammer, random_records
 
-from push_ident.diagnosis.diagnose import Diagnosis, Verdict, diagnose, to_json
+from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_base, fit_effects, held_at_zero, without_pushes
+from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report import write_report
+from push_ident.diagnosis.residuals import Group
+from push_ident.diagnosis.selection import Candidate, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
+from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_nothing, sentence_of_unknown
 from push_ident.errors import InputError
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
 from push_ident.identification.solvers.gauss_newton import minimise
@@ -140,6 +148,35 @@ def test_one_wrong_pose_at_rest_does_not_move_the_rest_pose() -> None:
     pose[2, 2] += np.pi
     spoilt = observe_push(replace(record, poses=replace(record.poses, pose=pose)))
     assert np.abs(spoilt.pose[0] - observe_push(record).pose[0]).max() < 3e-3
+
+
+def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_came() -> None:
+    """Of three steps, the second found a cause beside which the first one's runner-up is the better one."""
+    fit = cast(Any, SimpleNamespace(names=("wear", "tether")))
+
+    def step(**gains: float) -> Step:
+        return Step(fit, None, (), tuple(Candidate(name, fit, gain) for name, gain in gains.items()))
+
+    steps = (step(table_tilt=40.0, wear=35.0, tether=20.0), step(tether=15.0, wear=2.0), step(restitution=1.0))
+    selection = Selection(cast(Any, SimpleNamespace(names=())), fit, steps)
+    assert {name: (steps.index(s), c.gain) for name, (s, c) in selection.added.items()} == {"wear": (0, 35.0), "tether": (1, 15.0)}
+
+
+def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
+    gap = Gap(np.full(4, 4e-3), np.full(4, 1e-3), np.full(4, 7e-4), np.ones(4))
+    tilt = FoundEffect("table_tilt", {"x": 0.0175, "y": 0.0}, {"x": 0.0017, "y": 0.0017}, 30.0)
+    lag = FoundEffect("pusher_lag", {"tau": 0.03}, {"tau": 0.002}, 20.0)
+    one = sentence_of_effects([tilt], [], gap)
+    assert one.startswith(
+        "The simulation leaves out that the table slopes down along (x, y) (table_tilt: x 1 ± 0.097 deg, y 0 ± 0.097 deg)."
+    )
+    assert "from 4.0 to 1.0 mm; 0.7 mm is" in one
+    assert "(or it is tether instead: these pushes cannot tell)" in sentence_of_effects([tilt], ["tether"], gap)
+    two = sentence_of_effects([tilt, lag], ["pose_latency"], gap)
+    assert "; and the pusher follows" in two and "30 ± 2 ms" in two and "(or in place of pusher_lag it is pose_latency: these" in two
+    assert "predicted to 4.0 mm, and 0.7 mm of that" in sentence_of_nothing(gap)
+    where = {"push": [Group("3", 20, (1.0, 2.5, 1.0), 1e-3, (0.5, 0.0, 0.5))]}
+    assert "1.5 times those of a model that is right, most by push at 3" in sentence_of_unknown(gap, None, 2.25, where)
 
 
 def test_effect_held_at_zero_is_as_if_it_had_never_been_there() -> None:

@@ -12,9 +12,11 @@ from rich.table import Table
 from push_ident.bags.loading import load_pushes
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, warn, write_json
-from push_ident.diagnosis.diagnose import Diagnosis, diagnose, to_json
+from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.identification.model_file import save_model
 from push_ident.identification.parameters import Prior
 from push_ident.physics.effects import EFFECTS

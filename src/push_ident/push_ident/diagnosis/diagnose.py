@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit, fit_base
 from push_ident.diagnosis.gates import Gate, check_data, check_fit
 from push_ident.diagnosis.held_out import Gap, measure_gap
-from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, separating_push
-from push_ident.diagnosis.residuals import Frames, Group, group_frames, left_over
+from push_ident.diagnosis.next_push import check_without_a_push, separating_push
+from push_ident.diagnosis.residuals import group_frames, left_over
 from push_ident.diagnosis.selection import Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
+from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
+from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_nothing, sentence_of_unknown
 from push_ident.errors import InputError
 from push_ident.identification.observation import noise_correlation, observe_push
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 
-__all__ = ["Diagnosis", "FoundEffect", "Verdict", "diagnose"]
+__all__ = ["diagnose"]
 
 Progress = Callable[[str], None]
 
@@ -33,59 +33,6 @@ _CHANCE = 0.005
 """Probability below which residuals are not those of a model that is right."""
 _VETO = -2.0
 """Mean gain of held-out log density per push, in standard errors, below which an effect is not believed."""
-
-
-class Verdict(Enum):
-    """What the pushes say; the values are those of the JSON contract."""
-
-    NO_GAP = "no_gap"
-    NAMED = "named"
-    ONE_OF = "one_of"
-    SEVERAL = "several"
-    UNKNOWN = "unknown"
-    NOT_TRUSTWORTHY = "not_trustworthy"
-
-
-@dataclass(frozen=True, slots=True)
-class FoundEffect:
-    """An effect that the pushes speak for."""
-
-    name: str
-    parameters: dict[str, float]
-    std: dict[str, float]
-    evidence: float
-    """Gain of log evidence in the step in which it came, beside those found before it [nat]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
-    """The outcome."""
-
-    verdict: Verdict
-    sentence: str
-    """What an engineer needs to know, in one sentence."""
-    effects: tuple[FoundEffect, ...]
-    confusable: tuple[str, ...]
-    """Effects that these pushes cannot tell from the last one found, or from any that was found if they are the same to all pushes."""
-    gap: Gap | None
-    """On pushes held out; None where nothing could be trusted."""
-    gates: tuple[Gate, ...]
-    selection: Selection | None
-    where: dict[str, list[Group]]
-    next_push: SeparatingPush | None
-    check: str
-    """What would settle it without a push."""
-    unknown: SmoothWrench | None = None
-    """What a smooth wrench of unknown cause explains, where there is a trace of one."""
-    frames: Frames | None = None
-    """What the base model leaves of every frame; `where` is this in groups. None where nothing could be trusted."""
-    leftover: float = np.nan
-    """Mean square of the residuals beside all that the catalogue explains, over that of a model that is right."""
-
-    @property
-    def fit(self) -> EffectFit | None:
-        """Maps with the effects that were found."""
-        return self.selection.fit if self.selection else None
 
 
 def diagnose(
@@ -141,6 +88,10 @@ def diagnose(
     confusable = _confusable(selection, settings)
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
     where = group_frames(frames)
+    if is_unknown:
+        sentence = sentence_of_unknown(gap, wrench, leftover, where)
+    else:
+        sentence = sentence_of_effects(effects, confusable, gap) if effects else sentence_of_nothing(gap)
     report("looking for the push that would settle it")
     rivals = _rivals(selection, confusable)
     last = pushes[-1].poses.pose[-1]
@@ -148,7 +99,7 @@ def diagnose(
     proposal = separating_push(rivals, np.array(last), limits) if len(rivals) > 1 else None
     return Diagnosis(
         verdict=verdict,
-        sentence=_unknown_sentence(gap, wrench, leftover, where) if is_unknown else _sentence(verdict, effects, confusable, gap),
+        sentence=sentence,
         effects=effects,
         confusable=confusable,
         gap=gap,
@@ -233,111 +184,3 @@ def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdi
     if len(effects) > 1:
         return Verdict.SEVERAL
     return Verdict.ONE_OF if confusable else Verdict.NAMED
-
-
-def _sentence(verdict: Verdict, effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap) -> str:
-    before, after, noise = _millimetres(gap)
-    if verdict is Verdict.NO_GAP:
-        share = f"and {noise:.1f} mm of that are the noise of the poses"
-        if noise > before:
-            share = f"less than the {noise:.1f} mm that the noise of the poses alone may make"
-        return f"No gap beyond noise: pushes held out are predicted to {before:.1f} mm, {share}."
-    sizes = " and ".join(_size(effect) for effect in effects)
-    doubt = f" (or {', '.join(confusable)}: these pushes cannot tell)" if confusable else ""
-    closed = f"; with it the error on pushes held out falls from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm"
-    return f"The simulation leaves out {sizes}{doubt}{closed}."
-
-
-def _unknown_sentence(gap: Gap, wrench: SmoothWrench | None, leftover: float, where: dict[str, list[Group]]) -> str:
-    before, after, noise = _millimetres(gap)
-    if wrench is not None:
-        return (
-            f"The simulation leaves out something that is not in the catalogue: it {wrench.description}. A smooth wrench in its place "
-            f"takes the error on pushes held out from {before:.1f} to {after:.1f} mm, noise is {noise:.1f} mm."
-        )
-    _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
-    return (
-        f"The simulation leaves out something that is not in the catalogue, and no smooth force explains it either: residuals are "
-        f"{np.sqrt(leftover):.1f} times those of a model that is right, most by {by.replace('_', ' ')} at {name}. Pushes held out are "
-        f"predicted to {before:.1f} mm, noise is {noise:.1f} mm."
-    )
-
-
-def _millimetres(gap: Gap) -> tuple[float, float, float]:
-    before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
-    return before, after, noise
-
-
-def _size(effect: FoundEffect) -> str:
-    shown = [p for p in EFFECTS[effect.name].parameters if not p.shape]
-    values = ", ".join(f"{p.name} {effect.parameters[p.name]:.3g} ± {effect.std[p.name]:.2g} {p.unit}".rstrip() for p in shown)
-    return f"{effect.name} ({values})"
-
-
-def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The outcome as the command-line contract has it; lengths in metres, angles in radians."""
-    gap, selection, proposal = diagnosis.gap, diagnosis.selection, diagnosis.next_push
-    first = selection.steps[0] if selection and selection.steps else None
-    refitted = {c.name: c for c in first.candidates} if first else {}
-    nan = float("nan")
-    return {
-        "verdict": diagnosis.verdict.value,
-        "sentence": diagnosis.sentence,
-        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.evidence} for e in diagnosis.effects],
-        "confusable": list(diagnosis.confusable),
-        "gap": {
-            "before_m": float(np.mean(gap.before)) if gap else nan,
-            "after_m": float(np.mean(gap.after)) if gap else nan,
-            "noise_m": float(np.mean(gap.noise)) if gap else nan,
-            "shrink": gap.shrink if gap else nan,
-            "shrink_interval": list(gap.shrink_interval) if gap else [nan, nan],
-            "before_per_push_m": gap.before.tolist() if gap else [],
-            "after_per_push_m": gap.after.tolist() if gap else [],
-        },
-        "where": {
-            by: [
-                {
-                    "name": g.name,
-                    "n": g.n,
-                    "along": g.rms[0],
-                    "across": g.rms[1],
-                    "rotation": g.rms[2],
-                    "mean_m": g.mean_m,
-                    "by_chance": dict(zip(("along", "across", "rotation"), g.by_chance, strict=True)),
-                }
-                for g in groups
-            ]
-            for by, groups in diagnosis.where.items()
-        },
-        "ranking": [
-            {
-                "name": score.name,
-                "evidence": refitted[score.name].gain if score.name in refitted else score.gain,
-                "refitted": score.name in refitted,
-                "smallest": score.smallest,
-                "unit": EFFECTS[score.name].parameters[0].unit,
-            }
-            for score in (first.scores if first else ())
-        ],
-        "next_push": None
-        if proposal is None or proposal.push.plan is None
-        else {
-            "contact_point_m": proposal.push.plan.contact_point.tolist(),
-            "direction_rad": float(proposal.push.plan.direction),
-            "distance_m": proposal.push.plan.distance,
-            "speed_mps": proposal.push.plan.speed,
-            "frame": "table",
-            "pose_object_in_table": proposal.push.pose_object_in_table.tolist(),
-            "between": list(proposal.between),
-            "distance2": proposal.distance2,
-        },
-        "check": diagnosis.check,
-        "unknown": None
-        if diagnosis.unknown is None
-        else {
-            "evidence": diagnosis.unknown.gain,
-            "acts_on": diagnosis.unknown.acts_on,
-            "varies_with": diagnosis.unknown.varies_with,
-        },
-        "gates": [{"passed": g.passed, "found": g.found, "remedy": g.remedy} for g in diagnosis.gates],
-    }

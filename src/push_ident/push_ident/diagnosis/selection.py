@@ -29,8 +29,11 @@ _RIVAL = 0.5
 """Share of the best one's gain from which another effect may yet take its place."""
 _CLEARLY = 0.5
 """Gain of log evidence from which it does [nat]."""
-_PROMISING = -2.0
-"""Expected gain of log evidence below which a refit is not worth its time [nat]: a score is of second order only, but not that far off."""
+_PROMISING = (-2.0, 0.5)
+"""Expected gain of log evidence below which a refit is not worth its time [nat], of a first effect and of one beside others, which has
+to gain more: a score is of second order only, but not that far off."""
+_OUTSHONE = 0.1
+"""So much of the best one's score is added to it: one of many times less is no rival."""
 
 Progress = Callable[[str], None]
 
@@ -109,7 +112,7 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
         told = information_beside(fit)
         scores = tuple(score_effects(told, thresholds.seen))
-        chosen = _worth_refitting(scores, thresholds)
+        chosen = _worth_refitting(scores, thresholds, is_first=fit is base)
         if chosen:
             report(f"refitting with {', '.join(score.name for score in chosen)}")
         candidates = _ranked(side_by_side(partial(_refitted, fit), chosen), thresholds.apart)
@@ -123,8 +126,11 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
             return Selection(base, steps[-1].before, tuple(steps))
 
 
-def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds) -> list[EffectScore]:
-    chosen = {score.name for score in scores[: thresholds.n_refits] if score.gain > _PROMISING}
+def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds, *, is_first: bool) -> list[EffectScore]:
+    if not scores:
+        return []
+    enough = max(_PROMISING[0] + _OUTSHONE * scores[0].gain, _PROMISING[not is_first])
+    chosen = {score.name for score in scores[: thresholds.n_refits] if score.gain > enough}
     for group in _TOGETHER:
         if chosen & group and any(s.gain > 0 for s in scores if s.name in group):
             chosen |= group

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any, Final
 
-from push_ident.diagnosis.diagnose import diagnose, to_json
+from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import PushIdentError
 from push_ident.pushing.push import PushSettings

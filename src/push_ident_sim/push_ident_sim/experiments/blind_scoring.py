@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.diagnosis.diagnose import Diagnosis, diagnose
+from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.fits import EffectFit, fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.scores import Information
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from push_ident import __version__
-from push_ident.diagnosis.diagnose import Diagnosis, Verdict
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
 from push_ident.diagnosis.settings import Thresholds
+from push_ident.diagnosis.verdict import Diagnosis, Verdict
 from push_ident.pages.page import svg, write_page
 from push_ident.physics.effects import EFFECTS
 

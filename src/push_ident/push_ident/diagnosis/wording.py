@@ -1,0 +1,94 @@
+"""A diagnosis in words, for an engineer who knows nothing of statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.residuals import Group
+from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.diagnosis.verdict import FoundEffect
+from push_ident.physics.effects import EFFECTS
+
+__all__ = ["sentence_of_effects", "sentence_of_nothing", "sentence_of_unknown", "size_of"]
+
+_SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}
+"""Units in which people think of an effect's size, with their factor."""
+
+
+def sentence_of_nothing(gap: Gap) -> str:
+    """Of a diagnosis that found no gap."""
+    before, _, noise = _millimetres(gap)
+    share = f"and {noise:.1f} mm of that are the noise of the poses"
+    if noise > before:
+        share = f"less than the {noise:.1f} mm that the noise of the poses alone may make"
+    return f"No gap beyond noise: pushes that the simulation was not fitted to are predicted to {before:.1f} mm, {share}."
+
+
+def sentence_of_effects(effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap) -> str:
+    """Of a diagnosis that names causes.
+
+    Args:
+        effects: that were found, at least one.
+        confusable: names of those that may be there in place of the last one.
+        gap: with the effects.
+    """
+    before, after, noise = _millimetres(gap)
+    causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
+    doubt = ""
+    if confusable:
+        others = " or ".join(confusable)
+        instead = f"it is {others} instead" if len(effects) == 1 else f"in place of {effects[-1].name} it is {others}"
+        doubt = f" (or {instead}: these pushes cannot tell)"
+    return (
+        f"The simulation leaves out that {causes}{doubt}. With that added, the error on pushes that it was not fitted to goes from "
+        f"{before:.1f} to {after:.1f} mm; {noise:.1f} mm is what the noise of the poses makes."
+    )
+
+
+def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, leftover: float, where: dict[str, list[Group]]) -> str:
+    """Of a diagnosis that found something it has no name for.
+
+    Args:
+        gap: with the smooth wrench, where there is one.
+        wrench: that stands for the cause; None where none does.
+        leftover: mean square of the residuals over that of a model that is right.
+        where: the residuals in groups.
+    """
+    before, after, noise = _millimetres(gap)
+    if wrench is not None:
+        return (
+            f"The simulation leaves out something that is not in the catalogue: it {wrench.description}. A smooth force in its place "
+            f"takes the error on pushes that it was not fitted to from {before:.1f} to {after:.1f} mm; {noise:.1f} mm is what the noise "
+            "of the poses makes."
+        )
+    _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
+    return (
+        f"The simulation leaves out something that is not in the catalogue, and no smooth force explains it either: residuals are "
+        f"{np.sqrt(leftover):.1f} times those of a model that is right, most by {by.replace('_', ' ')} at {name}. Pushes that it was not "
+        f"fitted to are predicted to {before:.1f} mm; {noise:.1f} mm is what the noise of the poses makes."
+    )
+
+
+def size_of(effect: FoundEffect) -> str:
+    """Sizes with their deviation, in units in which people think of them."""
+    parts = []
+    for parameter in EFFECTS[effect.name].parameters:
+        if not parameter.shape:
+            factor, unit = _SHOWN_IN.get(parameter.unit, (1.0, parameter.unit))
+            value, std = factor * effect.parameters[parameter.name], factor * effect.std[parameter.name]
+            parts.append(f"{parameter.name} {value:.3g} ± {std:.2g} {unit}".rstrip())
+    return ", ".join(parts)
+
+
+def _plain(name: str) -> str:
+    """What an effect is, to go on with in a sentence."""
+    what = EFFECTS[name].what.rstrip(".")
+    return what[0].lower() + what[1:]
+
+
+def _millimetres(gap: Gap) -> tuple[float, float, float]:
+    before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
+    return before, after, noise
