@@ -163,7 +163,7 @@ def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_came() -> None:
 
 
 def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
-    gap = Gap(np.full(4, 4e-3), np.full(4, 1e-3), np.full(4, 7e-4), np.ones(4))
+    gap = Gap(np.full(4, 4e-3), np.full(4, 1e-3), np.full(4, 7e-4), np.ones(4), np.ones((4, 2)))
     tilt = FoundEffect("table_tilt", {"x": 0.0175, "y": 0.0}, {"x": 0.0017, "y": 0.0017}, 30.0)
     lag = FoundEffect("pusher_lag", {"tau": 0.03}, {"tau": 0.002}, 20.0)
     one = sentence_of_effects([tilt], [], gap)

@@ -115,6 +115,8 @@ class ObjectShape:
     cells: CellGrid
     outline: Float64Array
     """Simple polygon, counter-clockwise, not closed [m], shape (n_vertices, 2), object frame."""
+    is_seen: bool = False
+    """Whether a camera traced the outline: it is then off by some tenths of a millimetre."""
 
     def __post_init__(self) -> None:
         _freeze(self, "outline", ("n_vertices", 2), {})

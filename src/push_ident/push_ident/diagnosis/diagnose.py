@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit, fit_base
-from push_ident.diagnosis.gates import Gate, check_data, check_fit
+from push_ident.diagnosis.gates import SEEN_OUTLINE, Gate, check_data, check_fit
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import check_without_a_push, separating_push
 from push_ident.diagnosis.residuals import group_frames, left_over
@@ -59,6 +59,8 @@ def diagnose(
         raise InputError("There is no push to diagnose; give at least three.")
     if strange := [name for name in settings.base_effects if name not in EFFECTS]:
         raise InputError(f"There is no effect `{strange[0]}`; choose from {', '.join(EFFECTS)}.")
+    if (settings.outline_is_seen or records[0].shape.is_seen) and SEEN_OUTLINE not in settings.base_effects:
+        settings = replace(settings, base_effects=(*settings.base_effects, SEEN_OUTLINE))
     gates = check_data(records, settings)
     pushes = [record for record in records if observe_push(record, settings.noise).touched]
     if not all(gate.passed for gate in gates):
@@ -84,7 +86,7 @@ def diagnose(
     if selection.found and _vetoed(gap):
         selection = Selection(base, base, selection.steps)
         gap = measure_gap(base, base, report)
-    effects = _found(selection)
+    effects = _found(selection, gap)
     confusable = _confusable(selection, settings)
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
     where = group_frames(frames)
@@ -124,9 +126,14 @@ def _untrusted(gates: list[Gate]) -> Diagnosis:
 
 
 def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thresholds) -> bool:
-    """Whether a smooth wrench says clearly more than everything that was named, and that is not most of it: no named law is quite
-    that of the world, and a wrench that may have any shape fits the rest as well."""
+    """Whether a smooth wrench explains the pushes better than what was named.
+
+    Than one law: clearly better, and by much, for no named law is quite that of the world, and a wrench that may have any shape fits the
+    rest as well. Several laws of a catalogue easily imitate one that is not in it: they have to be clearly better than the wrench.
+    """
     named = selection.fit.log_evidence - selection.base.log_evidence
+    if len(selection.found) > 1:
+        return unknown.gain > named - thresholds.apart
     return unknown.gain > max(named + thresholds.apart, named / thresholds.most)
 
 
@@ -136,9 +143,11 @@ def _vetoed(gap: Gap) -> bool:
     return float(np.mean(gain)) < _VETO * error and float(np.mean(gap.after)) > float(np.mean(gap.before))
 
 
-def _found(selection: Selection) -> tuple[FoundEffect, ...]:
+def _found(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:
+    if not selection.found:
+        return ()
     fit = selection.fit
-    values, std = fit.effects.values, fit.posterior.effects_std
+    values, std = fit.effects.values, np.maximum(fit.posterior.effects_std, gap.effects_std)
     effects = []
     for name, (_, candidate) in selection.added.items():
         own = fit.effects.slice_of(name)

@@ -15,11 +15,15 @@ from push_ident.identification.observation import noise_correlation, observe_pus
 from push_ident.identification.problem import FitProblem
 from push_ident.types import BoolArray, Float64Array, PushRecord, SolveStatus
 
-__all__ = ["Gate", "check_data", "check_fit"]
+__all__ = ["SEEN_OUTLINE", "Gate", "check_data", "check_fit"]
 
 _FEWEST = 3
 _LARGEST_STEP_EFFECT = 2e-4
 """Mean difference of end positions that half the time step may make [m]."""
+SEEN_OUTLINE = "outline_error"
+"""Effect that belongs to the base model where a camera traced the outline."""
+_LARGEST_OUTLINE_ERROR = 3e-3
+"""[m]"""
 _CORRELATED = 0.8
 _DROPPED = 0.3
 _JUMP = np.array([0.02, 0.02, 0.35])
@@ -104,7 +108,7 @@ def _correlated(records: Sequence[PushRecord]) -> Gate:
 
 
 def check_fit(fit: EffectFit) -> list[Gate]:
-    """Convergence, and whether half the time step would say otherwise."""
+    """Convergence, whether half the time step would say otherwise, and the error of an outline that was seen."""
     problem = fit.problem
     finer = replace(problem.settings, step=0.5 * problem.settings.step, smoothing_speed=0.5 * problem.settings.smoothing_speed)
     off = [
@@ -127,6 +131,21 @@ def check_fit(fit: EffectFit) -> list[Gate]:
             f"half the time step moves the ends by {1e3 * change:.2f} mm",
             "Diagnose with a shorter time step.",
         ),
+        *_outline(fit),
+    ]
+
+
+def _outline(fit: EffectFit) -> list[Gate]:
+    """Where the outline's error was fitted: a camera that works is not that far off."""
+    if SEEN_OUTLINE not in fit.names:
+        return []
+    (offset,) = fit.effects.values[fit.effects.slice_of(SEEN_OUTLINE)]
+    return [
+        Gate.of(
+            abs(float(offset)) < _LARGEST_OUTLINE_ERROR,
+            f"the surface that the pusher met lies {1e3 * float(offset):+.2f} mm outside the outline",
+            "Measure the radius of the pusher; calibrate the camera; look at the outline beside the object.",
+        )
     ]
 
 

@@ -36,6 +36,15 @@ class Gap:
     """That the noise of the poses alone would make [m], shape (n_pushes,)."""
     log_density_gain: Float64Array
     """Of pushes held out together, with the effects over without [nat], shape (n_folds,)."""
+    estimates: Float64Array
+    """Values of the effects in the fits without each of the folds, shape (n_folds, n_values)."""
+
+    @property
+    def effects_std(self) -> Float64Array:
+        """Deviation of the values of the effects by the jackknife over the folds, shape (n_values,): pushes that contradict each other
+        widen it, which the curvature of a fit does not know of (Efron & Stein, The jackknife estimate of variance, Ann. Statist. 1981)."""
+        n = len(self.estimates)
+        return np.asarray(np.sqrt((n - 1) * np.var(self.estimates, axis=0)))
 
     @property
     def is_above_noise(self) -> bool:
@@ -81,18 +90,19 @@ def measure_gap(base: EffectFit, fit: EffectFit, on_progress: Progress | None = 
     results = side_by_side(lambda which: _left_out(*which), [(one, fold) for one in fits for fold in folds])
     errors = np.empty((len(fits), n))
     density = np.empty((len(fits), n_folds))
-    for k, (error, gain) in enumerate(results):
+    for k, (error, gain, _) in enumerate(results):
         one, fold = divmod(k, n_folds)
         errors[one, folds[fold]], density[one, fold] = error, gain
-    return Gap(errors[0], errors[-1], _noise_errors(fit), density[-1] - density[0])
+    estimates = np.array([values for _, _, values in results[-n_folds:]])
+    return Gap(errors[0], errors[-1], _noise_errors(fit), density[-1] - density[0], estimates)
 
 
-def _left_out(fit: EffectFit, pushes: Sequence[int]) -> tuple[Float64Array, float]:
-    """Cell errors of pushes under the fit to the others [m], and their log density under it up to a constant [nat]."""
+def _left_out(fit: EffectFit, pushes: Sequence[int]) -> tuple[Float64Array, float, Float64Array]:
+    """Cell errors of pushes under the fit to the others [m], their log density under it up to a constant [nat], and its effects."""
     rest, problem = without_pushes(fit, pushes), fit.problem
     records = [problem.records[push] for push in pushes]
     errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
-    return errors, fit.log_evidence - rest.log_evidence
+    return errors, fit.log_evidence - rest.log_evidence, rest.effects.values
 
 
 def _noise_errors(fit: EffectFit) -> Float64Array:

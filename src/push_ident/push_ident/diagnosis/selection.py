@@ -27,7 +27,7 @@ _NESTED = {"tether": "table_tilt"}
 
 _RIVAL = 0.5
 """Share of the best one's gain from which another effect may yet take its place."""
-_CLEARLY = 0.5
+_CLEARLY = 3.0
 """Gain of log evidence from which it does [nat]."""
 _PROMISING = (-2.0, 0.5)
 """Expected gain of log evidence below which a refit is not worth its time [nat], of a first effect and of one beside others, which has
@@ -118,7 +118,8 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         candidates = _ranked(side_by_side(partial(_refitted, fit), chosen), thresholds.apart)
         steps.append(Step(fit, told, scores, tuple(candidates)))
         n_found = len(fit.names) - len(base.names)
-        needed = thresholds.also if n_found else thresholds.seen
+        found = fit.log_evidence - base.log_evidence
+        needed = max(thresholds.also, thresholds.also_share * found) if n_found else thresholds.seen
         if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps))
         fit = _without_needless(base, _swapped(polished(candidates[0].fit), steps), thresholds)

@@ -24,12 +24,15 @@ class Thresholds:
     """An effect that gains less is not there as far as these data go."""
     also: float = 10.0
     """The same of an effect beside another one: the law of the first may not be quite that of the world."""
+    also_share: float = 0.1
+    """And so much of what was found before it gains: what a law is off by grows with the effect."""
     apart: float = 6.0
     """Effects nearer than this to the best cannot be told from it."""
     sure: float = 12.0
     """An effect that gains less is named with its runners-up only."""
     unknown: float = 10.0
-    """A smooth wrench must gain so much, and more than everything that was named by `apart`, before the cause counts as unknown."""
+    """A smooth wrench must gain so much before the cause counts as unknown, and more than one effect that was named by `apart`; several
+    effects must gain more than the wrench by as much, or it counts as unknown, too."""
     leftover: float = 1.2
     """Mean square of the residuals beside all that was named, over that of a model that is right, from which something else is there."""
     most: float = 0.8
@@ -50,6 +53,9 @@ class DiagnosisSettings:
     thresholds: Thresholds = field(default_factory=Thresholds)
     base_effects: tuple[str, ...] = ()
     """Effects that belong to the base model."""
+    outline_is_seen: bool = False
+    """Whether a camera traced the outline, even where the shape does not say so: how far the surface is from it is then fitted with the
+    base model."""
 
     @property
     def base_prior(self) -> Prior:

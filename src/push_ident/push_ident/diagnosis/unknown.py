@@ -17,6 +17,8 @@ __all__ = ["SmoothWrench", "find_unknown"]
 
 _PROMISING = 3.0
 """Expected gain of log evidence beside all that was named below which a refit is not worth its time [nat]."""
+_IMITATED = 2
+"""Effects that together may imitate a wrench so well that no trace of it is left beside them."""
 _MAX_START = 2.0
 """A guess is not taken further than so many prior deviations."""
 _CHOICE = 2.0
@@ -64,7 +66,7 @@ def find_unknown(selection: Selection) -> SmoothWrench | None:
     covariance = np.asarray(np.linalg.inv(told.precision), dtype=np.float64)
     weight = -covariance @ told.slope
     expected = -0.5 * float(told.slope @ weight) - 0.5 * float(np.linalg.slogdet(told.precision)[1])
-    if expected + _needed_parts(weight, covariance)[1] < _PROMISING:
+    if len(selection.found) < _IMITATED and expected + _needed_parts(weight, covariance)[1] < _PROMISING:
         return None
     base = selection.base
     known, names = base.z[base.parameters.effect_slice], (*base.names, EFFECT.name)

@@ -41,6 +41,7 @@ PARAMETERS: Final = (
     Parameter("pusher_friction", 0.3, "Nominal friction of the pusher [-]; another one is an effect", 0.001, 10.0, read_only=True),
     Parameter("push_gap", 0.5, "Pause of the pusher that ends a push [s]", 0.05, 10.0, read_only=True),
     Parameter("keep", 40, "Latest pushes of each object that are kept for a diagnosis", 3, 1000, read_only=True),
+    Parameter("outline_is_seen", True, "Whether a camera traces the outlines: their error is then no effect, but fitted with the maps"),
     Parameter("workspace", [-0.20, 0.20, -0.25, 0.25], "x_min, x_max, y_min, y_max of the tool of a proposed push [m]", -10.0, 10.0),
 )
 
@@ -155,7 +156,7 @@ class GapDiagnosisNode(Node):
             raise InputError(f"There is no effect `{unknown[0]}`; choose from {', '.join(EFFECTS)}.")
         values = self._settings
         prior = Prior(total_mass=values["total_mass"], friction=values["friction"], pusher_friction=values["pusher_friction"])
-        return DiagnosisSettings(prior=prior, base_effects=tuple(request.base_effects))
+        return DiagnosisSettings(prior=prior, base_effects=tuple(request.base_effects), outline_is_seen=values["outline_is_seen"])
 
     def _push_settings(self, records: list[PushRecord]) -> PushSettings:
         x_min, x_max, y_min, y_max = self._settings["workspace"]

@@ -138,10 +138,13 @@ class OnTable:
 
     load: Equation | None = None
     """load(p, body, cell, memory): factor of the cell's friction limit; below 0 it counts as 0."""
+    plane: Equation | None = None
+    """plane(p, body, memory): (even, x, y) of a factor even + x rx + y ry of the friction limit of the cell at (rx, ry) from the centre
+    of mass, object axes: a load that is linear over the object, evaluated once for all cells."""
     skew: Equation | None = None
     """skew(p, body): (a, b) [-] of E = [[a, b], [b, -a]], object axes: a cell is held back by f (I + E) times its direction."""
     pull: Equation | None = None
-    """pull(p, body): (fx, fy, torque) on the object about its centre of mass [N, N, N m], table axes."""
+    """pull(p, body): (fx, fy, torque) on the object about its centre of mass [N, N, N m], table axes; linear in `p`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -221,7 +221,7 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
     """
     first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
     places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
-    on_table, moves = np.zeros(len(effects), dtype=np.bool_), np.zeros(len(effects), dtype=np.bool_)
+    on_table, pulled, moves = (np.zeros(len(effects), dtype=np.bool_) for _ in range(3))
     names = list(EFFECTS)
     quantities = {"offset": -1, "restitution": -1}
     n_memory = 0
@@ -230,6 +230,7 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         place, acts = names.index(effect.name), effect.acts
         places.values[place] = first_value + own.start
         on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
+        pulled[own] = isinstance(acts, OnTable) and acts.pull is not None
         if isinstance(acts, OnContact):
             quantities[acts.quantity] = own.start
             rebound = n_memory if acts.quantity == "restitution" else rebound
@@ -242,9 +243,10 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
     return ActiveEffects(
         values=np.array(effects.values),
         on_table=on_table,
+        pulled=pulled,
         places=places,
         n_memory=n_memory,
-        loads=any(acts.load is not None for acts in table),
+        loads=any(acts.load is not None or acts.plane is not None for acts in table),
         skews=any(acts.skew is not None for acts in table),
         pulls=any(acts.pull is not None for acts in table),
         offset=quantities["offset"],

@@ -52,6 +52,8 @@ class ActiveEffects(NamedTuple):
     """Of all parameters of the active effects, shape (n_values,)."""
     on_table: BoolArray
     """Which values belong to effects that act on the table, shape (n_values,)."""
+    pulled: BoolArray
+    """Which of them are those of a pull, which is linear in them, shape (n_values,)."""
     places: Places
     n_memory: int
     loads: bool
@@ -80,6 +82,8 @@ class TableScratch(NamedTuple):
     inputs: Float64Array
     turned: NDArray[np.complex128]
     """The inputs, one of them turned by the complex step."""
+    unit: Float64Array
+    """The inputs with all values zero but one, which is 1."""
     factor: Float64Array
     """Of the friction limit of each cell, shape (n_cells,)."""
     factors: Float64Array
@@ -99,7 +103,8 @@ def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratc
     """Scratch space of the effects; `n_cells` is 0 where none acts on the table."""
     n_inputs = N_FIXED_INPUTS + n_memory + n_values + _PADDING
     return TableScratch(
-        np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.ones(n_cells), np.ones((len(EFFECTS), n_cells)), np.zeros(n_cells),
+        np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.zeros(n_inputs), np.ones(n_cells),
+        np.ones((len(EFFECTS), n_cells)), np.zeros(n_cells),
         np.zeros(n_cells, dtype=np.complex128), np.zeros((3, n_cells)), np.zeros(5),
         np.zeros(5, dtype=np.complex128), np.zeros(n_memory, dtype=np.complex128),
     )  # fmt: skip
@@ -140,6 +145,13 @@ def _no_memory(places: Places, inputs: Any, body: Body, dt: float, after: Any) -
     after[:] = 0.0
 
 
+@equation
+def _is_turned(places: Places, turned: int, place: int, n_values: int, n_memory: int) -> bool:
+    """Whether a turned input changes what this effect does to the cells: values and memory of another one do not."""
+    own, past = places.values[place], places.memory[place]
+    return turned < N_FIXED_INPUTS or own <= turned < own + n_values or past <= turned < past + n_memory
+
+
 def _with_load(others: Equation, effect: Effect, load: Equation, place: int) -> Equation:
     n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
 
@@ -148,17 +160,42 @@ def _with_load(others: Equation, effect: Effect, load: Equation, place: int) -> 
         places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any
     ) -> None:
         others(places, inputs, turned, body, arms, dx, dy, factors, factor)
-        own, past = places.values[place], places.memory[place]
+        own = places.values[place]
         if own < 0:
             return
-        if turned >= N_FIXED_INPUTS and not own <= turned < own + n_values and not past <= turned < past + n_memory:
-            # Values and memory of another effect change nothing here.
+        if not _is_turned(places, turned, place, n_values, n_memory):
             for i in range(arms.shape[1]):
                 factor[i] *= factors[place, i]
             return
-        p, memory = _four(inputs, own), _four(inputs, past)
+        p, memory = _four(inputs, own), _four(inputs, places.memory[place])
         for i in range(arms.shape[1]):
             value = load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
+            factor[i] *= value
+            if turned < 0:
+                factors[place, i] = value.real
+
+    return loads
+
+
+def _with_plane(others: Equation, effect: Effect, plane: Equation, place: int) -> Equation:
+    n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
+
+    @equation
+    def loads(
+        places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any
+    ) -> None:
+        others(places, inputs, turned, body, arms, dx, dy, factors, factor)
+        own = places.values[place]
+        if own < 0:
+            return
+        if not _is_turned(places, turned, place, n_values, n_memory):
+            for i in range(arms.shape[1]):
+                factor[i] *= factors[place, i]
+            return
+        even, x, y = plane(inputs[own:], body, inputs[places.memory[place] :])
+        even = even - x * dx - y * dy
+        for i in range(arms.shape[1]):
+            value = even + x * arms[0, i] + y * arms[1, i]
             factor[i] *= value
             if turned < 0:
                 factors[place, i] = value.real
@@ -206,6 +243,8 @@ for _place, _effect in enumerate(EFFECTS.values()):
     if isinstance(_effect.acts, OnTable):
         if _effect.acts.load is not None:
             _loads = _with_load(_loads, _effect, _effect.acts.load, _place)
+        if _effect.acts.plane is not None:
+            _loads = _with_plane(_loads, _effect, _effect.acts.plane, _place)
         if _effect.acts.skew is not None:
             _skews = _with_skew(_skews, _effect.acts.skew, _place)
         if _effect.acts.pull is not None:
@@ -347,10 +386,24 @@ def table_sensitivity(
             for j in range(3):
                 along_a[j] -= factor[i] * unit[j, i]
                 along_b[j] -= factor[i] * unit[j, i]
+    unit_inputs = scratch.unit
+    unit_inputs[:] = inputs
+    unit_inputs[n_inputs - n_values : n_inputs] = 0.0
+    body, _, _ = _body_of(effects, inputs, centre)
     turned[:] = inputs
     for k in range(n_inputs):
-        if k >= n_inputs - n_values and not effects.on_table[k - (n_inputs - n_values)]:
-            continue
+        column = 3 + k if k < N_FIXED_INPUTS else 5 + k
+        if k >= n_inputs - n_values:
+            if not effects.on_table[k - (n_inputs - n_values)]:
+                continue
+            if effects.pulled[k - (n_inputs - n_values)]:
+                unit_inputs[k] = 1.0
+                fx, fy, torque = _pulls(effects.places, unit_inputs, body)
+                unit_inputs[k] = 0.0
+                seeds[0, column] = dt * (body.cos * fx + body.sin * fy)
+                seeds[1, column] = dt * (body.cos * fy - body.sin * fx)
+                seeds[2, column] = dt * torque
+                continue
         turned[k] += STEP_OF_INPUT * 1j
         table_action(effects, turned, k, centre, arms, scratch.factors, d_factor, scratch.d_result)
         turned[k] = inputs[k]
@@ -365,5 +418,4 @@ def table_sensitivity(
         gy -= a * along_a[1] + b * along_b[1]
         gt -= a * along_a[2] + b * along_b[2]
         scale = dt / STEP_OF_INPUT
-        column = 3 + k if k < N_FIXED_INPUTS else 5 + k
         seeds[0, column], seeds[1, column], seeds[2, column] = scale * gx, scale * gy, scale * gt

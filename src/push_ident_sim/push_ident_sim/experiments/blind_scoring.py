@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,7 +167,7 @@ def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray])
     fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.z[base.parameters.effect_slice], start]))
     is_found = {effect.name for effect in found.effects} == set(wanted)
     after = found.gap.after if is_found else measure_gap(fit, fit).before
-    gap = Gap(found.gap.before, after, found.gap.noise, np.zeros(len(after)))
+    gap = replace(found.gap, after=after)
     own = fit.effects
     return {
         "gain": fit.log_evidence - base.log_evidence,
@@ -183,7 +184,7 @@ def _baselines(found: Diagnosis, base: EffectFit) -> Json:
     groups = [(max(group.rms), by) for by, members in found.where.items() for group in members if group.n >= _FEW]
     tuned_fit = fit_effects(base, (*base.names, _TUNED))
     tuned = measure_gap(tuned_fit, tuned_fit)
-    gap = Gap(found.gap.before, tuned.before, found.gap.noise, np.zeros(len(tuned.before)))
+    gap = replace(found.gap, after=tuned.before)
     return {
         "evidence": first.best.name if first and first.best else None,
         "training_fit": min(refits, key=lambda name: refits[name]) if refits else None,

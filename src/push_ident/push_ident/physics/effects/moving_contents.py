@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, Memory, OnTable, analytic_exp, equation, unit_direction
+from push_ident.physics.effect import Body, Effect, EffectParameter, Memory, OnTable, analytic_exp, equation, unit_direction
 
 __all__ = ["EFFECT"]
 
 
 @equation
-def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
+def _plane(p: Any, body: Body, memory: Any) -> Any:
     # The even tilt of the load that moves its centre by the memory.
     determinant = body.sxx * body.syy - body.sxy * body.sxy
     x = (body.syy * memory[0] - body.sxy * memory[1]) / determinant
     y = (body.sxx * memory[1] - body.sxy * memory[0]) / determinant
-    return 1.0 + cell.rx * x + cell.ry * y
+    return 1.0 + 0.0 * x, x, y
 
 
 @equation
@@ -34,7 +34,7 @@ EFFECT = Effect(
         EffectParameter("shift", "m", "how far the load falls behind in the end", scale=5e-3, typical=5e-3, low=-0.05, high=0.05),
         EffectParameter("tau", "s", "time in which it does", scale=0.1, typical=0.1, nominal=0.1, low=0.01, high=2.0, shape=True),
     ),
-    acts=OnTable(load=_load),
+    acts=OnTable(plane=_plane),
     memory=Memory(2, _remember),
     signature="The first 0.2 s of each push; the centre of friction lags behind the motion.",
     rivals="push_height (leads, and at once), position_dependent_friction: wait, repeat, reverse.",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
 
 __all__ = ["EFFECT"]
 
 
 @equation
-def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
-    return 1.0 + p[0] * cell.x + p[1] * cell.y
+def _plane(p: Any, body: Body, memory: Any) -> Any:
+    return 1.0 + p[0] * body.x + p[1] * body.y, p[0] * body.cos + p[1] * body.sin, p[1] * body.cos - p[0] * body.sin
 
 
 EFFECT = Effect(
@@ -22,7 +22,7 @@ EFFECT = Effect(
         EffectParameter("x", "1/m", "growth of friction per length along x", scale=1.0, typical=1.0, low=-5.0, high=5.0),
         EffectParameter("y", "1/m", "growth of friction per length along y", scale=1.0, typical=1.0, low=-5.0, high=5.0),
     ),
-    acts=OnTable(load=_load),
+    acts=OnTable(plane=_plane),
     signature="Depends on the place on the table, not on the heading.",
     rivals="table_tilt (no place in it), moving_contents: the same push at several places.",
     source="Linear part of the variation over a table; seen by Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",

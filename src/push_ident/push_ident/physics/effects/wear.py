@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
 
 __all__ = ["EFFECT"]
 
 
 @equation
-def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
-    return 1.0 + p[0] * body.order + 0.0 * body.mass
+def _plane(p: Any, body: Body, memory: Any) -> Any:
+    nothing = 0.0 * body.mass
+    return 1.0 + p[0] * body.order + nothing, nothing, nothing
 
 
 EFFECT = Effect(
@@ -19,7 +20,7 @@ EFFECT = Effect(
     what="Friction changes with every push that was done, as surfaces are polished or pick up dirt.",
     equation="f (1 + w n), n pushes done before",
     parameters=(EffectParameter("w", "", "change of friction per push", scale=0.02, typical=0.02, low=-0.2, high=0.2),),
-    acts=OnTable(load=_load),
+    acts=OnTable(plane=_plane),
     signature="Drift from push to push.",
     rivals="Anything that goes along with the order: repeat the first push at the end, or push in random order.",
     source="First-order drift; seen by Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
