@@ -14,7 +14,7 @@ from objects import hammer, random_records
 
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
-from push_ident.diagnosis.fits import fit_base, fit_effects, held_at_zero, without_pushes
+from push_ident.diagnosis.fits import fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Group
@@ -106,6 +106,19 @@ def _wrench(**weights: float) -> list[float]:
     return [weights.get(p.name, 0.0) for p in EFFECTS["unknown_wrench"].parameters]
 
 
+def test_small_error_of_an_outline_that_a_camera_traced_is_no_effect_and_a_large_one_no_data() -> None:
+    def traced(offset: float) -> list[PushRecord]:
+        return [replace(r, shape=replace(r.shape, is_seen=True)) for r in _pushes(6, 1, {"outline_error": [offset]})]
+
+    small = diagnose(traced(5e-4))
+    assert small.verdict is Verdict.NO_GAP
+    (gate,) = [gate for gate in small.gates if "outside the outline" in gate.found]
+    assert 0.3e-3 < float(gate.found.split()[7]) * 1e-3 < 0.7e-3
+    large = diagnose(traced(-5e-3))
+    assert large.verdict is Verdict.NOT_TRUSTWORTHY
+    assert "radius of the pusher" in large.sentence
+
+
 def test_twins_are_named_together() -> None:
     found = diagnose(_pushes(8, 3, {"tool_offset": [0.003, 0.0]}))
     assert found.verdict is Verdict.ONE_OF
@@ -181,12 +194,11 @@ def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
 
 def test_effect_held_at_zero_is_as_if_it_had_never_been_there() -> None:
     base = fit_base(_pushes(4, 1), DiagnosisSettings())
-    fit = fit_effects(base, ("table_tilt", "pose_latency"))
-    span = range(fit.parameters.effect_slice.start, fit.parameters.effect_slice.stop)
-    held = held_at_zero(fit, list(span))
+    names = ("table_tilt", "pose_latency")
+    held = fit_effects_but(base, names, np.zeros(3), [0, 1, 2])
     assert np.abs(held.effects.values).max() < 1e-6
     assert held.log_evidence == pytest.approx(base.log_evidence, abs=0.1)
-    assert fit.log_evidence != pytest.approx(base.log_evidence, abs=0.1)
+    assert fit_effects(base, names).log_evidence != pytest.approx(base.log_evidence, abs=0.1)
 
 
 def test_push_held_out_is_fitted_without_it() -> None:

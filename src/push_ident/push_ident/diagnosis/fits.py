@@ -17,7 +17,7 @@ from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus
 
-__all__ = ["EffectFit", "fit_base", "fit_effects", "held_at_zero", "polished", "with_another", "without_pushes"]
+__all__ = ["EffectFit", "fit_base", "fit_effects", "fit_effects_but", "polished", "with_another", "without_pushes"]
 
 _AMPLITUDES = (1.0, 0.3, 0.1)
 _MAX_ITERATIONS = 40
@@ -153,16 +153,20 @@ def polished(fit: EffectFit) -> EffectFit:
     return EffectFit(problem, *minimise(problem, fit.x, _MAX_ITERATIONS, start=fit.end))
 
 
-def held_at_zero(fit: EffectFit, unknowns: Sequence[int]) -> EffectFit:
-    """The same fit with some of the unknowns `z` at zero, as if they had never been there."""
-    z, n = fit.z, fit.parameters.size
-    covariance = np.linalg.inv(fit.end.hessian)
-    among = covariance[np.ix_(unknowns, unknowns)]
-    x0 = fit.x - covariance[:, unknowns] @ np.linalg.solve(among, z[unknowns])
-    held = np.zeros(n)
-    held[unknowns] = _HELD
-    problem = fit.problem.of(fit.parameters, fit.problem.past + Quadratic(np.zeros(n), np.zeros(n), np.diag(held)))
-    return EffectFit(problem, *minimise(problem, x0, _MAX_ITERATIONS))
+def fit_effects_but(base: EffectFit, names: Sequence[str], start: Float64Array, held: Sequence[int]) -> EffectFit:
+    """As `fit_effects`, with some values of the effects held at zero, as if they had never been there.
+
+    Args:
+        base: an earlier fit, whose maps are the start.
+        names: of all effects of the fit.
+        start: unknowns of the effects to start from, shape (n_values,).
+        held: numbers of the values that are held, from the first value of the first effect.
+    """
+    before = base.parameters
+    parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=names)
+    n, precision = parameters.size, np.zeros(parameters.size)
+    precision[[parameters.effect_slice.start + number for number in held]] = _HELD
+    return _refit(base, parameters, start, Quadratic(np.zeros(n), np.zeros(n), np.diag(precision)))
 
 
 def without_pushes(fit: EffectFit, pushes: Sequence[int]) -> EffectFit:
@@ -180,10 +184,10 @@ def without_pushes(fit: EffectFit, pushes: Sequence[int]) -> EffectFit:
     return EffectFit(problem, *minimise(problem, np.r_[_AWAY * fit.z, poses.ravel()], _MAX_ITERATIONS, tolerance=_ROUGH))
 
 
-def _refit(base: EffectFit, parameters: MapParameters, start: Float64Array) -> EffectFit:
+def _refit(base: EffectFit, parameters: MapParameters, start: Float64Array, past: Quadratic | None = None) -> EffectFit:
     before = base.parameters
     maps, scales, poses = base.z[: 2 * before.n_modes], base.z[-2:], base.x[before.size :]
-    problem = base.problem.of(parameters)
+    problem = base.problem.of(parameters, past)
     return EffectFit(problem, *minimise(problem, np.concatenate([maps, start, scales, poses]), _MAX_ITERATIONS, tolerance=_ROUGH))
 
 

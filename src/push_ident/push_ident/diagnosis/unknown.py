@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final, TypeAlias
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, fit_effects, held_at_zero
-from push_ident.diagnosis.parallel import side_by_side
-from push_ident.diagnosis.scores import information_beside
+from push_ident.diagnosis.fits import EffectFit, fit_effects_but, polished
+from push_ident.diagnosis.scores import Information, information_beside
 from push_ident.diagnosis.selection import Selection
 from push_ident.physics.effects.unknown_wrench import COMPONENTS, EFFECT, FEATURES
-from push_ident.types import Float64Array
 
 __all__ = ["SmoothWrench", "find_unknown"]
 
@@ -23,8 +23,13 @@ _MAX_START = 2.0
 """A guess is not taken further than so many prior deviations."""
 _CHOICE = 2.0
 """What a part costs for having been chosen among all [nat]."""
+_MOST_PARTS = 8
 _STANDS_OUT = 0.2
 """Share of all that the wrench says from which a part of it is named."""
+
+
+Part: TypeAlias = tuple[str, str]
+"""Of the wrench: a component and a feature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,31 +66,105 @@ def find_unknown(selection: Selection) -> SmoothWrench | None:
         None where there is no trace of one beside them.
     """
     told = information_beside(selection.fit, (EFFECT.name,))
-    if told is None:
-        return None
-    covariance = np.asarray(np.linalg.inv(told.precision), dtype=np.float64)
-    weight = -covariance @ told.slope
-    expected = -0.5 * float(told.slope @ weight) - 0.5 * float(np.linalg.slogdet(told.precision)[1])
-    if len(selection.found) < _IMITATED and expected + _needed_parts(weight, covariance)[1] < _PROMISING:
+    if told is None or (len(selection.found) < _IMITATED and _best_parts(told)[1] < _PROMISING):
         return None
     base = selection.base
-    known, names = base.z[base.parameters.effect_slice], (*base.names, EFFECT.name)
-    if selection.found and (beside := information_beside(base, (EFFECT.name,))) is not None:
-        weight = np.asarray(-np.linalg.solve(beside.precision, beside.slope), dtype=np.float64)
-    # The linear guess reaches far and may end in another valley than the way from zero.
-    near = weight * min(1.0, _MAX_START / float(np.linalg.norm(weight)))
-    starts = [np.concatenate([known, start]) for start in (near, np.zeros_like(near))]
-    fits = side_by_side(lambda start: fit_effects(base, names, start), starts)
-    fit = max(fits, key=lambda fit: fit.log_evidence + _needed_parts_of(fit)[1])
-    parts, _ = _needed_parts_of(fit)
-    first = _place(fit).start
-    needless = [first + number for part, numbers in _blocks().items() if part not in parts for number in numbers]
-    fit = held_at_zero(fit, needless)
+    beside = information_beside(base, (EFFECT.name,)) if selection.found else told
+    if beside is None:
+        return None
+    parts, _ = _best_parts(beside)
+    best: tuple[float, list[Part], EffectFit] | None = None
+    proposed = parts or [max(_promises(beside, []).items(), key=lambda item: item[1])[0]]
+    # The first proposal is that of the linear guess, which reaches far; what it missed is added one by one, each by a fit of its own.
+    while len(proposed) <= _MOST_PARTS:
+        fit = _fit_parts(base, proposed, beside)
+        gain = fit.log_evidence - base.log_evidence - _CHOICE * len(proposed)
+        if best is not None and gain <= best[0]:
+            break
+        best = gain, proposed, fit
+        promises = _promises(_information_of_held(fit, proposed), proposed)
+        part, promise = max(promises.items(), key=lambda item: item[1])
+        if promise <= 0.0:
+            break
+        proposed = [*proposed, part]
+    if best is None:
+        return None
+    gain, parts, fit = best
+    fit = polished(fit)
+    says = _says(fit, parts)
     acts_on, varies_with = dict.fromkeys(COMPONENTS, 0.0), dict.fromkeys(FEATURES, 0.0)
-    for (component, feature), share in parts.items():
+    for (component, feature), share in says.items():
         acts_on[component] += share
         varies_with[feature] += share
     return SmoothWrench(fit, fit.log_evidence - base.log_evidence - _CHOICE * len(parts), acts_on, varies_with)
+
+
+def _blocks() -> dict[Part, list[int]]:
+    """Numbers of the weights of each part."""
+    blocks: dict[Part, list[int]] = {}
+    number = 0
+    for component in COMPONENTS:
+        for feature, functions in FEATURES.items():
+            blocks[component, feature] = list(range(number, number + len(functions)))
+            number += len(functions)
+    return blocks
+
+
+_BLOCKS: Final = _blocks()
+
+
+def _numbers(parts: Iterable[Part]) -> list[int]:
+    return [number for part in parts for number in _BLOCKS[part]]
+
+
+def _best_parts(told: Information) -> tuple[list[Part], float]:
+    """The parts of the wrench that the pushes speak for by the linear guess, and the gain of log evidence that they promise [nat].
+
+    With the weights r of some parts left out the log evidence of a normal posterior (w, S) changes by
+    -1/2 w_r' S_rr^-1 w_r - 1/2 log det S_rr, without another fit. Parts are taken away while that grows; each that stays costs as
+    much as there was to choose from.
+    """
+    covariance = np.asarray(np.linalg.inv(told.precision), dtype=np.float64)
+    weight = -covariance @ told.slope
+    value = -0.5 * float(told.slope @ weight) - 0.5 * float(np.linalg.slogdet(told.precision)[1])
+
+    def change(without: list[int]) -> float:
+        among = covariance[np.ix_(without, without)]
+        w = weight[without]
+        return float(-0.5 * w @ np.linalg.solve(among, w) - 0.5 * np.linalg.slogdet(among)[1])
+
+    kept, best = list(_BLOCKS), -_CHOICE * len(_BLOCKS)
+    while kept:
+        trials = {part: change(_numbers(p for p in _BLOCKS if p == part or p not in kept)) for part in kept}
+        part = max(trials, key=lambda p: trials[p])
+        if trials[part] - _CHOICE * (len(kept) - 1) <= best:
+            break
+        best = trials[part] - _CHOICE * (len(kept) - 1)
+        kept.remove(part)
+    return kept, value + best
+
+
+def _promises(told: Information, parts: Sequence[Part]) -> dict[Part, float]:
+    """Expected gain of log evidence of each part beside those that are fitted, less what it costs to choose it [nat]."""
+    promises = {}
+    for part in _BLOCKS:
+        if part not in parts:
+            own = _BLOCKS[part]
+            slope, precision = told.slope[own], told.precision[np.ix_(own, own)]
+            gain = 0.5 * slope @ np.linalg.solve(precision, slope) - 0.5 * np.linalg.slogdet(precision)[1]
+            promises[part] = float(gain) - _CHOICE
+    return promises
+
+
+def _fit_parts(base: EffectFit, parts: Sequence[Part], told: Information) -> EffectFit:
+    """Fit some parts of the wrench, from where the linear guess puts them; all others stay at zero."""
+    own = _numbers(parts)
+    start = np.zeros(len(told.slope))
+    start[own] = -np.linalg.solve(told.precision[np.ix_(own, own)], told.slope[own])
+    start *= min(1.0, _MAX_START / max(float(np.linalg.norm(start)), 1e-9))
+    first = base.z[base.parameters.effect_slice]
+    held = [number for number in range(len(start)) if number not in own]
+    return fit_effects_but(base, (*base.names, EFFECT.name), np.concatenate([first, start]), [len(first) + number for number in held])
 
 
 def _place(fit: EffectFit) -> slice:
@@ -94,50 +173,31 @@ def _place(fit: EffectFit) -> slice:
     return slice(first + own.start, first + own.stop)
 
 
-def _needed_parts_of(fit: EffectFit) -> tuple[dict[tuple[str, str], float], float]:
-    place = _place(fit)
-    return _needed_parts(fit.z[place], fit.covariance[place, place])
+def _information_of_held(fit: EffectFit, parts: Sequence[Part]) -> Information:
+    """What the pushes tell of the weights that are held at zero beside all that is fitted; those that are not count as known."""
+    first, n = _place(fit).start, len(EFFECT.parameters)
+    fitted = np.array([i for i in range(fit.problem.size) if not first <= i < first + n or i - first in _numbers(parts)])
+    held = np.array([first + number for number in range(n) if number not in _numbers(parts)])
+    # Without what holds them.
+    n_poses = fit.problem.size - fit.parameters.size
+    hessian = fit.end.hessian - np.pad(fit.problem.past.hessian, (0, n_poses))
+    gradient = fit.end.gradient - np.pad(fit.problem.past.slope(fit.z), (0, n_poses))
+    onto = np.linalg.solve(hessian[np.ix_(fitted, fitted)], hessian[np.ix_(fitted, held)]).T
+    precision, slope = np.eye(n), np.zeros(n)
+    own = held - first
+    precision[np.ix_(own, own)] = hessian[np.ix_(held, held)] - onto @ hessian[np.ix_(fitted, held)]
+    slope[own] = gradient[held] - onto @ gradient[fitted]
+    return Information({EFFECT.name: np.arange(n)}, precision, slope)
 
 
-def _needed_parts(weight: Float64Array, covariance: Float64Array) -> tuple[dict[tuple[str, str], float], float]:
-    """The parts of the wrench that the pushes need, with the share of what each says, and the evidence that goes with the others.
-
-    With the weights r of some parts held at zero the log evidence of a normal posterior changes by
-    -1/2 w_r' S_rr^-1 w_r - 1/2 log det S_rr, without another fit. Parts are taken away while that grows; each that stays costs as
-    much as there was to choose from.
-
-    Args:
-        weight: posterior mean w, shape (n_weights,).
-        covariance: S, shape (n_weights, n_weights).
-    """
-    blocks = _blocks()
-
-    def change(without: list[int]) -> float:
-        if not without:
-            return 0.0
-        among = covariance[np.ix_(without, without)]
-        w = weight[without]
-        return float(-0.5 * w @ np.linalg.solve(among, w) - 0.5 * np.linalg.slogdet(among)[1])
-
-    kept, best = dict(blocks), -_CHOICE * len(blocks)
-    gone: list[int] = []
-    while kept:
-        value, part = max((change([*gone, *numbers]) - _CHOICE * (len(kept) - 1), part) for part, numbers in kept.items())
-        if value <= best:
-            break
-        best = value
-        gone += kept.pop(part)
-    says = {part: max(change(gone) - change([*gone, *numbers]), 0.0) for part, numbers in kept.items()}
-    total = max(sum(says.values()), 1e-9)
-    return {part: share / total for part, share in says.items()}, best
-
-
-def _blocks() -> dict[tuple[str, str], list[int]]:
-    """Numbers of the weights of each part: a component and a feature."""
-    blocks: dict[tuple[str, str], list[int]] = {}
-    number = 0
-    for component in COMPONENTS:
-        for feature, functions in FEATURES.items():
-            blocks[component, feature] = list(range(number, number + len(functions)))
-            number += len(functions)
-    return blocks
+def _says(fit: EffectFit, parts: Sequence[Part]) -> dict[Part, float]:
+    """Share of each part in what the wrench says: the evidence that would go with it."""
+    first = _place(fit).start
+    weight, covariance = fit.z[first:], fit.covariance[first:, first:]
+    says = {}
+    for part in parts:
+        own = _BLOCKS[part]
+        among = covariance[np.ix_(own, own)]
+        says[part] = max(float(0.5 * weight[own] @ np.linalg.solve(among, weight[own]) + 0.5 * np.linalg.slogdet(among)[1]), 1e-3)
+    total = sum(says.values())
+    return {part: share / total for part, share in says.items()}
