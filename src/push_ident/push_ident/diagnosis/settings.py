@@ -22,7 +22,7 @@ class Thresholds:
 
     seen: float = 5.0
     """An effect that gains less is not there as far as these data go."""
-    also: float = 10.0
+    also: float = 12.0
     """The same of an effect beside another one: the law of the first may not be quite that of the world."""
     also_share: float = 0.1
     """And so much of what was found before it gains: what a law is off by grows with the effect."""
@@ -33,7 +33,7 @@ class Thresholds:
     unknown: float = 10.0
     """A smooth wrench must gain so much before the cause counts as unknown, and more than one effect that was named by `apart`; several
     effects must gain more than the wrench by as much, or it counts as unknown, too."""
-    leftover: float = 1.2
+    leftover: float = 1.5
     """Mean square of the residuals beside all that was named, over that of a model that is right, from which something else is there."""
     most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""

@@ -31,6 +31,9 @@ from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
 
 __all__ = ["MapParameters", "Mechanics", "Prior"]
 
+_OUTLINE = "outline_error"
+"""Effect whose size the prior knows better than the catalogue where a camera traced the outline."""
+
 
 @dataclass(frozen=True, slots=True)
 class Prior:
@@ -56,9 +59,19 @@ class Prior:
     """Distance over which the maps change, as a share of the object's diagonal."""
     max_modes: int = 40
     """Modes a map is made of at most."""
+    outline_std: float = 2e-3
+    """Of the distance between surface and outline, where that is fitted (effect `outline_error`) [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("total_mass", "friction", "pusher_friction", "friction_std", "pusher_friction_std", "correlation_length"):
+        for name in (
+            "total_mass",
+            "friction",
+            "pusher_friction",
+            "friction_std",
+            "pusher_friction_std",
+            "correlation_length",
+            "outline_std",
+        ):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"Prior.{name} is {value}, expected a positive number.")
@@ -152,13 +165,22 @@ class MapParameters:
         """Where the unknowns of the effects stand."""
         return slice(2 * self.n_modes, 2 * self.n_modes + len(self.effects))
 
+    @property
+    def effect_scale(self) -> Float64Array:
+        """Deviation of each value of the effects by the prior, shape (n_values,)."""
+        scale = np.array([parameter.scale for parameter in self.effects.parameters])
+        if _OUTLINE in self.effects.names:
+            scale[self.effects.slice_of(_OUTLINE)] = self.prior.outline_std
+        return scale
+
     def effects_at(self, z: Float64Array) -> EffectValues:
         """The effects with the values that `z` stands for; values out of their range are taken at its end."""
         return self.effects.with_values(self._effect_values(z)[0])
 
     def _effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Values of the effects and their derivative by their own unknowns, each shape (n_values,)."""
-        scale, low, high = (np.array([getattr(p, name) for p in self.effects.parameters]) for name in ("scale", "low", "high"))
+        low, high = (np.array([getattr(p, name) for p in self.effects.parameters]) for name in ("low", "high"))
+        scale = self.effect_scale
         free = self.effects.values + scale * z[self.effect_slice]
         return np.clip(free, low, high), np.where((free >= low) & (free <= high), scale, 0.0)
 

@@ -60,8 +60,7 @@ class ModelPosterior:
     def effects_std(self) -> Float64Array:
         """Standard deviation of the values of the effects, shape (n_values,)."""
         own = self.parameters.effect_slice
-        scale = np.array([p.scale for p in self.parameters.effects.parameters])
-        return np.asarray(scale * np.sqrt(np.diag(self.covariance)[own]))
+        return np.asarray(self.parameters.effect_scale * np.sqrt(np.diag(self.covariance)[own]))
 
     def _log_std(self, rows: Float64Array, left_out: float, other: float) -> Float64Array:
         """Deviation of a logarithm with derivative `rows`; `left_out` and `other` are variances of the lost modes and of anything else."""
