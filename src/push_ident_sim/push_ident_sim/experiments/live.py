@@ -168,7 +168,7 @@ EXPERIMENT = Experiment(
         "same pushes, learned one by one by the library. `kills`: the node is killed at a random moment, every other time in the middle "
         "of writing its state, and started again; the bag is played from its start. `latency`: twelve pushes before a rendered camera "
         "(30 Hz, 640 x 480), perception and identification on the two cores that also play the camera; of the frames of a push from the "
-        "first that changes the map on. `soak`: one hour of pushes, played five times as fast, with the memory looked at each 5 s; growth "
+        "first that changes the map on. `soak`: one hour of pushes with the memory looked at each 5 s; growth "
         f"is the median slope after the first tenth. A node has to end within {_IN_TIME:.0f} s."
     ),
     variants=tuple(_MEASURES),
