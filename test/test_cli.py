@@ -15,8 +15,6 @@ from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
 
-pytestmark = pytest.mark.alone
-
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 
 

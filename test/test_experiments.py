@@ -25,8 +25,6 @@ from push_ident_sim.objects import make_object
 from push_ident_sim.sources import code_digest, files_behind
 from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
 
-pytestmark = pytest.mark.alone
-
 FEW = TruthSettings(n_train=2, n_test=1)
 
 

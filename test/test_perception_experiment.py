@@ -20,8 +20,6 @@ from push_ident_sim.experiments.recorded_scenes import find_objects, read_scene,
 from push_ident_sim.experiments.seeing import postures_of_pushes, see_pushes, views_of_pushes
 from push_ident_sim.objects import make_object
 
-pytestmark = pytest.mark.alone
-
 SMALL = CameraIntrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
 EYE = look_at((0.0, -0.8, 0.65), (0.0, 0.0, 0.0))
 BOXES = {20: rectangle(-0.15, -0.05, -0.05, 0.05), 30: rectangle(0.04, -0.02, 0.16, 0.08)}

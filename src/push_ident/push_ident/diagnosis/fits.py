@@ -107,7 +107,9 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Effe
     return max(side_by_side(fit, _AMPLITUDES), key=lambda fit: fit.log_evidence)
 
 
-def fit_effects(base: EffectFit, names: Sequence[str], start: Float64Array | None = None, expected: float = np.inf) -> EffectFit:
+def fit_effects(
+    base: EffectFit, names: Sequence[str], start: Float64Array | None = None, expected: float = np.inf, worth: float = -np.inf
+) -> EffectFit:
     """Fit other effects to the same pushes under the same prior, as far as it takes to compare it with other fits; see `polished`.
 
     Args:
@@ -115,6 +117,7 @@ def fit_effects(base: EffectFit, names: Sequence[str], start: Float64Array | Non
         names: of all effects of the fit.
         start: unknowns of the effects to start from, shape (n_values,); those of `base`, else zero.
         expected: gain of log evidence [nat]. A second start, nearer to zero, is tried where the first hardly helps although it should.
+        worth: gain from which the fit matters [nat]; one that has no hope to get there ends early.
     """
     before = base.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=names)
@@ -123,9 +126,10 @@ def fit_effects(base: EffectFit, names: Sequence[str], start: Float64Array | Non
         if name in base.names:
             guess[parameters.effects.slice_of(name)] = base.z[before.effect_slice][before.effects.slice_of(name)]
     first = guess if start is None else start
-    fits = [_refit(base, parameters, first)]
+    target = base.end.cost - worth
+    fits = [_refit(base, parameters, first, worth=target)]
     if start is not None and expected > _HOPED and fits[0].end.cost > base.end.cost - 1.0:
-        fits.append(_refit(base, parameters, guess + _SHRUNK * (start - guess)))
+        fits.append(_refit(base, parameters, guess + _SHRUNK * (start - guess), worth=target))
     return max(fits, key=lambda fit: fit.log_evidence)
 
 
@@ -184,11 +188,13 @@ def without_pushes(fit: EffectFit, pushes: Sequence[int]) -> EffectFit:
     return EffectFit(problem, *minimise(problem, np.r_[_AWAY * fit.z, poses.ravel()], _MAX_ITERATIONS, tolerance=_ROUGH))
 
 
-def _refit(base: EffectFit, parameters: MapParameters, start: Float64Array, past: Quadratic | None = None) -> EffectFit:
+def _refit(
+    base: EffectFit, parameters: MapParameters, start: Float64Array, past: Quadratic | None = None, worth: float = np.inf
+) -> EffectFit:
     before = base.parameters
     maps, scales, poses = base.z[: 2 * before.n_modes], base.z[-2:], base.x[before.size :]
-    problem = base.problem.of(parameters, past)
-    return EffectFit(problem, *minimise(problem, np.concatenate([maps, start, scales, poses]), _MAX_ITERATIONS, tolerance=_ROUGH))
+    problem, x0 = base.problem.of(parameters, past), np.concatenate([maps, start, scales, poses])
+    return EffectFit(problem, *minimise(problem, x0, _MAX_ITERATIONS, tolerance=_ROUGH, worth=worth))
 
 
 def _fit(

@@ -16,8 +16,8 @@ __all__ = ["Gap", "measure_gap"]
 
 _N_DRAWS = 64
 _N_BOOTSTRAP = 2000
-_N_FOLDS = 14
-"""Pushes are held out one by one, and where they are more than this, two or more at a time."""
+_N_FOLDS = 10
+"""Pushes are held out one by one, and where they are more than this, some or all of them two or more at a time."""
 _NOTHING = 2.0
 """The gap before counts as one where it is so many standard errors above the noise."""
 

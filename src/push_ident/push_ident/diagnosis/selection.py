@@ -115,11 +115,13 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         chosen = _worth_refitting(scores, thresholds, is_first=fit is base)
         if chosen:
             report(f"refitting with {', '.join(score.name for score in chosen)}")
-        candidates = _ranked(side_by_side(partial(_refitted, fit), chosen), thresholds.apart)
-        steps.append(Step(fit, told, scores, tuple(candidates)))
         n_found = len(fit.names) - len(base.names)
         found = fit.log_evidence - base.log_evidence
         needed = max(thresholds.also, thresholds.also_share * found) if n_found else thresholds.seen
+        # Of a first effect, all that were refitted are told in the ranking.
+        worth = needed - thresholds.apart if n_found else -np.inf
+        candidates = _ranked(side_by_side(partial(_refitted, fit, worth), chosen), thresholds.apart)
+        steps.append(Step(fit, told, scores, tuple(candidates)))
         if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps))
         fit = _without_needless(base, _swapped(polished(candidates[0].fit), steps), thresholds)
@@ -148,9 +150,9 @@ def _ranked(candidates: list[Candidate], apart: float) -> list[Candidate]:
     return ranked
 
 
-def _refitted(fit: EffectFit, score: EffectScore) -> Candidate:
+def _refitted(fit: EffectFit, worth: float, score: EffectScore) -> Candidate:
     names = (*fit.names, score.name)
-    own = fit_effects(fit, names, np.concatenate([fit.z[fit.parameters.effect_slice], score.start]), score.gain)
+    own = fit_effects(fit, names, np.concatenate([fit.z[fit.parameters.effect_slice], score.start]), score.gain, worth)
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
 
 

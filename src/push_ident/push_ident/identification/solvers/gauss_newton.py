@@ -20,6 +20,10 @@ _CREEP = 10.0
 _CREEP_STEPS = 6
 """Converged, too, when so many steps together lowered the cost by less than so many tolerances: the cost has kinks (stick and slip),
 along which a solve could creep for long without the data being able to tell one point from the next."""
+_HOPE = 5.0
+"""A solve that has to lower the cost by more than so many times what its next full step is expected to, to be worth its while, ends."""
+_FIRST_STEPS = 3
+"""Steps that are made before that is asked."""
 MAX_ITERATIONS = 60
 
 
@@ -36,6 +40,7 @@ def minimise(
     *,
     tolerance: float = _TOLERANCE,
     start: Evaluation | None = None,
+    worth: float = np.inf,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """Minimise the cost of `problem` from `x0`, shape (problem.size,).
 
@@ -45,6 +50,7 @@ def minimise(
         max_iterations: evaluations at most, beside the first.
         tolerance: a full step that is expected to lower the cost by less is not worth its while (in units of 1/2 chi^2).
         start: evaluation at `x0`, where it is known already.
+        worth: cost from which the result matters; a solve that has no hope to get there ends early, as stalled.
 
     Returns:
         The best point, its evaluation, and how the solve ended.
@@ -64,6 +70,8 @@ def minimise(
             return x, best, SolveStatus.CONVERGED
         if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance:
             return x, best, SolveStatus.CONVERGED
+        if len(costs) > _FIRST_STEPS and damping <= _FAILED_DAMPING and best.cost - _HOPE * expected > worth:
+            return x, best, SolveStatus.STALLED
         if problem.meter.spent:
             return x, best, SolveStatus.BUDGET_SPENT
         trial = problem.evaluate(x + step)
