@@ -18,7 +18,7 @@ from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
 from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_nothing, sentence_of_unknown
 from push_ident.errors import InputError
-from push_ident.identification.observation import noise_correlation, observe_push
+from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
@@ -31,6 +31,8 @@ _SAME = ({"tool_offset", "camera_translation"},)
 """Effects that no push can tell apart."""
 _SEEN_OUTLINE_STD = 4e-4
 """Of an outline that a camera traced [m]; the perception of this suite is off by 0.34 mm root mean square."""
+_SEEN_POSE_STD = (3e-4, 2e-3)
+"""Of a pose of such an object, shared by all frames of a rest [m, rad]."""
 _CHANCE = 0.005
 """Probability below which residuals are not those of a model that is right."""
 _VETO = -2.0
@@ -63,7 +65,7 @@ def diagnose(
         raise InputError(f"There is no effect `{strange[0]}`; choose from {', '.join(EFFECTS)}.")
     if (settings.outline_is_seen or records[0].shape.is_seen) and SEEN_OUTLINE not in settings.base_effects:
         prior = replace(settings.prior, outline_std=_SEEN_OUTLINE_STD)
-        settings = replace(settings, base_effects=(*settings.base_effects, SEEN_OUTLINE), prior=prior)
+        settings = replace(settings, base_effects=(*settings.base_effects, SEEN_OUTLINE), prior=prior, noise=_seen(settings.noise))
     gates = check_data(records, settings)
     pushes = [record for record in records if observe_push(record, settings.noise).touched]
     if not all(gate.passed for gate in gates):
@@ -121,6 +123,12 @@ def diagnose(
         frames=frames,
         leftover=leftover,
     )
+
+
+def _seen(noise: NoiseModel) -> NoiseModel:
+    """Noise of poses that a camera tells: their error depends on place and view, and no mean over frames takes it away."""
+    floor_position = max(noise.floor_position, _SEEN_POSE_STD[0])
+    return replace(noise, floor_position=floor_position, floor_yaw=max(noise.floor_yaw, _SEEN_POSE_STD[1]))
 
 
 def _untrusted(gates: list[Gate]) -> Diagnosis:

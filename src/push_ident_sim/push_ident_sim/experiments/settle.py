@@ -56,7 +56,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         client.wait_for_map(object_id, made)
         reports = [_diagnose(client, object_id)]
         asked: list[Json] = []
-        while reports[-1].verdict not in _SETTLED and reports[-1].has_next_push and len(asked) < _MOST:
+        while not _is_settled(reports[-1]) and reports[-1].has_next_push and len(asked) < _MOST:
             result = client.execute_push(_goal_of(reports[-1], object_id))
             asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_distance2})
             made += result.error_code == PushCode.NONE
@@ -70,6 +70,10 @@ def _diagnose(client: CellClient, object_id: str) -> GapReport:
     if not result.success:
         raise InputError(f"The diagnosis failed: {result.message}")
     return result.report
+
+
+def _is_settled(report: GapReport) -> bool:
+    return report.verdict in _SETTLED and not report.confusable
 
 
 def _goal_of(report: GapReport, object_id: str) -> ExecutePush.Goal:
@@ -88,6 +92,7 @@ def _row(report: GapReport, truth: str) -> Json:
     found = [effect.name for effect in report.effects]
     return {
         "verdict": report.verdict,
+        "sentence": report.sentence,
         "found": found,
         "confusable": list(report.confusable),
         "right": found == ([] if truth == "none" else [truth]),
@@ -103,7 +108,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     for result in results:
         reports: list[Any] = result.values["reports"]
         last = reports[-1]
-        settled = last["verdict"] in _SETTLED
+        settled = last["verdict"] in _SETTLED and not last["confusable"]
         rows.append(
             {
                 "object": result.case.object_name,
