@@ -12,14 +12,16 @@ import numpy as np
 import pytest
 from objects import hammer, random_records
 
-from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.diagnose import _explains_more, diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Group
-from push_ident.diagnosis.selection import Candidate, Selection, Step
-from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.scores import EffectScore, Information
+from push_ident.diagnosis.selection import Candidate, Selection, Step, _worth_refitting
+from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
+from push_ident.diagnosis.unknown import SmoothWrench, _best_parts
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
 from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_nothing, sentence_of_unknown
 from push_ident.errors import InputError
@@ -27,7 +29,7 @@ from push_ident.identification.observation import NoiseModel, noise_correlation,
 from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import simulate
-from push_ident.types import ObjectModel, PoseTrack, PushRecord
+from push_ident.types import ObjectModel, PoseTrack, PushRecord, SolveStatus
 
 TRUTH = hammer(1)
 TRUTH = ObjectModel(TRUTH.shape, TRUTH.mass, TRUTH.friction, 0.3)
@@ -175,6 +177,49 @@ def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_came() -> None:
     assert {name: (steps.index(s), c.gain) for name, (s, c) in selection.added.items()} == {"wear": (0, 35.0), "tether": (1, 15.0)}
 
 
+def test_several_effects_have_to_beat_the_wrench_that_they_may_imitate_and_one_must_only_not_be_beaten() -> None:
+    def named(*names: str) -> Selection:
+        base, fit = SimpleNamespace(names=(), log_evidence=0.0), SimpleNamespace(names=names, log_evidence=40.0)
+        return Selection(cast(Any, base), cast(Any, fit))
+
+    def explains_more(gain: float, *names: str) -> bool:
+        return _explains_more(SmoothWrench(cast(Any, None), gain, {}, {}), named(*names), Thresholds(apart=6.0, most=0.8))
+
+    assert [explains_more(gain, "tether", "wear") for gain in (33.0, 35.0)] == [False, True]
+    assert [explains_more(gain, "tether") for gain in (45.0, 49.0, 51.0)] == [False, False, True]
+
+
+def test_effect_beside_another_is_refitted_only_where_it_promises_something() -> None:
+    def chosen(is_first: bool, **gains: float) -> list[str]:
+        scores = tuple(EffectScore(name, gain, np.zeros(1), np.eye(1), np.inf) for name, gain in gains.items())
+        return [score.name for score in _worth_refitting(scores, Thresholds(), is_first=is_first)]
+
+    assert chosen(True, wear=3.0, restitution=-1.0) == ["wear", "restitution"]
+    assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
+    assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
+    assert chosen(True) == []
+
+
+def test_wrench_of_many_parts_is_told_by_the_best_of_them() -> None:
+    """The linear guess may ask for all 24 parts."""
+    n = len(EFFECTS["unknown_wrench"].parameters)
+    told = Information({"unknown_wrench": np.arange(n)}, 1e4 * np.eye(n), -1e4 * np.linspace(0.5, 1.5, n))
+    parts, promise = _best_parts(told)
+    assert len(parts) == 8 and promise > 0
+    assert ("turning", "heading in the object") in parts and ("along", "even") not in parts
+
+
+def test_fit_without_hope_ends_early() -> None:
+    problem = fit_base(_pushes(4, 1), DiagnosisSettings()).problem
+    _, full, status = minimise(problem.of(problem.parameters), np.zeros(problem.size))
+    hopeless = problem.of(problem.parameters)
+    _, early, given_up = minimise(hopeless, np.zeros(problem.size), worth=full.cost - 1e3)
+    assert (status, given_up) == (SolveStatus.CONVERGED, SolveStatus.BUDGET_SPENT)
+    assert early.cost > full.cost
+    # What the full solve reaches is within hope at every step.
+    assert minimise(problem.of(problem.parameters), np.zeros(problem.size), worth=full.cost + 1.0)[1].cost == full.cost
+
+
 def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
     gap = Gap(np.full(4, 4e-3), np.full(4, 1e-3), np.full(4, 7e-4), np.ones(4), np.ones((4, 2)))
     tilt = FoundEffect("table_tilt", {"x": 0.0175, "y": 0.0}, {"x": 0.0017, "y": 0.0017}, 30.0)
@@ -183,7 +228,8 @@ def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
     assert one.startswith(
         "The simulation leaves out that the table slopes down along (x, y) (table_tilt: x 1 ± 0.097 deg, y 0 ± 0.097 deg)."
     )
-    assert "from 4.0 to 1.0 mm; 0.7 mm is" in one
+    assert "falls from 4.0 to 1.0 mm; 0.7 mm is" in one
+    assert "predicted no better (5.0 mm, 4.0 without)" in sentence_of_effects([tilt], [], replace(gap, after=np.full(4, 5e-3)))
     assert "(or it is tether instead: these pushes cannot tell)" in sentence_of_effects([tilt], ["tether"], gap)
     two = sentence_of_effects([tilt, lag], ["pose_latency"], gap)
     assert "; and the pusher follows" in two and "30 ± 2 ms" in two and "(or in place of pusher_lag it is pose_latency: these" in two

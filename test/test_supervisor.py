@@ -102,6 +102,21 @@ def test_nothing_remains_after_an_error_in_the_caller(tmp_path: Path) -> None:
     assert supervisor.exit_code("one") is not None
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_nothing_remains_when_the_caller_is_told_to_end(tmp_path: Path, number: signal.Signals) -> None:
+    """`push-ident demo` under `timeout`, say."""
+    script = (
+        "import sys, time; from pathlib import Path; from push_ident.cli.supervisor import NodeCommand, Supervisor\n"
+        "commands = [NodeCommand('one', (sys.executable, '-c', sys.argv[2]))]\n"
+        "with Supervisor(commands, log_dir=Path(sys.argv[1])):\n    time.sleep(60)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path), HAS_CHILD.format(rest=SLEEP)], stderr=subprocess.DEVNULL)
+    child = int(wait_for_line(tmp_path / "one.log", "ready").split()[1])
+    process.send_signal(number)
+    assert process.wait(timeout=10) != 0
+    assert not is_alive(child)
+
+
 def test_process_that_may_end_stops_nothing(tmp_path: Path) -> None:
     with Supervisor([command("player", "pass", may_end=True), command("one", SLEEP)], log_dir=tmp_path) as supervisor:
         assert supervisor.wait_for("player", timeout=20.0) == 0

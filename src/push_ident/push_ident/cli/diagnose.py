@@ -37,6 +37,7 @@ def diagnose_command(
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
+    seen: Annotated[bool, typer.Option("--seen", help="Poses and outline in the bags come from a camera, not from a model.")] = False,
     total_mass: Annotated[float | None, typer.Option(help="Weight of the object, if it was weighed [kg].", show_default=False)] = None,
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
     friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
@@ -51,7 +52,7 @@ def diagnose_command(
         friction=friction,
         pusher_friction=pusher_friction,
     )
-    settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()))
+    settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_is_seen=seen)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")

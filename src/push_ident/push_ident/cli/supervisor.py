@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import IO, Final, Literal
+from typing import IO, Any, Final, Literal
 
 from rich.console import Console
 from rich.text import Text
@@ -88,7 +88,8 @@ class NodeExit:
 class Supervisor:
     """Runs processes until one of them dies or all are stopped.
 
-    As a context manager it starts them on entry and stops them on exit, whatever happens in between.
+    As a context manager, of the main thread, it starts them on entry and stops them on exit, whatever happens in between; SIGTERM and
+    SIGHUP end the context as Ctrl-C does, by `SystemExit`.
     Each process leads a group of its own: a Ctrl-C at the terminal reaches only this one, which then stops the others in order.
 
     Args:
@@ -105,6 +106,7 @@ class Supervisor:
         self._log_dir = log_dir
         self._console = console
         self._processes: dict[str, _Process] = {}
+        self._handlers: dict[signal.Signals, Any] = {}
 
     def start(self) -> None:
         """Start all processes.
@@ -216,11 +218,23 @@ class Supervisor:
         return any(process.poll() is None for process in self._processes.values())
 
     def __enter__(self) -> Supervisor:
-        self.start()
+        self._handlers = {number: signal.signal(number, _leave) for number in (signal.SIGTERM, signal.SIGHUP)}
+        try:
+            self.start()
+        except BaseException:
+            self._restore_handlers()
+            raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
+        try:
+            self.stop()
+        finally:
+            self._restore_handlers()
+
+    def _restore_handlers(self) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
 
 
 class _Process:
@@ -283,6 +297,10 @@ class _Process:
     def close(self) -> None:
         self._popen.wait()
         self._reader.join(timeout=0.5)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
 
 
 @contextmanager

@@ -85,16 +85,20 @@ def diagnose(
     report("looking for what the catalogue leaves over")
     thresholds, frames = settings.thresholds, left_over(base)
     (leftover, by_chance), unknown = (frames if selection.fit is base else left_over(selection.fit)).misfit, find_unknown(selection)
-    wrench = unknown if unknown is not None and unknown.gain > thresholds.unknown else None
     is_unknown = leftover > thresholds.leftover and by_chance < _CHANCE
-    is_unknown |= wrench is not None and _explains_more(wrench, selection, thresholds)
+    # What makes pushes held out worse is not believed, be it a wrench or a law.
+    wrench = gap = None
+    if unknown is not None and unknown.gain > thresholds.unknown and (is_unknown or _explains_more(unknown, selection, thresholds)):
+        gap = measure_gap(base, unknown.fit, report)
+        wrench, gap = (None, None) if _vetoed(gap) else (unknown, gap)
+    is_unknown |= wrench is not None
     if is_unknown:
         selection = Selection(base, base, selection.steps)
-    gap = measure_gap(base, wrench.fit if wrench is not None and is_unknown else selection.fit, report)
-    if _vetoed(gap):
-        # What makes pushes held out worse is not believed, be it a law or a wrench.
-        selection, wrench = Selection(base, base, selection.steps), None
-        gap = measure_gap(base, base, report)
+    if gap is None:
+        gap = measure_gap(base, selection.fit, report)
+        if _vetoed(gap):
+            selection = Selection(base, base, selection.steps)
+            gap = measure_gap(base, base, report)
     effects = _found(selection, gap)
     confusable = _confusable(selection, settings)
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)

@@ -24,6 +24,7 @@ _MAX_START = 2.0
 _CHOICE = 2.0
 """What a part costs for having been chosen among all [nat]."""
 _MOST_PARTS = 8
+"""Of which a wrench is made at most."""
 _STANDS_OUT = 0.2
 """Share of all that the wrench says from which a part of it is named."""
 
@@ -72,24 +73,19 @@ def find_unknown(selection: Selection) -> SmoothWrench | None:
     beside = information_beside(base, (EFFECT.name,)) if selection.found else told
     if beside is None:
         return None
-    parts, _ = _best_parts(beside)
-    best: tuple[float, list[Part], EffectFit] | None = None
-    proposed = parts or [max(_promises(beside, []).items(), key=lambda item: item[1])[0]]
     # The first proposal is that of the linear guess, which reaches far; what it missed is added one by one, each by a fit of its own.
-    while len(proposed) <= _MOST_PARTS:
-        fit = _fit_parts(base, proposed, beside)
-        gain = fit.log_evidence - base.log_evidence - _CHOICE * len(proposed)
-        if best is not None and gain <= best[0]:
+    promises = _promises(beside, [])
+    parts = _best_parts(beside)[0] or [max(promises, key=lambda part: promises[part])]
+    fit = _fit_parts(base, parts, beside)
+    while len(parts) < _MOST_PARTS:
+        promises = _promises(_information_of_held(fit, parts), parts)
+        more = [*parts, max(promises, key=lambda part: promises[part])]
+        if promises[more[-1]] <= 0.0:
             break
-        best = gain, proposed, fit
-        promises = _promises(_information_of_held(fit, proposed), proposed)
-        part, promise = max(promises.items(), key=lambda item: item[1])
-        if promise <= 0.0:
+        larger = _fit_parts(base, more, beside)
+        if larger.log_evidence - _CHOICE <= fit.log_evidence:
             break
-        proposed = [*proposed, part]
-    if best is None:
-        return None
-    gain, parts, fit = best
+        parts, fit = more, larger
     fit = polished(fit)
     says = _says(fit, parts)
     acts_on, varies_with = dict.fromkeys(COMPONENTS, 0.0), dict.fromkeys(FEATURES, 0.0)
@@ -121,8 +117,8 @@ def _best_parts(told: Information) -> tuple[list[Part], float]:
     """The parts of the wrench that the pushes speak for by the linear guess, and the gain of log evidence that they promise [nat].
 
     With the weights r of some parts left out the log evidence of a normal posterior (w, S) changes by
-    -1/2 w_r' S_rr^-1 w_r - 1/2 log det S_rr, without another fit. Parts are taken away while that grows; each that stays costs as
-    much as there was to choose from.
+    -1/2 w_r' S_rr^-1 w_r - 1/2 log det S_rr, without another fit. Parts are taken away while that grows, or there are too many; each
+    that stays costs as much as there was to choose from.
     """
     covariance = np.asarray(np.linalg.inv(told.precision), dtype=np.float64)
     weight = -covariance @ told.slope
@@ -137,7 +133,7 @@ def _best_parts(told: Information) -> tuple[list[Part], float]:
     while kept:
         trials = {part: change(_numbers(p for p in _BLOCKS if p == part or p not in kept)) for part in kept}
         part = max(trials, key=lambda p: trials[p])
-        if trials[part] - _CHOICE * (len(kept) - 1) <= best:
+        if trials[part] - _CHOICE * (len(kept) - 1) <= best and len(kept) <= _MOST_PARTS:
             break
         best = trials[part] - _CHOICE * (len(kept) - 1)
         kept.remove(part)

@@ -35,17 +35,13 @@ def sentence_of_effects(effects: Sequence[FoundEffect], confusable: Sequence[str
         confusable: names of those that may be there in place of the last one.
         gap: with the effects.
     """
-    before, after, noise = _millimetres(gap)
     causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
     doubt = ""
     if confusable:
         others = " or ".join(confusable)
         instead = f"it is {others} instead" if len(effects) == 1 else f"in place of {effects[-1].name} it is {others}"
         doubt = f" (or {instead}: these pushes cannot tell)"
-    return (
-        f"The simulation leaves out that {causes}{doubt}. With that added, the error on pushes that it was not fitted to goes from "
-        f"{before:.1f} to {after:.1f} mm; {noise:.1f} mm is what the noise of the poses makes."
-    )
+    return f"The simulation leaves out that {causes}{doubt}. {_outcome('With that added', gap)}"
 
 
 def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, leftover: float, where: dict[str, list[Group]]) -> str:
@@ -57,19 +53,27 @@ def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, leftover: float, 
         leftover: mean square of the residuals over that of a model that is right.
         where: the residuals in groups.
     """
-    before, after, noise = _millimetres(gap)
     if wrench is not None:
         return (
-            f"The simulation leaves out something that is not in the catalogue: it {wrench.description}. A smooth force in its place "
-            f"takes the error on pushes that it was not fitted to from {before:.1f} to {after:.1f} mm; {noise:.1f} mm is what the noise "
-            "of the poses makes."
+            f"The simulation leaves out something that is not in the catalogue: it {wrench.description}. "
+            f"{_outcome('With a smooth force in its place', gap)}"
         )
+    before, _, noise = _millimetres(gap)
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
     return (
         f"The simulation leaves out something that is not in the catalogue, and no smooth force explains it either: residuals are "
         f"{np.sqrt(leftover):.1f} times those of a model that is right, most by {by.replace('_', ' ')} at {name}. Pushes that it was not "
         f"fitted to are predicted to {before:.1f} mm; {noise:.1f} mm is what the noise of the poses makes."
     )
+
+
+def _outcome(added: str, gap: Gap) -> str:
+    before, after, noise = _millimetres(gap)
+    if after < before:
+        change = f"the error on pushes that it was not fitted to falls from {before:.1f} to {after:.1f} mm"
+    else:
+        change = f"pushes that it was not fitted to are predicted no better ({after:.1f} mm, {before:.1f} without)"
+    return f"{added}, {change}; {noise:.1f} mm is what the noise of the poses makes."
 
 
 def size_of(effect: FoundEffect) -> str:

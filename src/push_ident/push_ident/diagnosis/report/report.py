@@ -14,6 +14,7 @@ from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
 from push_ident.diagnosis.settings import Thresholds
 from push_ident.diagnosis.verdict import Diagnosis, Verdict
+from push_ident.diagnosis.wording import size_of
 from push_ident.pages.page import svg, write_page
 from push_ident.physics.effects import EFFECTS
 
@@ -58,8 +59,7 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
             "shrink": svg(draw_shrink(gap, added)),
             "shrink_text": _shrink_text(gap, added),
             "effects": [
-                {"name": e.name, "what": EFFECTS[e.name].what, "size": _sizes(e.parameters, e.std, e.name), "evidence": e.evidence}
-                for e in diagnosis.effects
+                {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "evidence": e.evidence} for e in diagnosis.effects
             ],
             "confusable": diagnosis.confusable,
             "last": diagnosis.effects[-1].name if diagnosis.effects else "",
@@ -70,14 +70,6 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
             "next_push": _proposal(diagnosis),
         }
     write_page(path, __package__ or "", "report.html.j2", context)
-
-
-def _sizes(values: dict[str, float], std: dict[str, float], name: str) -> str:
-    parts = []
-    for parameter in EFFECTS[name].parameters:
-        own = f"{parameter.name} = {values[parameter.name]:.3g} ± {std[parameter.name]:.2g} {parameter.unit}"
-        parts.append(own.rstrip())
-    return "; ".join(parts)
 
 
 def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:
@@ -91,7 +83,7 @@ def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:
         return f"Pushes held out are predicted to {before:.1f} mm; noise is {noise:.1f} mm. No effect of the catalogue explains the rest."
     low, high = gap.shrink_interval
     return (
-        f"Pushes held out one at a time: {before:.1f} mm without, {after:.1f} mm with {', '.join(found)}; noise is {noise:.1f} mm. "
+        f"Pushes held out: {before:.1f} mm without, {after:.1f} mm with {', '.join(found)}; noise is {noise:.1f} mm. "
         f"Of the gap above the noise, {100 * gap.shrink:.0f} % are gone (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
     )
 

@@ -50,7 +50,7 @@ def minimise(
         max_iterations: evaluations at most, beside the first.
         tolerance: a full step that is expected to lower the cost by less is not worth its while (in units of 1/2 chi^2).
         start: evaluation at `x0`, where it is known already.
-        worth: cost from which the result matters; a solve that has no hope to get there ends early, as stalled.
+        worth: cost from which the result matters; a solve that has no hope to get there ends early.
 
     Returns:
         The best point, its evaluation, and how the solve ended.
@@ -71,7 +71,7 @@ def minimise(
         if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance:
             return x, best, SolveStatus.CONVERGED
         if len(costs) > _FIRST_STEPS and damping <= _FAILED_DAMPING and best.cost - _HOPE * expected > worth:
-            return x, best, SolveStatus.STALLED
+            return x, best, SolveStatus.BUDGET_SPENT
         if problem.meter.spent:
             return x, best, SolveStatus.BUDGET_SPENT
         trial = problem.evaluate(x + step)
