@@ -35,6 +35,7 @@ __all__ = [
     "load_truth",
     "make_pushes",
     "observe_motion",
+    "path_of_plan",
     "true_model",
     "truth_file",
 ]
@@ -162,13 +163,13 @@ def _one_push(
         if start is None:
             start = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
         plan = sample_push(shape, start, rng, settings.pushes)
-        motion = world.push(start, _path(plan, settings), pushes_done=number)
+        motion = world.push(start, path_of_plan(plan, settings), pushes_done=number)
         way = np.abs(motion.pose[-1] - motion.pose[0])
         if np.hypot(way[0], way[1]) >= settings.least_way or way[2] >= settings.least_turn:
             return motion
 
 
-def _path(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
+def path_of_plan(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
     """Straight path with constant acceleration at both ends, sampled at each time step."""
     length = settings.pushes.clearance + plan.distance
     speed = min(plan.speed, float(np.sqrt(settings.acceleration * length)))

@@ -9,19 +9,18 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from push_ident.diagnosis.fits import EffectFit
+from push_ident.diagnosis.seen import SEEN_OUTLINE
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observation import noise_correlation, observe_push
 from push_ident.identification.problem import FitProblem
 from push_ident.types import BoolArray, Float64Array, PushRecord, SolveStatus
 
-__all__ = ["SEEN_OUTLINE", "Gate", "check_data", "check_fit", "check_outline"]
+__all__ = ["Gate", "check_data", "check_fit", "check_outline"]
 
 _FEWEST = 3
 _LARGEST_STEP_EFFECT = 2e-4
 """Mean difference of end positions that half the time step may make [m]."""
-SEEN_OUTLINE = "outline_error"
-"""Effect that belongs to the base model where a camera traced the outline."""
 _LARGEST_OUTLINE_ERROR = 1.5e-3
 """[m]"""
 _CORRELATED = 0.8

@@ -35,6 +35,10 @@ to gain more: a score is of second order only, but not that far off."""
 _OUTSHONE = 0.1
 """So much of the best one's score is added to it: one of many times less is no rival."""
 
+_STUCK = 1.0
+"""Gain of log evidence of the same model, begun from the maps beside another effect, that shows it was stuck at a kink of the cost [nat]:
+the effect gained by freeing it, not by being there."""
+
 Progress = Callable[[str], None]
 
 
@@ -121,6 +125,12 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         # Of a first effect, all that were refitted are told in the ranking.
         worth = needed - thresholds.apart if n_found else -np.inf
         candidates = _ranked(side_by_side(partial(_refitted, fit, worth), chosen), thresholds.apart)
+        if candidates and candidates[0].gain >= needed:
+            freed = fit_effects(candidates[0].fit, fit.names)
+            if freed.log_evidence > fit.log_evidence + _STUCK:
+                freed = polished(freed)
+                base, fit = freed if fit is base else base, freed
+                continue
         steps.append(Step(fit, told, scores, tuple(candidates)))
         if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps))

@@ -32,6 +32,7 @@ from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
 __all__ = ["MapParameters", "Mechanics", "Prior"]
 
 _OUTLINE = "outline_error"
+_CAMERA = "camera_"
 """Effect whose size the prior knows better than the catalogue where a camera traced the outline."""
 
 
@@ -61,6 +62,8 @@ class Prior:
     """Modes a map is made of at most."""
     outline_std: float = 2e-3
     """Of the distance between surface and outline, where that is fitted (effect `outline_error`) [m]."""
+    camera_share: float = 1.0
+    """Of the errors of the camera's pose and scale, where they are fitted (effects `camera_...`), as a share of the catalogue's."""
 
     def __post_init__(self) -> None:
         for name in (
@@ -71,6 +74,7 @@ class Prior:
             "pusher_friction_std",
             "correlation_length",
             "outline_std",
+            "camera_share",
         ):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
@@ -171,6 +175,9 @@ class MapParameters:
         scale = np.array([parameter.scale for parameter in self.effects.parameters])
         if _OUTLINE in self.effects.names:
             scale[self.effects.slice_of(_OUTLINE)] = self.prior.outline_std
+        for name in self.effects.names:
+            if name.startswith(_CAMERA):
+                scale[self.effects.slice_of(name)] *= self.prior.camera_share
         return scale
 
     def effects_at(self, z: Float64Array) -> EffectValues:

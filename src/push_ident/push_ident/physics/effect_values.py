@@ -237,6 +237,9 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         if effect.memory is not None:
             places.memory[place] = N_FIXED_INPUTS + n_memory
             n_memory += effect.memory.size
+    loading = np.array(
+        [names.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.plane)], dtype=np.int64
+    )
     x, y = arms
     own_moment = cell_size**2 / 12
     table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
@@ -246,7 +249,11 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         pulled=pulled,
         places=places,
         n_memory=n_memory,
-        loads=any(acts.load is not None or acts.plane is not None for acts in table),
+        loading=loading,
+        level=np.array([isinstance(effect.acts, OnTable) and effect.acts.plane is not None for effect in EFFECTS.values()]),
+        loads=len(loading) > 0,
+        planes=any(acts.plane is not None for acts in table),
+        uneven=any(acts.load is not None for acts in table),
         skews=any(acts.skew is not None for acts in table),
         pulls=any(acts.pull is not None for acts in table),
         offset=quantities["offset"],

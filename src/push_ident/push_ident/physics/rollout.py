@@ -36,6 +36,7 @@ from push_ident.physics.table import (
     TableScratch,
     fill_inputs,
     new_table_scratch,
+    strain,
     table_action,
     table_sensitivity,
     update_memory,
@@ -114,12 +115,16 @@ def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int, effects: A
     """Scratch space of `rollout`."""
     scratch = None
     if effects is not None:
-        n_values, on_table = len(effects.values), bool(np.any(effects.on_table))
-        scratch = EffectScratch(
-            new_table_scratch(effects.n_memory, n_values, n_cells if on_table else 0),
-            TableForces(np.zeros(2), np.zeros(3)),
-            new_effect_drive(effects.n_memory, n_values),
-        )
+        n_memory, n_values, on_table = effects.n_memory, len(effects.values), bool(np.any(effects.on_table))
+        drive = new_effect_drive(n_memory, n_values)
+        drive.touches[n_memory:] = effects.moves
+        if effects.offset >= 0:
+            drive.touches[n_memory + effects.offset] = True
+        if effects.restitution >= 0:
+            drive.touches[n_memory + effects.restitution] = True
+            drive.touches[effects.rebound : effects.rebound + 3] = True
+        table = new_table_scratch(n_memory, n_values, n_cells if on_table else 0)
+        scratch = EffectScratch(table, TableForces(np.zeros(2), np.zeros(3)), drive)
     return RolloutScratch(
         new_step_scratch(),
         new_pyramid_scratch(n_cells if diamond else 0),
@@ -204,7 +209,7 @@ def _drive_contacts(effects: ActiveEffects, rebound: Rebound, n: int, dt: float,
         drive.twist[at + 2, 2] = 1.0
     return EffectDrive(
         offset, rebound, drive.pusher, drive.angle, drive.velocity, drive.spin, drive.by_offset, drive.restitution, drive.twist,
-        drive.seeds,
+        drive.seeds, drive.touches,
     )  # fmt: skip
 
 
@@ -261,7 +266,7 @@ def rollout(
         acts_on_table = effects.loads or effects.skews or effects.pulls
         offset = effects.values[effects.offset] if effects.offset >= 0 else 0.0
         radius += offset
-        # What is pulled at does not idle; without inertia, friction holds it.
+        # What is pulled at idles only where friction holds it; without inertia, it always does.
         pulled = effects.pulls and not numerics.quasi_static
         if effects.loads:
             limit = table.limit
@@ -281,7 +286,11 @@ def rollout(
 
         coasts = not numerics.quasi_static and (state[3] != 0.0 or state[4] != 0.0 or state[5] != 0.0)
         untouched = n_contacts == 0 or (contacts[0, 0] >= -1e-9 and (speed == 0.0 or contacts[0, 0] > speed * dt))
-        event = IDLE if untouched and not coasts and not pulled else MOVED
+        needed = 0.0
+        if effects is not None and pulled:
+            table_action(effects, centre, arms, table)
+            needed = strain(effects, arms, push.limit, table)
+        event = IDLE if untouched and not coasts and needed < 1.0 else MOVED
         if event != IDLE:
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
             for k in range(n_contacts):
@@ -291,7 +300,8 @@ def rollout(
                 for k in range(n_contacts):
                     add_rebound(contacts[k], k, rebound, dt, rows)
                 if acts_on_table:
-                    table_action(effects, table.inputs, -1, centre, arms, table.factors, table.factor, table.result)
+                    if not pulled:
+                        table_action(effects, centre, arms, table)
                     forces.skew[:], forces.pull[:] = table.result[:2], table.result[2:]
                 if effects.loads:
                     for i in range(limit.shape[0]):
@@ -316,7 +326,9 @@ def rollout(
             fx += rows[tangent, 0] * impulse[MAX_CONTACTS]
             fy += rows[tangent, 1] * impulse[MAX_CONTACTS]
             force[n, 0], force[n, 1] = (cos * fx - sin * fy) / dt, (sin * fx + cos * fy) / dt
-            if code == MODE_FREE and max(math.hypot(twist[0], twist[1]), abs(twist[2]) * reach_of_body) < _REST * eps:
+            # What is pulled at would creep, at so much of the smoothing speed.
+            creep = max(_REST, needed) * eps if needed < 1.0 else 0.0
+            if code == MODE_FREE and max(math.hypot(twist[0], twist[1]), abs(twist[2]) * reach_of_body) < creep:
                 event = CAME_TO_REST
             if derive:
                 if numerics.diamond:

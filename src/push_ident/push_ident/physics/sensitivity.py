@@ -37,7 +37,7 @@ from push_ident.physics.modes import (
 )
 from push_ident.physics.support import Cone, unit_friction
 from push_ident.physics.table import N_FIXED_INPUTS
-from push_ident.types import Float64Array
+from push_ident.types import BoolArray, Float64Array
 
 __all__ = [
     "CAME_TO_REST", "IDLE", "MOVED", "N_BODY_PARAMETERS",
@@ -136,14 +136,16 @@ class EffectDrive(NamedTuple):
     """Of the twist of the rebound, shape (n, 3)."""
     seeds: Float64Array
     """Impulse that effects on the table add, by the columns of the block [N s, N s, N m s], shape (3, n_columns)."""
+    touches: BoolArray
+    """Which act on the contacts at all, shape (n,)."""
 
 
 def new_effect_drive(n_memory: int, n_values: int) -> EffectDrive:
-    """Drive of no effect that acts."""
+    """Drive of no effect that acts on the contacts."""
     n = n_memory + n_values
     return EffectDrive(
         0.0, Rebound(False, 0.0, np.zeros(3)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((3, _EFFECTS + n)),
+        np.zeros((n, 3)), np.zeros((3, _EFFECTS + n)), np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
 
 
@@ -286,6 +288,8 @@ def step_sensitivity(
             for i in range(3):
                 b[i, column] += sign * carried * rows[tangent, i]
         if n == 0 or not (_STATE <= column <= _YAW or column == _CENTRE or column == _CENTRE + 1 or column >= _EFFECTS):
+            continue
+        if drive is not None and column >= _EFFECTS and not drive.touches[column - _EFFECTS]:
             continue
         if drive is None:
             for k in range(n_contacts):

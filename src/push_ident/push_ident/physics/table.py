@@ -19,20 +19,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.effect import MAX_LOAD_NUMBERS, STEP_OF_INPUT, Body, Cell, Effect, Equation, OnTable, equation
+from push_ident.physics.effect import (
+    MAX_LOAD_NUMBERS,
+    STEP_OF_INPUT,
+    Body,
+    Cell,
+    ComplexArray,
+    Effect,
+    Equation,
+    OnTable,
+    equation,
+)  # fmt: skip
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.kernel import kernel
 from push_ident.physics.support import cell_friction
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = [
-    "N_FIXED_INPUTS", "ActiveEffects", "Places", "TableScratch", "fill_inputs", "new_table_scratch", "table_action", "table_sensitivity",
-    "update_memory",
+    "N_FIXED_INPUTS", "ActiveEffects", "Places", "TableScratch", "fill_inputs", "new_table_scratch", "strain", "table_action",
+    "table_sensitivity", "update_memory",
 ]  # fmt: skip
 
 N_FIXED_INPUTS = 9
 _MASS = 6
 _CENTRE = 7
+_ALL = -1  # as the number of the input that is turned: none is, and everything is evaluated
 _PADDING = MAX_LOAD_NUMBERS  # inputs behind the last, so that as many can be read from any place
 
 
@@ -56,8 +67,16 @@ class ActiveEffects(NamedTuple):
     """Which of them are those of a pull, which is linear in them, shape (n_values,)."""
     places: Places
     n_memory: int
+    loading: NDArray[np.int64]
+    """Places in `EFFECTS` of those that change the friction limits of the cells."""
+    level: BoolArray
+    """Of each of `EFFECTS`, whether it does so by a factor that is linear over the object, shape (n_effects,)."""
     loads: bool
-    """Whether one changes the friction limits of the cells."""
+    """Whether one does so at all; what is absent is not even asked, as asking takes its time."""
+    planes: bool
+    """Whether one does so by such a factor."""
+    uneven: bool
+    """Whether one does so by a factor of any other shape."""
     skews: bool
     pulls: bool
     offset: int
@@ -80,7 +99,7 @@ class TableScratch(NamedTuple):
     """Space for the effects on the table."""
 
     inputs: Float64Array
-    turned: NDArray[np.complex128]
+    turned: ComplexArray
     """The inputs, one of them turned by the complex step."""
     unit: Float64Array
     """The inputs with all values zero but one, which is 1."""
@@ -88,26 +107,42 @@ class TableScratch(NamedTuple):
     """Of the friction limit of each cell, shape (n_cells,)."""
     factors: Float64Array
     """The same of each effect alone, where it acts, shape (n_effects, n_cells)."""
+    d_factors: ComplexArray
+    planes: Float64Array
+    """(even, x, y) of the factor even + x rx + y ry of each effect that is linear over the object, shape (n_effects, 3)."""
+    d_planes: ComplexArray
+    weighted: Float64Array
+    """Friction of each cell per factor of each effect (fx, fy, torque), object axes, shape (n_effects, 3, n_cells)."""
+    moments: Float64Array
+    """Its sums with (1, rx, ry) over all cells, shape (n_effects, 3, 3)."""
     limit: Float64Array
     """Friction limit of each cell in this step [N], shape (n_cells,)."""
-    d_factor: NDArray[np.complex128]
     force: Float64Array
     """Friction of each cell per factor (fx, fy, torque), object axes, shape (3, n_cells)."""
     result: Float64Array
-    """Skew (a, b) and pull (fx, fy, torque) of `table_action`, shape (5,)."""
-    d_result: NDArray[np.complex128]
-    d_memory: NDArray[np.complex128]
+    """Skew (a, b) and pull (fx, fy, torque) [N, N, N m] of `table_action`, object axes, shape (5,)."""
+    d_memory: ComplexArray
 
 
 def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratch:
     """Scratch space of the effects; `n_cells` is 0 where none acts on the table."""
-    n_inputs = N_FIXED_INPUTS + n_memory + n_values + _PADDING
+    n_inputs, n_effects = N_FIXED_INPUTS + n_memory + n_values + _PADDING, len(EFFECTS)
     return TableScratch(
-        np.zeros(n_inputs), np.zeros(n_inputs, dtype=np.complex128), np.zeros(n_inputs), np.ones(n_cells),
-        np.ones((len(EFFECTS), n_cells)), np.zeros(n_cells),
-        np.zeros(n_cells, dtype=np.complex128), np.zeros((3, n_cells)), np.zeros(5),
-        np.zeros(5, dtype=np.complex128), np.zeros(n_memory, dtype=np.complex128),
-    )  # fmt: skip
+        inputs=np.zeros(n_inputs),
+        turned=np.zeros(n_inputs, dtype=np.complex128),
+        unit=np.zeros(n_inputs),
+        factor=np.ones(n_cells),
+        factors=np.ones((n_effects, n_cells)),
+        d_factors=np.zeros((n_effects, n_cells), dtype=np.complex128),
+        planes=np.zeros((n_effects, 3)),
+        d_planes=np.zeros((n_effects, 3), dtype=np.complex128),
+        weighted=np.zeros((n_effects, 3, n_cells)),
+        moments=np.zeros((n_effects, 3, 3)),
+        limit=np.zeros(n_cells),
+        force=np.zeros((3, n_cells)),
+        result=np.zeros(5),
+        d_memory=np.zeros(n_memory, dtype=np.complex128),
+    )
 
 
 # All effects of a kind, folded into one function each: a loop over functions would hide them from the compiler. Into the equation of a
@@ -126,8 +161,13 @@ def _cell_of(body: Body, rx: Any, ry: Any) -> Cell:
 
 
 @equation
-def _no_load(places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any) -> None:
-    factor[:] = 1.0
+def _no_plane(places: Places, inputs: Any, turned: int, body: Body, dx: Any, dy: Any, planes: Any) -> None:
+    planes[:] = 0.0
+
+
+@equation
+def _no_load(places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any) -> None:
+    pass
 
 
 @equation
@@ -147,58 +187,40 @@ def _no_memory(places: Places, inputs: Any, body: Body, dt: float, after: Any) -
 
 @equation
 def _is_turned(places: Places, turned: int, place: int, n_values: int, n_memory: int) -> bool:
-    """Whether a turned input changes what this effect does to the cells: values and memory of another one do not."""
+    """Whether a turned input (-1: all of them) changes what this effect does to the cells: values and memory of another one do not."""
     own, past = places.values[place], places.memory[place]
     return turned < N_FIXED_INPUTS or own <= turned < own + n_values or past <= turned < past + n_memory
-
-
-def _with_load(others: Equation, effect: Effect, load: Equation, place: int) -> Equation:
-    n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
-
-    @equation
-    def loads(
-        places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any
-    ) -> None:
-        others(places, inputs, turned, body, arms, dx, dy, factors, factor)
-        own = places.values[place]
-        if own < 0:
-            return
-        if not _is_turned(places, turned, place, n_values, n_memory):
-            for i in range(arms.shape[1]):
-                factor[i] *= factors[place, i]
-            return
-        p, memory = _four(inputs, own), _four(inputs, places.memory[place])
-        for i in range(arms.shape[1]):
-            value = load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
-            factor[i] *= value
-            if turned < 0:
-                factors[place, i] = value.real
-
-    return loads
 
 
 def _with_plane(others: Equation, effect: Effect, plane: Equation, place: int) -> Equation:
     n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
 
     @equation
-    def loads(
-        places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any, factor: Any
-    ) -> None:
-        others(places, inputs, turned, body, arms, dx, dy, factors, factor)
+    def planes_of(places: Places, inputs: Any, turned: int, body: Body, dx: Any, dy: Any, planes: Any) -> None:
+        others(places, inputs, turned, body, dx, dy, planes)
+        own = places.values[place]
+        if own >= 0 and _is_turned(places, turned, place, n_values, n_memory):
+            even, x, y = plane(inputs[own:], body, inputs[places.memory[place] :])
+            planes[place, 0], planes[place, 1], planes[place, 2] = even - x * dx - y * dy, x, y
+
+    return planes_of
+
+
+def _with_load(others: Equation, effect: Effect, load: Equation, place: int) -> Equation:
+    n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
+
+    @equation
+    def loads(places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any) -> None:
+        others(places, inputs, turned, body, arms, dx, dy, factors)
         own = places.values[place]
         if own < 0:
             return
         if not _is_turned(places, turned, place, n_values, n_memory):
-            for i in range(arms.shape[1]):
-                factor[i] *= factors[place, i]
+            factors[place] = 0.0
             return
-        even, x, y = plane(inputs[own:], body, inputs[places.memory[place] :])
-        even = even - x * dx - y * dy
+        p, memory = _four(inputs, own), _four(inputs, places.memory[place])
         for i in range(arms.shape[1]):
-            value = even + x * arms[0, i] + y * arms[1, i]
-            factor[i] *= value
-            if turned < 0:
-                factors[place, i] = value.real
+            factors[place, i] = load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
 
     return loads
 
@@ -238,13 +260,13 @@ def _with_memory(others: Equation, remember: Equation, place: int) -> Equation:
     return memories
 
 
-_loads, _skews, _pulls, _memories = _no_load, _no_skew, _no_pull, _no_memory
+_planes, _loads, _skews, _pulls, _memories = _no_plane, _no_load, _no_skew, _no_pull, _no_memory
 for _place, _effect in enumerate(EFFECTS.values()):
     if isinstance(_effect.acts, OnTable):
         if _effect.acts.load is not None:
             _loads = _with_load(_loads, _effect, _effect.acts.load, _place)
         if _effect.acts.plane is not None:
-            _loads = _with_plane(_loads, _effect, _effect.acts.plane, _place)
+            _planes = _with_plane(_planes, _effect, _effect.acts.plane, _place)
         if _effect.acts.skew is not None:
             _skews = _with_skew(_skews, _effect.acts.skew, _place)
         if _effect.acts.pull is not None:
@@ -280,36 +302,50 @@ def _body_of(effects: ActiveEffects, inputs: Any, centre: Float64Array) -> Any:
 
 
 @equation
-def table_action(
-    effects: ActiveEffects,
-    inputs: Any,
-    turned: int,
-    centre: Float64Array,
-    arms: Float64Array,
-    factors: Float64Array,
-    factor: Any,
-    result: Any,
-) -> None:
-    """The effects on the table for these inputs.
+def table_action(effects: ActiveEffects, centre: Float64Array, arms: Float64Array, scratch: TableScratch) -> None:
+    """The effects on the table, for the inputs in `scratch`: fills its `factor` and its `result`.
 
     Args:
         effects: which act.
-        inputs: as above, real or complex.
-        turned: which of them is turned by the complex step; -1 where none is.
         centre, arms: nominal centre of mass, shape (2,), and the cells' centres from there, shape (2, n_cells), object axes.
-        factors: of each effect alone, shape (n_effects, n_cells); filled where no input is turned, used where one is.
-        factor: filled with the factor of the friction limit of each cell, shape (n_cells,), where an effect changes it.
-        result: filled with the skew (a, b) and the pull (fx, fy, torque) [N, N, N m], object axes, shape (5,).
+        scratch: holds the inputs.
     """
+    inputs, factor, factors, planes, result = scratch.inputs, scratch.factor, scratch.factors, scratch.planes, scratch.result
     body, dx, dy = _body_of(effects, inputs, centre)
     if effects.loads:
-        _loads(effects.places, inputs, turned, body, arms, dx, dy, factors, factor)
+        if effects.planes:
+            _planes(effects.places, inputs, _ALL, body, dx, dy, planes)
+        if effects.uneven:
+            _loads(effects.places, inputs, _ALL, body, arms, dx, dy, factors)
+        factor[:] = 1.0
+        for place in effects.loading:
+            if effects.level[place]:
+                for i in range(arms.shape[1]):
+                    factors[place, i] = planes[place, 0] + planes[place, 1] * arms[0, i] + planes[place, 2] * arms[1, i]
+            for i in range(arms.shape[1]):
+                factor[i] *= factors[place, i]
         for i in range(arms.shape[1]):
-            if factor[i].real < 0.0:
-                factor[i] = 0.0
-    result[0], result[1] = _skews(effects.places, inputs, body)
-    fx, fy, torque = _pulls(effects.places, inputs, body)
-    result[2], result[3], result[4] = body.cos * fx + body.sin * fy, body.cos * fy - body.sin * fx, torque
+            factor[i] = max(factor[i], 0.0)
+    if effects.skews:
+        result[0], result[1] = _skews(effects.places, inputs, body)
+    if effects.pulls:
+        fx, fy, torque = _pulls(effects.places, inputs, body)
+        result[2], result[3], result[4] = body.cos * fx + body.sin * fy, body.cos * fy - body.sin * fx, torque
+
+
+@equation
+def strain(effects: ActiveEffects, arms: Float64Array, limit: Float64Array, scratch: TableScratch) -> float:
+    """Share of the friction of an object at rest that the pull of `table_action` needs, by a bound that is too large by at most two or so.
+
+    The other arguments are those of `table_sensitivity`.
+    """
+    pull = scratch.result[2:]
+    force = torque = 0.0
+    for i in range(arms.shape[1]):
+        own = limit[i] * (scratch.factor[i] if effects.loads else 1.0)
+        force += own
+        torque += own * math.sqrt(arms[0, i] * arms[0, i] + arms[1, i] * arms[1, i])
+    return 2.0 * (math.hypot(pull[0], pull[1]) / force + abs(pull[2]) / torque)
 
 
 @equation
@@ -341,6 +377,29 @@ def update_memory(
     _remember(effects, inputs, centre, dt, memory)
 
 
+@equation
+def _weigh_forces(effects: ActiveEffects, arms: Float64Array, scratch: TableScratch) -> None:
+    """Friction of each cell per factor of each effect that loads it, all others as they are; of planes, its moments are enough."""
+    factors, force = scratch.factors, scratch.force
+    for place in effects.loading:
+        weighted, moments = scratch.weighted[place], scratch.moments[place]
+        for i in range(arms.shape[1]):
+            rest = 1.0
+            for other in effects.loading:
+                rest *= factors[other, i] if other != place else 1.0
+            if rest * factors[place, i] < 0.0:
+                rest = 0.0
+            for j in range(3):
+                weighted[j, i] = rest * force[j, i]
+        for j in range(3):
+            even = x = y = 0.0
+            for i in range(arms.shape[1]):
+                even += weighted[j, i]
+                x += weighted[j, i] * arms[0, i]
+                y += weighted[j, i] * arms[1, i]
+            moments[j, 0], moments[j, 1], moments[j, 2] = even, x, y
+
+
 @kernel
 def table_sensitivity(
     effects: ActiveEffects,
@@ -363,9 +422,9 @@ def table_sensitivity(
         eps: smoothing speed [m/s].
         seeds: filled in the columns of a step's block that belong to inputs [N s, N s, N m s], shape (3, n_columns).
 
-    The other arguments are those of `table_action`.
+    The other arguments are those of `table_action`, which was called before.
     """
-    inputs, turned, factor, d_factor, force = scratch.inputs, scratch.turned, scratch.factor, scratch.d_factor, scratch.force
+    inputs, turned, factor, force = scratch.inputs, scratch.turned, scratch.factor, scratch.force
     n_values = effects.values.shape[0]
     n_inputs = N_FIXED_INPUTS + effects.n_memory + n_values
     along_a, along_b = np.zeros(3), np.zeros(3)
@@ -386,6 +445,8 @@ def table_sensitivity(
             for j in range(3):
                 along_a[j] -= factor[i] * unit[j, i]
                 along_b[j] -= factor[i] * unit[j, i]
+    if effects.loads:
+        _weigh_forces(effects, arms, scratch)
     unit_inputs = scratch.unit
     unit_inputs[:] = inputs
     unit_inputs[n_inputs - n_values : n_inputs] = 0.0
@@ -405,15 +466,35 @@ def table_sensitivity(
                 seeds[2, column] = dt * torque
                 continue
         turned[k] += STEP_OF_INPUT * 1j
-        table_action(effects, turned, k, centre, arms, scratch.factors, d_factor, scratch.d_result)
-        turned[k] = inputs[k]
-        a, b = scratch.d_result[0].imag, scratch.d_result[1].imag
-        gx, gy, gt = scratch.d_result[2].imag, scratch.d_result[3].imag, scratch.d_result[4].imag
+        turned_body, dx, dy = _body_of(effects, turned, centre)
+        a = b = gx = gy = gt = 0.0
+        if effects.skews:
+            skew_a, skew_b = _skews(effects.places, turned, turned_body)
+            a, b = skew_a.imag, skew_b.imag
+        if effects.pulls:
+            pull_x, pull_y, pull_torque = _pulls(effects.places, turned, turned_body)
+            gx = (turned_body.cos * pull_x + turned_body.sin * pull_y).imag
+            gy = (turned_body.cos * pull_y - turned_body.sin * pull_x).imag
+            gt = pull_torque.imag
         if effects.loads:
-            for i in range(arms.shape[1]):
-                gx -= d_factor[i].imag * force[0, i]
-                gy -= d_factor[i].imag * force[1, i]
-                gt -= d_factor[i].imag * force[2, i]
+            if effects.planes:
+                _planes(effects.places, turned, k, turned_body, dx, dy, scratch.d_planes)
+            if effects.uneven:
+                _loads(effects.places, turned, k, turned_body, arms, dx, dy, scratch.d_factors)
+            for place in effects.loading:
+                if effects.level[place]:
+                    d_plane, moments = scratch.d_planes[place], scratch.moments[place]
+                    for j in range(3):
+                        gx -= d_plane[j].imag * moments[0, j]
+                        gy -= d_plane[j].imag * moments[1, j]
+                        gt -= d_plane[j].imag * moments[2, j]
+                else:
+                    d_factor, weighted = scratch.d_factors[place], scratch.weighted[place]
+                    for i in range(arms.shape[1]):
+                        gx -= d_factor[i].imag * weighted[0, i]
+                        gy -= d_factor[i].imag * weighted[1, i]
+                        gt -= d_factor[i].imag * weighted[2, i]
+        turned[k] = inputs[k]
         gx -= a * along_a[0] + b * along_b[0]
         gy -= a * along_a[1] + b * along_b[1]
         gt -= a * along_a[2] + b * along_b[2]

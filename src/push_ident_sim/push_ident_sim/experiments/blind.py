@@ -13,10 +13,11 @@ import numpy as np
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.identification.files import finite
+from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.simulation import GRAVITY, simulate
-from push_ident.types import PusherPath
-from push_ident_sim.experiments.blind_cases import draw_truth, make_records, phase_of
+from push_ident.types import PusherPath, PushRecord
+from push_ident_sim.experiments.blind_cases import draw_truth, make_asked_record, make_records, phase_of
 from push_ident_sim.experiments.blind_page import draw, tables
 from push_ident_sim.experiments.blind_scoring import score_case
 from push_ident_sim.experiments.blind_summary import summarise_cases
@@ -43,7 +44,11 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         return _compare_engines(case)
     truth = draw_truth(case.object_name, case.model, camera=case.variant == _CAMERA)
     records = make_records(truth, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
-    values = score_case(records, truth, make_object(case.object_name, case.model), DiagnosisSettings())
+
+    def ask(push: PlannedPush, number: int) -> PushRecord | None:
+        return make_asked_record(truth, case.object_name, case.model, push, number, settings.noise)
+
+    values = score_case(records, truth, make_object(case.object_name, case.model), DiagnosisSettings(), ask)
     return {**finite(values), "thresholds_sha256": _thresholds_hash()}
 
 
@@ -150,7 +155,8 @@ EXPERIMENT = Experiment(
         "truth and thresholds were written down. An effect is detectable where its true size would bring 5 nat of evidence on "
         "average; the noncentrality is what is left of it when maps and the hardest rival are fitted, too. The first name counts as "
         "right where it is the effect that was injected, or its twin that no push can tell from it. S is the share of the gap on "
-        "pushes held out that goes with the effect. `camera`: the same through rendered depth images and perception. `engines`: how "
+        "pushes held out that goes with the effect. Where a verdict leaves more than one effect open, the pushes that it asks for "
+        "are made, two at most. `camera`: the same through rendered depth images and perception. `engines`: how "
         "far the engines are apart without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", _CAMERA, _ENGINES),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -10,16 +11,26 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.bags.loading import load_pushes
+from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS as NAMED
 from push_ident.types import PushRecord
 from push_ident_sim.effects import EFFECTS, Effects
 from push_ident_sim.experiments.experiment import Json
-from push_ident_sim.objects import OBJECT_NAMES, make_object
+from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.recording import RecordingSettings, record_pushes
-from push_ident_sim.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
+from push_ident_sim.truth import (
+    CameraNoise,
+    Engine,
+    TrueMotion,
+    TruthSettings,
+    make_pushes,
+    observe_motion,
+    path_of_plan,
+    true_model,
+)  # fmt: skip
 
-__all__ = ["CATALOGUE", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_records", "phase_of"]
+__all__ = ["CATALOGUE", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
@@ -159,16 +170,50 @@ def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, nois
         return _filmed(truth, object_name, model, n_pushes)
     thing = make_object(object_name, model)
     settings = replace(TruthSettings(n_train=n_pushes, n_test=0), effects=truth.effects)
-    radius, own = settings.pushes.pusher_radius, [model, OBJECT_NAMES.index(object_name), 5]
-    engine = None
-    if truth.scenario.engine == "planar":
-        engine = PlanarWorld(thing, radius, time_step=settings.time_step, effects=truth.effects, outside=dict(truth.outside))
-    shape = true_model(thing).shape
-    records = []
-    for i, motion in enumerate(make_pushes(thing, own, settings, engine=engine)):
-        seen = observe_motion(motion, radius, noise, np.random.default_rng([*own, i, 1]), truth.effects)
-        records.append(PushRecord(object_name, shape, *seen, f"push {i + 1}", i))
-    return records
+    own = [model, OBJECT_NAMES.index(object_name), 5]
+    engine = _planar(truth, thing, settings) if truth.scenario.engine == "planar" else None
+    motions = make_pushes(thing, own, settings, engine=engine)
+    return [_seen(truth, thing, motion, [*own, i, 1], i, noise) for i, motion in enumerate(motions)]
+
+
+def make_asked_record(truth: Truth, object_name: str, model: int, asked: PlannedPush, number: int, noise: CameraNoise) -> PushRecord | None:
+    """A push that a diagnosis asked for, of an object that is put down where the diagnosis says; other arguments as in `make_records`.
+
+    Args:
+        asked: the push.
+        number: of pushes before it.
+
+    Returns:
+        None through a rendered camera, where the object lies where it came to rest.
+    """
+    if truth.scenario.engine == "camera" or asked.plan is None:
+        return None
+    # Here, so that drawing results does without Bullet.
+    from push_ident_sim.push_world import PushWorld
+
+    thing = make_object(object_name, model)
+    settings = replace(TruthSettings(), effects=truth.effects)
+    path = path_of_plan(asked.plan, settings)
+    with ExitStack() as stack:
+        engine: Engine
+        if truth.scenario.engine == "planar":
+            engine = _planar(truth, thing, settings)
+        else:
+            world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
+            stack.callback(world.close)
+            engine = world
+        motion = engine.push(asked.pose_object_in_table, path, pushes_done=number)
+    return _seen(truth, thing, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
+
+
+def _planar(truth: Truth, thing: SimObject, settings: TruthSettings) -> PlanarWorld:
+    radius = settings.pushes.pusher_radius
+    return PlanarWorld(thing, radius, time_step=settings.time_step, effects=truth.effects, outside=dict(truth.outside))
+
+
+def _seen(truth: Truth, thing: SimObject, motion: TrueMotion, seed: list[int], number: int, noise: CameraNoise) -> PushRecord:
+    seen = observe_motion(motion, TruthSettings().pushes.pusher_radius, noise, np.random.default_rng(seed), truth.effects)
+    return PushRecord(thing.name, true_model(thing).shape, *seen, f"push {number + 1}", number)
 
 
 def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[PushRecord]:

@@ -21,6 +21,8 @@ _ROWS = (
     ("wrong_names_detectable", "the same, detectable sizes", ""),
     ("in_set", "truth among what is left open", ">= 95 %"),
     ("set_size", "how many are left open", "<= 1.3"),
+    ("ties_settled", "left open: settled rightly by <= 2 pushes that it asked for", ">= 90 %"),
+    ("ties_asked", "pushes it asked for", "<= 2"),
     ("silent_undetectable", "undetectable sizes: no gap", ""),
     ("wrong_undetectable", "undetectable sizes: wrongly named", ""),
     ("pairs_both", "two effects: both named", ">= 75 %"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,8 @@ from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.scores import Information
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.verdict import Diagnosis
+from push_ident.diagnosis.verdict import Diagnosis, Verdict
+from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord
@@ -24,9 +25,10 @@ from push_ident_sim.experiments.blind_cases import Truth
 from push_ident_sim.experiments.experiment import Json
 from push_ident_sim.objects import SimObject
 
-__all__ = ["TWINS", "score_case", "true_values"]
+__all__ = ["TWINS", "Ask", "score_case", "true_values"]
 
 FloatArray = NDArray[np.float64]
+Ask = Callable[[PlannedPush, int], PushRecord | None]
 
 TWINS = {"tool_offset": "camera_translation", "camera_translation": "tool_offset"}
 """Effects that no push can tell apart: either name is right."""
@@ -39,6 +41,8 @@ _RESIDUAL_NAMES = {
     "table_region": "position_dependent_friction",
 }
 """What one would guess from where residuals are largest."""
+_MOST_ASKED = 2
+"""Pushes that a diagnosis may ask for to settle what it left open."""
 _FEW = 5
 """Frames that make a group."""
 _TUNED = "pusher_friction"
@@ -63,8 +67,11 @@ def true_values(effects: Effects, name: str, thing: SimObject, first_centre: Flo
     return values
 
 
-def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, settings: DiagnosisSettings) -> Json:
-    """Diagnose the pushes of a case; the truth is looked at afterwards."""
+def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, settings: DiagnosisSettings, ask: Ask | None = None) -> Json:
+    """Diagnose the pushes of a case; the truth is looked at afterwards.
+
+    `ask` makes a push that the diagnosis asks for; without it, nothing that is left open is settled.
+    """
     start, wall = time.process_time(), time.perf_counter()
     found = diagnose(records, settings)
     seconds = {"seconds": time.process_time() - start, "wall_seconds": time.perf_counter() - wall}
@@ -81,8 +88,35 @@ def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, se
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
         values["oracle"] = _oracle(found, base, wanted)
+    if truth.scenario.kind == "single" and ask is not None and _is_open(found):
+        values["asked"] = _settle(found, list(records), settings, ask)
     values["baselines"] = _baselines(found, base)
     return values
+
+
+def _is_open(found: Diagnosis) -> bool:
+    """Whether more than one effect is left, twins apart."""
+    first = found.effects[-1].name if found.effects else ""
+    return any(name != TWINS.get(first) for name in found.confusable)
+
+
+def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, ask: Ask) -> Json:
+    """Make the pushes that the diagnosis asks for until nothing is left open."""
+    n_asked = 0
+    while _is_open(found) and n_asked < _MOST_ASKED and found.next_push is not None:
+        more = ask(found.next_push.push, len(records))
+        if more is None:
+            break
+        records.append(more)
+        found = diagnose(records, settings)
+        n_asked += 1
+    return {
+        "n": n_asked,
+        "verdict": found.verdict.value,
+        "named": [effect.name for effect in found.effects],
+        "confusable": list(found.confusable),
+        "settled": found.verdict is Verdict.NAMED and not _is_open(found),
+    }
 
 
 def _outcome(found: Diagnosis) -> Json:

@@ -130,6 +130,8 @@ def figures(cases: Sequence[Judged]) -> Json:
         "wrong_names_detectable": _share(seen, lambda c: c.wrong),
         "in_set": _share([c for c in seen if c.set], lambda c: c.truth[0] in c.set),
         "set_size": _statistic([len(c.set) for c in seen if c.set], np.mean),
+        "ties_settled": _share([c for c in seen if "asked" in c.values], _settled_rightly),
+        "ties_asked": _statistic([c.values["asked"]["n"] for c in seen if "asked" in c.values], np.mean),
         "silent_undetectable": _share(below, lambda c: c.verdict == "no_gap"),
         "wrong_undetectable": _share(below, lambda c: c.wrong),
         "pairs_both": _share(both_seen, lambda c: set(c.truth) <= set(c.named)),
@@ -150,6 +152,12 @@ def figures(cases: Sequence[Judged]) -> Json:
         "baseline_random": {"share": 1.0 / len(CATALOGUE), "n": len(seen), "low": None, "high": None},
         "seconds": _statistic([c.values["seconds"] for c in cases]),
     }
+
+
+def _settled_rightly(case: Judged) -> bool:
+    """Whether the pushes that were asked for left the true effect alone."""
+    asked = case.values["asked"]
+    return asked["settled"] and [_one_of_twins(name) for name in asked["named"]] == list(case.truth)
 
 
 def _baseline(case: Judged, name: str) -> str:
