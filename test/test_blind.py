@@ -12,15 +12,26 @@ import pytest
 
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.observation import observe_push
+from push_ident.pushing.sampling import sample_push
 from push_ident_sim.effects import EFFECTS, Effects
 from push_ident_sim.experiments import EXPERIMENTS, blind
-from push_ident_sim.experiments.blind_cases import CATALOGUE, FIRST_REPORT_MODEL, Scenario, Truth, draw_truth, make_records
+from push_ident_sim.experiments.blind_cases import (
+    CATALOGUE,
+    FIRST_REPORT_MODEL,
+    Scenario,
+    Truth,
+    draw_truth,
+    make_asked_record,
+    make_records,
+)  # fmt: skip
 from push_ident_sim.experiments.blind_scoring import score_case, true_values
 from push_ident_sim.experiments.blind_summary import figures, interval, judge, summarise_cases
 from push_ident_sim.experiments.experiment import Case, CaseResult
 from push_ident_sim.experiments.running import write_json
 from push_ident_sim.objects import OBJECT_NAMES, make_object
-from push_ident_sim.truth import CameraNoise
+from push_ident_sim.truth import CameraNoise, TruthSettings, path_of_plan
 
 NOISE = CameraNoise()
 
@@ -81,6 +92,19 @@ def test_pushes_of_a_case_are_the_first_of_the_longer_one() -> None:
         np.testing.assert_array_equal(a.poses.pose, b.poses.pose)
 
 
+@pytest.mark.parametrize("model", [1, 2])
+def test_push_that_is_asked_for_begins_where_the_diagnosis_says(model: int) -> None:
+    truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
+    plan = sample_push(make_records(truth, "book", model, 1, NOISE)[0].shape, pose, np.random.default_rng(1), TruthSettings().pushes)
+    asked = PlannedPush(pose, path_of_plan(plan, TruthSettings()), plan)
+    record = make_asked_record(truth, "book", model, asked, 8, NOISE)
+    assert record is not None and record.order == 8
+    before = record.poses.time < 0.3
+    assert np.abs(record.poses.pose[before].mean(axis=0) - pose).max() < 0.02
+    assert observe_push(record).touched
+    assert make_asked_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
+
+
 # --- figures
 
 
@@ -126,6 +150,8 @@ def test_figures_count_what_they_say() -> None:
         outcome("outside", ["viscous_film"], "unknown", [], [], 0, 0),
         outcome("outside", ["gust"], "named", ["table_tilt"], [], 0, 0),
     ]
+    results[3].values["asked"] = {"n": 1, "verdict": "named", "named": ["pusher_lag"], "confusable": [], "settled": True}
+    results[6].values["asked"] = {"n": 2, "verdict": "named", "named": ["wear"], "confusable": [], "settled": True}
     counted = figures([judge(r) for r in results])
     shares = {name: (round(f["share"] * f["n"]), f["n"]) for name, f in counted.items() if f.get("share") is not None}
     assert shares["false_alarms"] == (1, 2)
@@ -133,6 +159,7 @@ def test_figures_count_what_they_say() -> None:
     assert shares["top1_plain"] == (2, 3)
     assert shares["wrong_names"] == (1, 5)
     assert shares["in_set"] == (3, 4)
+    assert shares["ties_settled"] == (1, 2) and counted["ties_asked"]["value"] == pytest.approx(1.5)
     assert shares["silent_undetectable"] == (1, 1)
     assert shares["pairs_both"] == (0, 1) and shares["pairs_one"] == (1, 1)
     assert shares["unknown_flagged"] == (1, 2) and shares["unknown_misnamed"] == (1, 2)

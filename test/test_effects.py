@@ -229,6 +229,9 @@ def test_an_untouched_body_slides_downhill_against_the_friction_that_the_effect_
 def test_a_tilt_below_the_friction_moves_nothing() -> None:
     motion = simulate(plate(friction=0.3), FAR, np.zeros(3), np.array([2.0]), effects={"table_tilt": [0.2, 0.1]})
     assert np.abs(motion.pose).max() < 2e-4
+    # Far below it, nothing even creeps, and none of it is computed.
+    held = simulate(plate(friction=0.3), FAR, np.zeros(3), np.array([2.0]), effects={"table_tilt": [0.1, 0.05]}, jacobian=True)
+    assert not np.any(held.pose) and np.all(np.isfinite(held.jacobian))
 
 
 def test_friction_across_the_grain_is_not_along_the_motion() -> None:

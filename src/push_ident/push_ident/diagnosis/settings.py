@@ -24,7 +24,7 @@ class Thresholds:
     """An effect that gains less is not there as far as these data go."""
     also: float = 12.0
     """The same of an effect beside another one: the law of the first may not be quite that of the world."""
-    also_share: float = 0.1
+    also_share: float = 0.15
     """And so much of what was found before it gains: what a law is off by grows with the effect."""
     apart: float = 6.0
     """Effects nearer than this to the best cannot be told from it."""

@@ -73,19 +73,20 @@ def find_unknown(selection: Selection) -> SmoothWrench | None:
     beside = information_beside(base, (EFFECT.name,)) if selection.found else told
     if beside is None:
         return None
-    # The first proposal is that of the linear guess, which reaches far; what it missed is added one by one, each by a fit of its own.
+    # The first proposal is that of the linear guess, which reaches far; what it missed is added part by part, from one fit to the next.
     promises = _promises(beside, [])
     parts = _best_parts(beside)[0] or [max(promises, key=lambda part: promises[part])]
     fit = _fit_parts(base, parts, beside)
     while len(parts) < _MOST_PARTS:
-        promises = _promises(_information_of_held(fit, parts), parts)
-        more = [*parts, max(promises, key=lambda part: promises[part])]
-        if promises[more[-1]] <= 0.0:
+        held = _information_of_held(fit, parts)
+        promises = _promises(held, parts)
+        part = max(promises, key=lambda part: promises[part])
+        if promises[part] <= 0.0:
             break
-        larger = _fit_parts(base, more, beside)
+        larger = _with_part(fit, parts, part, held)
         if larger.log_evidence - _CHOICE <= fit.log_evidence:
             break
-        parts, fit = more, larger
+        parts, fit = [*parts, part], larger
     fit = polished(fit)
     says = _says(fit, parts)
     acts_on, varies_with = dict.fromkeys(COMPONENTS, 0.0), dict.fromkeys(FEATURES, 0.0)
@@ -161,6 +162,17 @@ def _fit_parts(base: EffectFit, parts: Sequence[Part], told: Information) -> Eff
     first = base.z[base.parameters.effect_slice]
     held = [number for number in range(len(start)) if number not in own]
     return fit_effects_but(base, (*base.names, EFFECT.name), np.concatenate([first, start]), [len(first) + number for number in held])
+
+
+def _with_part(fit: EffectFit, parts: Sequence[Part], part: Part, held: Information) -> EffectFit:
+    """Fit one part more, from where the others stand and where the linear guess puts it."""
+    own = _BLOCKS[part]
+    guess = -np.linalg.solve(held.precision[np.ix_(own, own)], held.slope[own])
+    start = np.array(fit.z[fit.parameters.effect_slice])
+    first = fit.effects.slice_of(EFFECT.name).start
+    start[[first + number for number in own]] = guess * min(1.0, _MAX_START / max(float(np.linalg.norm(guess)), 1e-9))
+    free = _numbers([*parts, part])
+    return fit_effects_but(fit, fit.names, start, [first + n for n in range(len(EFFECT.parameters)) if n not in free])
 
 
 def _place(fit: EffectFit) -> slice:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.identification.budget import Meter
+from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.quadratic import Quadratic
@@ -62,6 +62,10 @@ class PushTerms:
     """Whitened, shape (n_frames, 3)."""
 
 
+def _unlimited() -> Meter:
+    return Meter(Budget(max_seconds=None))
+
+
 class FitProblem:
     """Pushes of one object as a least-squares problem.
 
@@ -70,7 +74,7 @@ class FitProblem:
         parameters: the unknowns of the object.
         noise: of the observations.
         settings: numerics of the simulation.
-        meter: counts the simulations.
+        meter: counts the simulations, and says when a solve has cost enough; by default it never does, so that no clock decides a result.
         past: what is known beyond the prior and these pushes, in the unknowns of `parameters`.
 
     Raises:
@@ -98,14 +102,14 @@ class FitProblem:
         self.parameters = parameters
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         self.settings = settings or SimulationSettings()
-        self.meter = meter or Meter()
+        self.meter = meter or _unlimited()
         self.past = past or Quadratic.zero(parameters.size)
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
     def of(self, parameters: MapParameters, past: Quadratic | None = None) -> FitProblem:
         """The same pushes under a model with other unknowns, of which `past` is known beyond the prior."""
         other = copy(self)
-        other.parameters, other.past, other.meter = parameters, past or Quadratic.zero(parameters.size), Meter()
+        other.parameters, other.past, other.meter = parameters, past or Quadratic.zero(parameters.size), _unlimited()
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:
@@ -113,7 +117,7 @@ class FitProblem:
         rest = copy(self)
         for name in ("records", "observations", "first_scale"):
             setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
-        rest.meter = Meter()
+        rest.meter = _unlimited()
         return rest
 
     @property

@@ -31,7 +31,7 @@ EFFECT = Effect(
     what="Loose or liquid contents shift against the motion, and the load with them.",
     equation="N_i ~ 1 + r_i' <r r'>^-1 q, tau dq/dt = -shift v - q, q in the object, v the unit direction of the centre of mass",
     parameters=(
-        EffectParameter("shift", "m", "how far the load falls behind in the end", scale=5e-3, typical=5e-3, low=-0.05, high=0.05),
+        EffectParameter("shift", "m", "how far the load falls behind in the end", scale=5e-3, typical=5e-3, low=0.0, high=0.05),
         EffectParameter("tau", "s", "time in which it does", scale=0.1, typical=0.1, nominal=0.1, low=0.01, high=2.0, shape=True),
     ),
     acts=OnTable(plane=_plane),

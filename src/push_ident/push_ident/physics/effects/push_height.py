@@ -24,9 +24,9 @@ EFFECT = Effect(
     name="push_height",
     what="Pushed above its base, an object bears more on the cells that lead.",
     equation="N_i ~ 1 + lever (r_i . v) / <(r . v)^2>, v the unit direction of the centre of mass",
-    parameters=(EffectParameter("lever", "m", "friction coefficient times height", scale=5e-3, typical=5e-3, low=-0.05, high=0.05),),
+    parameters=(EffectParameter("lever", "m", "friction coefficient times height", scale=5e-3, typical=5e-3, low=0.0, high=0.05),),
     acts=OnTable(plane=_plane),
-    signature="The centre of friction runs ahead of the motion, by the lever.",
+    signature="The centre of friction runs ahead of the motion, by the lever; never behind it.",
     rivals="table_tilt, moving_contents, the maps: pushes on opposite faces; two heights of the tool.",
     source="Balance of moments of a rigid object on an even bed of springs; <> is over the area, as poses do not tell the load.",
 )
