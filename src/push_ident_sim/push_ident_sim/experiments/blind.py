@@ -160,7 +160,7 @@ EXPERIMENT = Experiment(
         "far the engines are apart without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", _CAMERA, _ENGINES),
-    fewer={"8-pushes": 4, "6-pushes": 4, _CAMERA: 1, _ENGINES: 2},
+    fewer={"8-pushes": 8, "6-pushes": 8, _CAMERA: 2, _ENGINES: 2},
     needs_truth=False,
     stages=("geometry", "physics", "identification", "diagnosis", "pushing"),
     prepare=seal_cases,
