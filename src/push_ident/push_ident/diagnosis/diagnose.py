@@ -186,7 +186,7 @@ def _confusable(selection: Selection, settings: DiagnosisSettings) -> tuple[str,
         return ()
     step, last = list(selection.added.values())[-1]
     thresholds = settings.thresholds
-    apart = thresholds.apart if last.gain >= thresholds.sure else max(thresholds.apart, last.gain - 1.0)
+    apart = max(thresholds.apart, thresholds.apart_share * last.gain if last.gain >= thresholds.sure else last.gain - 1.0)
     names = [c.name for c in step.rivals(last, apart) if c.gain > 1.0 and c.name not in selection.found]
     for same in _SAME:
         if same & set(selection.found):

@@ -28,6 +28,8 @@ class Thresholds:
     """And so much of what was found before it gains: what a law is off by grows with the effect."""
     apart: float = 6.0
     """Effects nearer than this to the best cannot be told from it."""
+    apart_share: float = 0.1
+    """Nor those nearer than this share of its gain: what its law is off by grows with the effect."""
     sure: float = 12.0
     """An effect that gains less is named with its runners-up only."""
     unknown: float = 10.0
