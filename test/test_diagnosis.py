@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from objects import hammer, random_records
 
-from push_ident.diagnosis.diagnose import _explains_more, diagnose
+from push_ident.diagnosis.diagnose import _confusable, _explains_more, diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap
@@ -191,6 +191,13 @@ def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_came() -> None:
     steps = (step(table_tilt=40.0, wear=35.0, tether=20.0), step(tether=15.0, wear=2.0), step(restitution=1.0))
     selection = Selection(cast(Any, SimpleNamespace(names=())), fit, steps)
     assert {name: (steps.index(s), c.gain) for name, (s, c) in selection.added.items()} == {"wear": (0, 35.0), "tether": (1, 15.0)}
+
+
+@pytest.mark.parametrize(("gain", "rival", "is_open"), [(200.0, 185.0, True), (200.0, 175.0, False), (20.0, 15.0, True), (20.0, 13.0, False)])
+def test_rivals_stay_open_within_a_few_units_or_a_tenth_of_the_evidence(gain: float, rival: float, is_open: bool) -> None:
+    base, fit = (cast(Any, SimpleNamespace(names=names)) for names in ((), ("pusher_lag",)))
+    step = Step(base, None, (), (Candidate("pusher_lag", fit, gain), Candidate("pose_latency", fit, rival)))
+    assert _confusable(Selection(base, fit, (step,)), DiagnosisSettings()) == (("pose_latency",) if is_open else ())
 
 
 def test_several_effects_have_to_beat_the_wrench_that_they_may_imitate_and_one_must_only_not_be_beaten() -> None:
