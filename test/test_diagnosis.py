@@ -193,7 +193,9 @@ def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_came() -> None:
     assert {name: (steps.index(s), c.gain) for name, (s, c) in selection.added.items()} == {"wear": (0, 35.0), "tether": (1, 15.0)}
 
 
-@pytest.mark.parametrize(("gain", "rival", "is_open"), [(200.0, 185.0, True), (200.0, 175.0, False), (20.0, 15.0, True), (20.0, 13.0, False)])
+@pytest.mark.parametrize(
+    ("gain", "rival", "is_open"), [(200.0, 185.0, True), (200.0, 175.0, False), (20.0, 15.0, True), (20.0, 13.0, False)]
+)
 def test_rivals_stay_open_within_a_few_units_or_a_tenth_of_the_evidence(gain: float, rival: float, is_open: bool) -> None:
     base, fit = (cast(Any, SimpleNamespace(names=names)) for names in ((), ("pusher_lag",)))
     step = Step(base, None, (), (Candidate("pusher_lag", fit, gain), Candidate("pose_latency", fit, rival)))
