@@ -25,6 +25,9 @@ _N_FRAMES = 12
 _POSE = np.array([1e-3, 1e-3, np.radians(0.5)])
 """Deviation of an observed pose that is expected [m, m, rad]."""
 
+_SETTLES = 9.0
+"""Squared distance of predictions, in units of what would be seen, that is rarely mistaken."""
+
 _CHECKS = {
     "table_tilt": "Put a spirit level on the table.",
     "tether": "Disconnect every cable and hose of the object and push again.",
@@ -57,7 +60,12 @@ class SeparatingPush:
     between: tuple[str, str]
     """The two explanations that it tells apart best of those that are hardest to tell apart."""
     distance2: float
-    """Squared distance of their predictions in units of what would be seen: 9 or more settles it."""
+    """Squared distance of their predictions in units of what would be seen."""
+
+    @property
+    def settles(self) -> bool:
+        """Whether one such push can be expected to be enough."""
+        return self.distance2 >= _SETTLES
 
 
 def check_without_a_push(names: Sequence[str]) -> str:

@@ -20,7 +20,6 @@ from push_ident.physics.effects import EFFECTS
 
 __all__ = ["write_report"]
 
-_SETTLES = 9.0
 _TITLES = {
     Verdict.NO_GAP: "no gap beyond noise",
     Verdict.NAMED: "the cause is named",
@@ -98,7 +97,6 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         f"{{mode: 0, frame_id: table, contact_point: {{x: {x:.4f}, y: {y:.4f}}}, direction: {plan.direction:.4f}, "
         f"distance: {plan.distance:.4f}, speed: {plan.speed:.3f}}}"
     )
-    settles = proposal.distance2 >= _SETTLES
     return {
         "figure": svg(draw_proposal(proposal, diagnosis.selection.base.parameters.shape)),
         "between": proposal.between,
@@ -107,6 +105,6 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "heading": float(np.degrees(plan.direction)),
         "distance": plan.distance,
         "speed": plan.speed,
-        "verdict": "It is expected to settle it." if settles else "It will hardly settle it alone; make several.",
+        "verdict": "It is expected to settle it." if proposal.settles else "It will hardly settle it alone; make several.",
         "command": f'ros2 action send_goal execute_push push_ident_msgs/action/ExecutePush "{goal}"',
     }
