@@ -158,7 +158,7 @@ def assert_same_record(got: PushRecord, expected: PushRecord) -> None:
         np.testing.assert_array_equal(got.wrench.force, expected.wrench.force)
 
 
-@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+@pytest.mark.parametrize("name", ["bag", "bag.mcap", "day.bag"])
 def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
     # The second starts before the first ends, the third knows its end poses only.
     records = [make_record(0.0), make_record(0.5), make_record(9.0, n_poses=2)]

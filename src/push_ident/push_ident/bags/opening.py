@@ -120,7 +120,7 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     """
     try:
         storage = storage_of(path)
-        reader = Rosbag1Reader(storage) if storage.suffix == ".bag" else Rosbag2Reader(storage)
+        reader = Rosbag1Reader(storage) if storage.is_file() and storage.suffix == ".bag" else Rosbag2Reader(storage)
         with reader:
             yield OpenBag(path, reader)
     except PushIdentError:
