@@ -20,7 +20,8 @@ from push_ident.errors import InputError
 pytestmark = pytest.mark.alone
 
 SLEEP = "import time; print('ready'); time.sleep(60)"
-DIES = "import sys, time; time.sleep(0.2); print('no camera', file=sys.stderr); sys.exit(7)"
+# After the others have started: a Ctrl-C between the fork of a child and its start is lost on it.
+DIES = "import sys, time; time.sleep(1.5); print('no camera', file=sys.stderr); sys.exit(7)"
 IGNORES_CTRL_C = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('ready'); time.sleep(60)"
 HAS_CHILD = "import subprocess, sys; print('child', subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']).pid); {rest}"
 RUN = """
