@@ -149,20 +149,24 @@ def test_figures_count_what_they_say() -> None:
         outcome("pair", ["pusher_lag", "wear"], "several", ["wear", "table_tilt"], [], 20, 40),
         outcome("outside", ["viscous_film"], "unknown", [], [], 0, 0),
         outcome("outside", ["gust"], "named", ["table_tilt"], [], 0, 0),
+        outcome("outside", ["compliant_table"], "no_gap", [], [], 0, 0),
     ]
+    for result, visibility in zip(results[-3:], (80.0, 40.0, 2.0), strict=True):
+        result.values["visibility"] = visibility
     results[3].values["asked"] = {"n": 1, "verdict": "named", "named": ["pusher_lag"], "confusable": [], "settled": True}
     results[6].values["asked"] = {"n": 2, "verdict": "named", "named": ["wear"], "confusable": [], "settled": True}
     counted = figures([judge(r) for r in results])
     shares = {name: (round(f["share"] * f["n"]), f["n"]) for name, f in counted.items() if f.get("share") is not None}
     assert shares["false_alarms"] == (1, 2)
     assert shares["top1_detectable"] == (2, 4)
+    assert shares["top1_surely"] == (2, 2)
     assert shares["top1_plain"] == (2, 3)
     assert shares["wrong_names"] == (1, 5)
     assert shares["in_set"] == (3, 4)
     assert shares["ties_settled"] == (1, 2) and counted["ties_asked"]["value"] == pytest.approx(1.5)
     assert shares["silent_undetectable"] == (1, 1)
     assert shares["pairs_both"] == (0, 1) and shares["pairs_one"] == (1, 1)
-    assert shares["unknown_flagged"] == (1, 2) and shares["unknown_misnamed"] == (1, 2)
+    assert shares["unknown_flagged"] == (1, 2) and shares["unknown_misnamed"] == (1, 3)
     assert shares["baseline_training_fit"] == (1, 4)
     assert counted["set_size"]["value"] == pytest.approx(1.25)
     assert counted["size_error"]["value"] == pytest.approx(0.1) and shares["size_intervals"] == (1, 1)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from objects import hammer, random_records
 
-from push_ident.diagnosis.diagnose import _confusable, _explains_more, diagnose
+from push_ident.diagnosis.diagnose import _doubts, _explains_more, _explanations, diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Group
 from push_ident.diagnosis.scores import EffectScore, Information
-from push_ident.diagnosis.selection import Candidate, Selection, Step, _worth_refitting, select_effects
+from push_ident.diagnosis.selection import Candidate, Rival, Selection, Step, _needed, _worth_refitting, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, _best_parts
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
@@ -183,29 +183,68 @@ def test_one_wrong_pose_at_rest_does_not_move_the_rest_pose() -> None:
 
 def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_came() -> None:
     """Of three steps, the second found a cause beside which the first one's runner-up is the better one."""
-    fit = cast(Any, SimpleNamespace(names=("wear", "tether")))
+    fit = _fit("wear", "tether")
 
     def step(**gains: float) -> Step:
         return Step(fit, None, (), tuple(Candidate(name, fit, gain) for name, gain in gains.items()))
 
     steps = (step(table_tilt=40.0, wear=35.0, tether=20.0), step(tether=15.0, wear=2.0), step(restitution=1.0))
-    selection = Selection(cast(Any, SimpleNamespace(names=())), fit, steps)
+    selection = Selection(_fit(), fit, steps)
     assert {name: (steps.index(s), c.gain) for name, (s, c) in selection.added.items()} == {"wear": (0, 35.0), "tether": (1, 15.0)}
 
 
+def _fit(*names: str, log_evidence: float = 0.0) -> EffectFit:
+    return cast(Any, SimpleNamespace(names=names, log_evidence=log_evidence))
+
+
 @pytest.mark.parametrize(
-    ("gain", "rival", "is_open"), [(200.0, 185.0, True), (200.0, 175.0, False), (20.0, 15.0, True), (20.0, 13.0, False)]
+    ("rival", "gain", "its_gain", "is_open"),
+    [
+        ("wear", 200.0, 185.0, True),
+        ("wear", 200.0, 175.0, False),
+        ("pose_latency", 200.0, 195.0, True),
+        ("pose_latency", 200.0, 185.0, False),
+        ("pose_latency", 20.0, 15.0, True),
+        ("pose_latency", 20.0, 13.0, False),
+        ("pose_latency", 10.0, 2.0, True),
+    ],
 )
-def test_rivals_stay_open_within_a_few_units_or_a_tenth_of_the_evidence(gain: float, rival: float, is_open: bool) -> None:
-    base, fit = (cast(Any, SimpleNamespace(names=names)) for names in ((), ("pusher_lag",)))
-    step = Step(base, None, (), (Candidate("pusher_lag", fit, gain), Candidate("pose_latency", fit, rival)))
-    assert _confusable(Selection(base, fit, (step,)), DiagnosisSettings()) == (("pose_latency",) if is_open else ())
+def test_rivals_stay_open_within_a_few_units_and_those_whose_law_is_a_guess_within_a_tenth(
+    rival: str, gain: float, its_gain: float, is_open: bool
+) -> None:
+    base, fit = _fit(), _fit("pusher_lag")
+    step = Step(base, None, (), (Candidate("pusher_lag", fit, gain), Candidate(rival, fit, its_gain)))
+    assert _doubts(Selection(base, fit, (step,)), Thresholds()) == ({"pusher_lag": (rival,)} if is_open else {})
+
+
+def test_doubts_of_an_earlier_effect_come_from_fits_beside_all_that_was_found() -> None:
+    """Of the first step alone, latency would be far off; beside the second effect it is near, and outline_error is not."""
+    base, fit = _fit(), _fit("pusher_lag", "camera_rotation")
+    lag = Candidate("pusher_lag", _fit("pusher_lag"), 100.0)
+    steps = (
+        Step(base, None, (), (lag, Candidate("pose_latency", fit, 80.0), Candidate("outline_error", fit, 70.0))),
+        Step(lag.fit, None, (), (Candidate("camera_rotation", fit, 50.0), Candidate("camera_scale", fit, 20.0))),
+    )
+    swaps = (Rival("pose_latency", "pusher_lag", fit, 2.0), Rival("outline_error", "pusher_lag", fit, 30.0))
+    selection = Selection(base, fit, steps, swaps)
+    assert _doubts(selection, Thresholds()) == {"pusher_lag": ("pose_latency",)}
+    assert list(_explanations(selection, Thresholds())) == ["pusher_lag", "pose_latency"]
+
+
+def test_a_law_that_holds_as_it_stands_asks_no_more_of_the_next_effect_and_one_that_is_a_guess_does() -> None:
+    def needed(*found: tuple[str, float]) -> float:
+        steps = tuple(Step(_fit(), None, (), (Candidate(name, _fit(name), gain),)) for name, gain in found)
+        return _needed(Selection(_fit(), _fit(*(name for name, _ in found)), steps), Thresholds(seen=5.0, also=12.0, also_share=0.15))
+
+    assert needed() == 5.0
+    assert needed(("camera_scale", 900.0)) == 12.0
+    assert needed(("table_tilt", 900.0)) == pytest.approx(135.0)
+    assert needed(("camera_scale", 900.0), ("table_tilt", 200.0)) == pytest.approx(30.0)
 
 
 def test_several_effects_have_to_beat_the_wrench_that_they_may_imitate_and_one_must_only_not_be_beaten() -> None:
     def named(*names: str) -> Selection:
-        base, fit = SimpleNamespace(names=(), log_evidence=0.0), SimpleNamespace(names=names, log_evidence=40.0)
-        return Selection(cast(Any, base), cast(Any, fit))
+        return Selection(_fit(), _fit(*names, log_evidence=40.0))
 
     def explains_more(gain: float, *names: str) -> bool:
         return _explains_more(SmoothWrench(cast(Any, None), gain, {}, {}), named(*names), Thresholds(apart=6.0, most=0.8))
@@ -271,14 +310,14 @@ def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
     gap = Gap(np.full(4, 4e-3), np.full(4, 1e-3), np.full(4, 7e-4), np.ones(4), np.ones((4, 2)))
     tilt = FoundEffect("table_tilt", {"x": 0.0175, "y": 0.0}, {"x": 0.0017, "y": 0.0017}, 30.0)
     lag = FoundEffect("pusher_lag", {"tau": 0.03}, {"tau": 0.002}, 20.0)
-    one = sentence_of_effects([tilt], [], gap)
+    one = sentence_of_effects([tilt], {}, gap)
     assert one.startswith(
         "The simulation leaves out that the table slopes down along (x, y) (table_tilt: x 1 ± 0.097 deg, y 0 ± 0.097 deg)."
     )
     assert "falls from 4.0 to 1.0 mm; 0.7 mm is" in one
-    assert "predicted no better (5.0 mm, 4.0 without)" in sentence_of_effects([tilt], [], replace(gap, after=np.full(4, 5e-3)))
-    assert "(or it is tether instead: these pushes cannot tell)" in sentence_of_effects([tilt], ["tether"], gap)
-    two = sentence_of_effects([tilt, lag], ["pose_latency"], gap)
+    assert "predicted no better (5.0 mm, 4.0 without)" in sentence_of_effects([tilt], {}, replace(gap, after=np.full(4, 5e-3)))
+    assert "(or it is tether instead: these pushes cannot tell)" in sentence_of_effects([tilt], {"table_tilt": ("tether",)}, gap)
+    two = sentence_of_effects([tilt, lag], {"pusher_lag": ("pose_latency",)}, gap)
     assert "; and the pusher follows" in two and "30 ± 2 ms" in two and "(or in place of pusher_lag it is pose_latency: these" in two
     assert "predicted to 4.0 mm, and 0.7 mm of that" in sentence_of_nothing(gap)
     where = {"push": [Group("3", 20, (1.0, 2.5, 1.0), 1e-3, (0.5, 0.0, 0.5))]}

@@ -9,9 +9,11 @@ import pytest
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.prediction import cell_error
+from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath
 from push_ident_sim.effects import EFFECTS, Effects
+from push_ident_sim.experiments.blind_scoring import true_values
 from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
 from push_ident_sim.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.true_motion import TrueMotion
@@ -145,3 +147,39 @@ def test_what_cannot_be_simulated_is_refused() -> None:
         PlanarWorld(thing, RADIUS).push((0.0, np.nan, 0.0), AWAY)
     with pytest.raises(PushIdentError, match="tips over"):
         PlanarWorld(disc(bears=False), RADIUS).push((0.0, 0.0, 0.0), AWAY)
+
+
+LAWS = {
+    "table_tilt": ((0.016, 0.012), 0.05),
+    "table_anisotropy": ((0.12, 0.09), 0.05),
+    "base_anisotropy": ((0.12, 0.09), 0.05),
+    "position_dependent_friction": ((0.8, 0.6), 0.08),
+    "speed_dependent_friction": ((0.2,), 0.1),
+    "pusher_friction": ((0.1,), 0.08),
+    "push_height": ((0.02,), 0.4),
+    "moving_contents": ((0.01,), 0.4),
+    "outline_error": ((1e-3,), 0.15),
+    "pusher_speed_scale": ((0.02,), 0.05),
+    "tool_offset": ((1.6e-3, 1.2e-3), 0.05),
+}
+"""Size of each effect, and share of what it does by which two engines may differ about it; those of loads that shift are approximations."""
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_law_of_an_effect_moves_objects_as_the_other_engine_moves_them(name: str) -> None:
+    size, allowed = LAWS[name]
+    effects, wrong = Effects.of({name: size}), []
+    for seed, which in enumerate(("wrench", "hammer", "book"), start=11):
+        thing = make_object(which, seed)
+        plain, changed = PlanarWorld(thing, RADIUS), PlanarWorld(thing, RADIUS, effects=effects)
+        model = true_model(thing)
+        model = replace(model, friction=model.friction * plain.cell_loads() / (model.mass * GRAVITY))
+        law = EffectValues((name,), true_values(effects, name, thing, np.zeros(2)))
+        for motion in make_pushes(thing, [seed, 6], FEW, engine=plain):
+            path, first, end = PusherPath(motion.time, motion.pusher, RADIUS), motion.pose[0], motion.time[-1:]
+            by_engine = changed.push(first, path).pose[-1] - motion.pose[-1]
+            ends = [simulate(model, path, first, end, effects=own).pose[-1] for own in (None, law)]
+            cells, place = model.shape.cells, motion.pose[-1]
+            moved = cell_error(cells, place, place + by_engine)
+            wrong.append(cell_error(cells, place + by_engine, place + ends[1] - ends[0]) / max(moved, 1e-5))
+    assert np.median(wrong) < allowed, np.round(wrong, 3)

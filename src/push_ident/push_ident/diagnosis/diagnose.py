@@ -94,18 +94,19 @@ def diagnose(
             selection = Selection(base, base, selection.steps)
             gap = measure_gap(base, base, report)
     effects = _found(selection, gap)
-    confusable = _confusable(selection, settings)
+    doubts = _doubts(selection, thresholds)
+    confusable = tuple(dict.fromkeys(name for names in doubts.values() for name in names))
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
     where = group_frames(frames)
     if is_unknown:
         sentence = sentence_of_unknown(gap, wrench, leftover, where)
     else:
-        sentence = sentence_of_effects(effects, confusable, gap) if effects else sentence_of_nothing(gap)
+        sentence = sentence_of_effects(effects, doubts, gap) if effects else sentence_of_nothing(gap)
     report("looking for the push that would settle it")
-    rivals = _rivals(selection, confusable)
+    explanations = _explanations(selection, thresholds)
     last = pushes[-1].poses.pose[-1]
     limits = push_settings or PushSettings(pusher_radius=pushes[-1].pusher.radius, workspace=(-1.0, 1.0, -1.0, 1.0))
-    proposal = separating_push(rivals, np.array(last), limits) if len(rivals) > 1 else None
+    proposal = separating_push(explanations, np.array(last), limits) if len(explanations) > 1 else None
     return Diagnosis(
         verdict=verdict,
         sentence=sentence,
@@ -181,28 +182,29 @@ def _found(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:
     return tuple(effects)
 
 
-def _confusable(selection: Selection, settings: DiagnosisSettings) -> tuple[str, ...]:
-    if not selection.found:
-        return ()
-    step, last = list(selection.added.values())[-1]
-    thresholds = settings.thresholds
-    apart = max(thresholds.apart, thresholds.apart_share * last.gain if last.gain >= thresholds.sure else last.gain - 1.0)
-    names = [c.name for c in step.rivals(last, apart) if c.gain > 1.0 and c.name not in selection.found]
+def _doubts(selection: Selection, thresholds: Thresholds) -> dict[str, tuple[str, ...]]:
+    """Of effects that were found: names of those that may be there in their place."""
+    doubts: dict[str, tuple[str, ...]] = {}
+    for rival in selection.open_rivals(thresholds):
+        doubts[rival.of] = (*doubts.get(rival.of, ()), rival.name)
     for same in _SAME:
-        if same & set(selection.found):
-            names += [name for name in sorted(same) if name not in (*selection.found, *names)]
-    return tuple(names)
+        for name in same & set(selection.found):
+            twins = (twin for twin in sorted(same) if twin not in (*selection.found, *doubts.get(name, ())))
+            doubts[name] = (*doubts.get(name, ()), *twins)
+    return doubts
 
 
-def _rivals(selection: Selection, confusable: Sequence[str]) -> dict[str, EffectFit]:
-    """Explanations that are open, by name."""
+def _explanations(selection: Selection, thresholds: Thresholds) -> dict[str, EffectFit]:
+    """What a push should tell apart, by name: first what may be there in place of the last effect, then of one before it."""
     if not selection.found:
         first = selection.steps[0] if selection.steps else None
         return {"no effect": selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
+    rivals = selection.open_rivals(thresholds)
+    if rivals:
+        return {rivals[0].of: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.of == rivals[0].of}}
+    # Where nothing is open, the push that would show the last effect most clearly confirms it.
     step, last = list(selection.added.values())[-1]
-    open_ones = {c.name: c.fit for c in step.candidates if c is last or c.name in confusable}
-    # Where nothing else is open, the push that would show the effect most clearly confirms it.
-    return open_ones if len(open_ones) > 1 else {f"without {last.name}": step.before, **open_ones}
+    return {f"without {last.name}": step.before, last.name: selection.fit}
 
 
 def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdict:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -12,8 +12,9 @@ from push_ident.diagnosis.fits import EffectFit, fit_effects, polished, with_ano
 from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.scores import EffectScore, Information, information_beside, score_effects
 from push_ident.diagnosis.settings import Thresholds
+from push_ident.physics.effects import EFFECTS
 
-__all__ = ["Candidate", "Selection", "Step", "select_effects"]
+__all__ = ["Candidate", "Rival", "Selection", "Step", "select_effects"]
 
 _TOGETHER = (
     frozenset({"pusher_lag", "pose_latency", "pusher_speed_scale"}),
@@ -67,10 +68,18 @@ class Step:
     def best(self) -> Candidate | None:
         return self.candidates[0] if self.candidates else None
 
-    def rivals(self, to: Candidate, apart: float) -> tuple[Candidate, ...]:
-        """Those that explain the pushes nearly as well as one of them; one that only holds it as a special case is none."""
-        others = (c for c in self.candidates if c is not to)
-        return tuple(c for c in others if c.gain > to.gain - apart and _NESTED.get(c.name) != to.name)
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """An effect that may be there in place of one that was found."""
+
+    name: str
+    of: str
+    """The effect that was found."""
+    fit: EffectFit
+    """With the rival in its place, and all that was found before it."""
+    behind: float
+    """Log evidence that it lacks [nat]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +91,8 @@ class Selection:
     """With all effects that were found."""
     steps: tuple[Step, ...] = field(default=())
     """The last one found nothing more, unless the number of effects was the limit."""
+    swaps: tuple[Rival, ...] = field(default=())
+    """Rivals of effects other than the last one, each beside all that was found."""
 
     @property
     def found(self) -> tuple[str, ...]:
@@ -101,6 +112,28 @@ class Selection:
                 own.update([next(free)])
         return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(own.items())}
 
+    @property
+    def rivals(self) -> tuple[Rival, ...]:
+        """Of the last effect, the nearest first, then of those before it; one that only holds the effect as a special case is none."""
+        if not self.found:
+            return ()
+        step, last = list(self.added.values())[-1]
+        own = [Rival(c.name, last.name, c.fit, last.gain - c.gain) for c in step.candidates if c is not last]
+        return tuple(r for r in (*own, *self.swaps) if r.name not in self.found and _NESTED.get(r.name) != r.of)
+
+    def open_rivals(self, thresholds: Thresholds) -> tuple[Rival, ...]:
+        """Those that explain the pushes nearly as well: a law that holds as it stands lacks nothing if it is there, a law of friction or
+        of loads may lack what it is off by."""
+        gains = {name: candidate.gain for name, (_, candidate) in self.added.items()}
+
+        def apart(rival: Rival) -> float:
+            gain = gains[rival.of]
+            if gain < thresholds.sure:
+                return gain - 1.0
+            return thresholds.apart if EFFECTS[rival.name].is_geometric else max(thresholds.apart, thresholds.apart_share * gain)
+
+        return tuple(rival for rival in self.rivals if rival.behind < apart(rival))
+
 
 def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progress | None = None) -> Selection:
     """Add effects while one is seen; drop one that another made needless.
@@ -111,7 +144,7 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         on_progress: told what is fitted.
     """
     report = on_progress or (lambda text: None)
-    fit, steps = base, []
+    fit, steps, swaps = base, list[Step](), tuple[Rival, ...]()
     while True:
         report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
         told = information_beside(fit)
@@ -120,8 +153,7 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         if chosen:
             report(f"refitting with {', '.join(score.name for score in chosen)}")
         n_found = len(fit.names) - len(base.names)
-        found = fit.log_evidence - base.log_evidence
-        needed = max(thresholds.also, thresholds.also_share * found) if n_found else thresholds.seen
+        needed = _needed(Selection(base, fit, tuple(steps)), thresholds)
         # Of a first effect, all that were refitted are told in the ranking.
         worth = needed - thresholds.apart if n_found else -np.inf
         candidates = _ranked(side_by_side(partial(_refitted, fit, worth), chosen), thresholds.apart)
@@ -133,10 +165,20 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
                 continue
         steps.append(Step(fit, told, scores, tuple(candidates)))
         if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
-            return Selection(base, fit, tuple(steps))
-        fit = _without_needless(base, _swapped(polished(candidates[0].fit), steps), thresholds)
-        if fit.log_evidence <= steps[-1].before.log_evidence:
-            return Selection(base, steps[-1].before, tuple(steps))
+            return Selection(base, fit, tuple(steps), swaps)
+        larger, larger_swaps = _swapped(polished(candidates[0].fit), steps)
+        kept = _without_needless(base, larger, thresholds)
+        if kept.log_evidence <= fit.log_evidence:
+            return Selection(base, fit, tuple(steps), swaps)
+        fit, swaps = kept, larger_swaps if kept is larger else ()
+
+
+def _needed(selection: Selection, thresholds: Thresholds) -> float:
+    """Gain of log evidence from which one more effect counts [nat]."""
+    if not selection.found:
+        return thresholds.seen
+    nearly = sum(candidate.gain for name, (_, candidate) in selection.added.items() if not EFFECTS[name].is_geometric)
+    return max(thresholds.also, thresholds.also_share * nearly)
 
 
 def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds, *, is_first: bool) -> list[EffectScore]:
@@ -166,8 +208,8 @@ def _refitted(fit: EffectFit, worth: float, score: EffectScore) -> Candidate:
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
 
 
-def _swapped(fit: EffectFit, steps: list[Step]) -> EffectFit:
-    """Beside a new effect, an earlier one may turn out to have stood for one of its rivals."""
+def _swapped(fit: EffectFit, steps: Sequence[Step]) -> tuple[EffectFit, tuple[Rival, ...]]:
+    """Beside a new effect, an earlier one may turn out to have stood for one of its rivals: the best of them, and the others."""
     trials = [
         (step.best.name, rival)
         for step in steps[:-1]
@@ -176,8 +218,13 @@ def _swapped(fit: EffectFit, steps: list[Step]) -> EffectFit:
         if rival.name not in fit.names and rival.gain > _RIVAL * step.best.gain
     ]
     fits = side_by_side(lambda trial: with_another(fit, trial[0], trial[1].name, trial[1].fit), trials)
-    best = max(fits, key=lambda other: other.log_evidence, default=fit)
-    return polished(best) if best.log_evidence > fit.log_evidence + _CLEARLY else fit
+    others = [(place, rival.name, other) for (place, rival), other in zip(trials, fits, strict=True)]
+    place, name, best = max(others, key=lambda other: other[2].log_evidence, default=("", "", fit))
+    if best.log_evidence > fit.log_evidence + _CLEARLY:
+        # Those that would have come in the place of another effect than it did are not beside what is there now.
+        others = [(name, place, fit), *((name, n, other) for p, n, other in others if p == place and other is not best)]
+        fit = polished(best)
+    return fit, tuple(Rival(n, p, other, fit.log_evidence - other.log_evidence) for p, n, other in others)
 
 
 def _without_needless(base: EffectFit, fit: EffectFit, thresholds: Thresholds) -> EffectFit:

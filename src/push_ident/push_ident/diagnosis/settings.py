@@ -24,12 +24,12 @@ class Thresholds:
     """An effect that gains less is not there as far as these data go."""
     also: float = 12.0
     """The same of an effect beside another one: the law of the first may not be quite that of the world."""
-    also_share: float = 0.15
-    """And so much of what was found before it gains: what a law is off by grows with the effect."""
+    also_share: float = 0.1
+    """And so much of what was gained by effects before it whose law is a guess: what a law is off by grows with the effect."""
     apart: float = 6.0
     """Effects nearer than this to the best cannot be told from it."""
     apart_share: float = 0.1
-    """Nor those nearer than this share of its gain: what its law is off by grows with the effect."""
+    """Nor those whose law is a guess and that are nearer than this share of its gain."""
     sure: float = 12.0
     """An effect that gains less is named with its runners-up only."""
     unknown: float = 10.0

@@ -49,7 +49,7 @@ class Diagnosis:
     """What an engineer needs to know, in one sentence."""
     effects: tuple[FoundEffect, ...]
     confusable: tuple[str, ...]
-    """Effects that these pushes cannot tell from the last one found, or from any that was found if they are the same to all pushes."""
+    """Effects that these pushes cannot tell from one that was found."""
     gap: Gap | None
     """On pushes held out; None where nothing could be trusted."""
     gates: tuple[Gate, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -27,20 +27,22 @@ def sentence_of_nothing(gap: Gap) -> str:
     return f"No gap beyond noise: pushes that the simulation was not fitted to are predicted to {before:.1f} mm, {share}."
 
 
-def sentence_of_effects(effects: Sequence[FoundEffect], confusable: Sequence[str], gap: Gap) -> str:
+def sentence_of_effects(effects: Sequence[FoundEffect], doubts: Mapping[str, Sequence[str]], gap: Gap) -> str:
     """Of a diagnosis that names causes.
 
     Args:
         effects: that were found, at least one.
-        confusable: names of those that may be there in place of the last one.
+        doubts: names of those that may be there in place of some of them.
         gap: with the effects.
     """
     causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
     doubt = ""
-    if confusable:
-        others = " or ".join(confusable)
-        instead = f"it is {others} instead" if len(effects) == 1 else f"in place of {effects[-1].name} it is {others}"
-        doubt = f" (or {instead}: these pushes cannot tell)"
+    if doubts:
+        instead = [
+            f"it is {' or '.join(names)} instead" if len(effects) == 1 else f"in place of {name} it is {' or '.join(names)}"
+            for name, names in doubts.items()
+        ]
+        doubt = f" (or {', or '.join(instead)}: these pushes cannot tell)"
     return f"The simulation leaves out that {causes}{doubt}. {_outcome('With that added', gap)}"
 
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError
 
 __all__ = [
-    "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation", "Memory", "OnContact",
-    "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt", "equation",
-    "unit_direction",
+    "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation", "Memory",
+    "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt",
+    "equation", "unit_direction",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
@@ -35,7 +35,7 @@ STEP_OF_INPUT = 1e-40
 MAX_LOAD_NUMBERS = 4
 """An effect that changes the load of cells has no more values, and no more numbers in its memory."""
 
-_SLOW = 1e-3
+STILL = 1e-3
 """Speed below which a direction of motion fades [m/s]."""
 
 equation = partial(njit, error_model="numpy")
@@ -65,7 +65,7 @@ def analytic_log(x: Any) -> Any:
 @equation
 def unit_direction(vx: Any, vy: Any) -> Any:
     """Direction of a velocity; below 1 mm/s it fades to nothing, so that a body at rest has none."""
-    speed = analytic_sqrt(vx * vx + vy * vy + _SLOW * _SLOW)
+    speed = analytic_sqrt(vx * vx + vy * vy + STILL * STILL)
     return vx / speed, vy / speed
 
 
@@ -229,3 +229,10 @@ class Effect:
     def nominal(self) -> NDArray[np.float64]:
         """Values at which it is absent, shape (n_parameters,)."""
         return np.array([parameter.nominal for parameter in self.parameters])
+
+    @property
+    def is_geometric(self) -> bool:
+        """Whether it moves what is driven or measured: such a law holds as it stands, while one of friction or of loads only comes near
+        that of the world."""
+        moves_outline = isinstance(self.acts, OnContact) and self.acts.quantity == "offset"
+        return moves_outline or isinstance(self.acts, OnPusherPath | OnTimes | OnPoses)

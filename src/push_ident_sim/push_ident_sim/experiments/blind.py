@@ -17,6 +17,7 @@ from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath, PushRecord
+from push_ident_sim.effects import Effects
 from push_ident_sim.experiments.blind_cases import draw_truth, make_asked_record, make_records, phase_of
 from push_ident_sim.experiments.blind_page import draw, tables
 from push_ident_sim.experiments.blind_scoring import score_case
@@ -48,7 +49,12 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     def ask(push: PlannedPush, number: int) -> PushRecord | None:
         return make_asked_record(truth, case.object_name, case.model, push, number, settings.noise)
 
-    values = score_case(records, truth, make_object(case.object_name, case.model), DiagnosisSettings(), ask)
+    def make_plain() -> list[PushRecord]:
+        plain = replace(truth, effects=Effects(), outside=())
+        return make_records(plain, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
+
+    thing = make_object(case.object_name, case.model)
+    values = score_case(records, truth, thing, DiagnosisSettings(), ask=ask, make_plain=make_plain)
     return {**finite(values), "thresholds_sha256": _thresholds_hash()}
 
 
@@ -153,11 +159,12 @@ EXPERIMENT = Experiment(
         "a bed that tilts, each with nothing, one effect at sizes from undetectable to three times typical, two effects, or an "
         "effect outside the catalogue. Seeds below 1000 set the thresholds; those from 1000 on are scored once, after the hashes of "
         "truth and thresholds were written down. An effect is detectable where its true size would bring 5 nat of evidence on "
-        "average; the noncentrality is what is left of it when maps and the hardest rival are fitted, too. The first name counts as "
-        "right where it is the effect that was injected, or its twin that no push can tell from it. S is the share of the gap on "
-        "pushes held out that goes with the effect. Where a verdict leaves more than one effect open, the pushes that it asks for "
-        "are made, two at most. `camera`: the same through rendered depth images and perception. `engines`: how "
-        "far the engines are apart without any effect."
+        "average, and surely so where it would nine times out of ten; one outside the catalogue is visible where the same pushes "
+        "without it differ by a noncentrality of 25. The noncentrality is what is left of it when maps and the hardest rival are "
+        "fitted, too. The first name counts as right where it is the effect that was injected, or its twin that no push can tell from "
+        "it. S is the share of the gap on pushes held out that goes with the effect. Where a verdict leaves more than one effect "
+        "open, the pushes that it asks for are made, two at most. `camera`: the same through rendered depth images and perception. "
+        "`engines`: how far the engines are apart without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", _CAMERA, _ENGINES),
     fewer={"8-pushes": 8, "6-pushes": 8, _CAMERA: 2, _ENGINES: 2},

@@ -16,6 +16,7 @@ from push_ident.diagnosis.scores import Information
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.verdict import Diagnosis, Verdict
+from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import GRAVITY
@@ -67,10 +68,25 @@ def true_values(effects: Effects, name: str, thing: SimObject, first_centre: Flo
     return values
 
 
-def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, settings: DiagnosisSettings, ask: Ask | None = None) -> Json:
+def score_case(
+    records: Sequence[PushRecord],
+    truth: Truth,
+    thing: SimObject,
+    settings: DiagnosisSettings,
+    *,
+    ask: Ask | None = None,
+    make_plain: Callable[[], Sequence[PushRecord]] | None = None,
+) -> Json:
     """Diagnose the pushes of a case; the truth is looked at afterwards.
 
-    `ask` makes a push that the diagnosis asks for; without it, nothing that is left open is settled.
+    Args:
+        records: the pushes.
+        truth: what is in them.
+        thing: what was pushed.
+        settings: of the diagnosis.
+        ask: makes a push that the diagnosis asks for; without it, nothing that is left open is settled.
+        make_plain: makes the same pushes with the same noise without any effect; without it, nothing is said of how plainly effects show
+            that no diagnosis has a name for.
     """
     start, wall = time.process_time(), time.perf_counter()
     found = diagnose(records, settings)
@@ -88,6 +104,8 @@ def score_case(records: Sequence[PushRecord], truth: Truth, thing: SimObject, se
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
         values["oracle"] = _oracle(found, base, wanted)
+    if truth.scenario.kind == "outside" and make_plain is not None:
+        values["visibility"] = _visibility(base, make_plain())
     if truth.scenario.kind == "single" and ask is not None and _is_open(found):
         values["asked"] = _settle(found, list(records), settings, ask)
     values["baselines"] = _baselines(found, base)
@@ -192,6 +210,37 @@ def _detectability(told: Information | None, wanted: Mapping[str, FloatArray]) -
         gain = 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])
         shown[name] = {"alone": alone, "hardest": max(hardest, 0.0), "rival": rival, "gain": gain}
     return shown
+
+
+def _visibility(base: EffectFit, plain: Sequence[PushRecord]) -> float:
+    """Noncentrality of all that effects did to the poses, beside everything that the base model fits.
+
+    With the whitened derivative J of the fit and the precision P of its prior, d' (I - J (J'J + P)^-1 J') d of the whitened difference d.
+
+    Args:
+        base: fit to the pushes.
+        plain: the same pushes without effects, by their order.
+    """
+    problem = base.problem
+    jacobian = problem.jacobian(base.x)
+    if jacobian is None:
+        return float("nan")
+    parts = []
+    for record, seen in zip(problem.records, problem.observations, strict=True):
+        with_it, without = (_nearest(r, seen.time) for r in (record, plain[record.order]))
+        off = with_it - without
+        off[:, 2] = wrap_angle(off[:, 2])
+        parts.append(np.einsum("fij,fj->fi", seen.whitening, off).ravel())
+    difference = np.concatenate(parts)
+    precision = np.diag(np.r_[np.ones(base.parameters.size), np.zeros(3 * len(parts))])
+    taken_up = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
+    return float(difference @ (difference - taken_up))
+
+
+def _nearest(record: PushRecord, time: FloatArray) -> FloatArray:
+    """Poses that were reported nearest to some times, shape (n, 3)."""
+    frames = np.abs(record.poses.time[:, None] - time).argmin(axis=0)
+    return np.asarray(record.poses.pose[frames])
 
 
 def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:

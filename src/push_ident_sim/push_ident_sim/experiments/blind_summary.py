@@ -18,6 +18,8 @@ from push_ident_sim.experiments.experiment import CaseResult, Json
 __all__ = ["Judged", "figures", "interval", "judge", "summarise_cases"]
 
 _Z90 = 1.6449
+_NINE_OF_TEN = 1.2816
+"""A normal deviate is larger than minus this nine times out of ten."""
 _SEEN = 5.0
 """An effect is detectable where its true size brings so much log evidence on average [nat]."""
 _PLAIN = 25.0
@@ -46,6 +48,9 @@ class Judged:
     noncentrality: float
     """Of the weakest true effect, beside its hardest rival."""
     detectable: bool
+    """Every true effect would be seen on average."""
+    surely: bool
+    """Each would be seen nine times out of ten."""
     values: Json
 
     @property
@@ -80,8 +85,15 @@ def judge(result: CaseResult) -> Judged:
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
         noncentrality=min((t["hardest"] or 0.0 for t in told), default=0.0),
         detectable=bool(told) and all((t["gain"] or 0.0) >= _SEEN for t in told),
+        surely=bool(told) and all(_in_nine_of_ten(t) >= _SEEN for t in told),
         values=values,
     )
+
+
+def _in_nine_of_ten(told: Json) -> float:
+    """Log evidence [nat] that a true size exceeds nine times out of ten: the root of twice what the data say is normal, of deviation 1."""
+    root = float(np.sqrt(told["alone"] or 0.0))
+    return (told["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - _NINE_OF_TEN) ** 2)
 
 
 def interval(hits: int, n: int) -> Json:
@@ -116,7 +128,9 @@ def figures(cases: Sequence[Judged]) -> Json:
     plain = [c for c in seen if c.noncentrality >= _PLAIN]
     below = [c for c in singles if not c.detectable]
     both_seen = [c for c in pairs if c.detectable]
-    visible = [c for c in outside if c.verdict != "no_gap" or (c.values["gap"] or {}).get("above_noise")]
+    surely = [c for c in singles if c.surely]
+    # Where not even the base model could be trusted, that was seen.
+    visible = [c for c in outside if c.values.get("visibility", np.inf) >= _PLAIN]
     shrunk = [c for c in (*seen, *both_seen) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]
     shrinks = [(c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"]) for c in shrunk]
     sized = [s for c in seen if c.right for s in _size_errors(c)]
@@ -125,6 +139,7 @@ def figures(cases: Sequence[Judged]) -> Json:
         "false_alarms": _share(nulls, lambda c: c.verdict not in ("no_gap", "not_trustworthy")),
         "nulls_not_trusted": _share(nulls, lambda c: c.verdict == "not_trustworthy"),
         "top1_detectable": _share(seen, lambda c: c.right),
+        "top1_surely": _share(surely, lambda c: c.right),
         "top1_plain": _share(plain, lambda c: c.right),
         "wrong_names": _share(singles, lambda c: c.wrong),
         "wrong_names_detectable": _share(seen, lambda c: c.wrong),
@@ -137,7 +152,7 @@ def figures(cases: Sequence[Judged]) -> Json:
         "pairs_both": _share(both_seen, lambda c: set(c.truth) <= set(c.named)),
         "pairs_one": _share(both_seen, lambda c: set(c.truth) & set(c.named)),
         "unknown_flagged": _share(visible, lambda c: c.verdict in ("unknown", "not_trustworthy")),
-        "unknown_misnamed": _share(visible, lambda c: c.verdict in ("named", "several")),
+        "unknown_misnamed": _share(outside, lambda c: c.verdict in ("named", "several")),
         "outside_invisible": interval(len(outside) - len(visible), len(outside)),
         "shrink": _statistic([own for own, _ in shrinks]),
         "shrink_oracle": _statistic([oracle for _, oracle in shrinks]),

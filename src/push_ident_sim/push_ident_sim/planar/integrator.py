@@ -129,7 +129,7 @@ def _push(
     laws: Laws, mass: float, inertia: float, bends: FloatArray, finger: float, dt: float, force: FloatArray,
 ) -> float:  # fmt: skip
     """Forces of a disc on a polygon (object axes, from the centre of mass): on faces it overlaps, and on corners between two of them."""
-    n = len(outline)
+    n, reach = len(outline), laws.pusher_radius + laws.outline_offset
     dx, dy = pusher[0] - pose[0], pusher[1] - pose[1]
     cx, cy = cos * dx + sin * dy, cos * dy - sin * dx
     for j in range(n):
@@ -145,7 +145,7 @@ def _push(
         nx = ny = qx = qy = gap = 0.0
         place = 2 * j
         if 0.0 < along < length:
-            if 0.0 < away < laws.pusher_radius:
+            if 0.0 < away < reach:
                 touches, gap = True, away - laws.pusher_radius
                 nx, ny = ey, -ex
                 qx, qy = ax + along * ex, ay + along * ey
@@ -153,7 +153,7 @@ def _push(
             b = j - 1 if j > 0 else n - 1
             bx, by = ax - outline[b, 0], ay - outline[b, 1]
             distance = np.sqrt((cx - ax) ** 2 + (cy - ay) ** 2)
-            if (cx - ax) * bx + (cy - ay) * by >= 0.0 and 0.0 < distance < laws.pusher_radius:
+            if (cx - ax) * bx + (cy - ay) * by >= 0.0 and 0.0 < distance < reach:
                 touches, gap = True, distance - laws.pusher_radius
                 nx, ny = (cx - ax) / distance, (cy - ay) / distance
                 qx, qy = ax, ay
@@ -162,6 +162,10 @@ def _push(
             bends[2 * j] = 0.0
             bends[2 * j + 1] = 0.0
             continue
+        # The surface lies outside the outline by the offset.
+        qx += laws.outline_offset * nx
+        qy += laws.outline_offset * ny
+        gap -= laws.outline_offset
         bends[4 * j + 1 - place] = 0.0
         bends[place], finger = _touch(
             cos * nx - sin * ny, sin * nx + cos * ny, cos * qx - sin * qy, sin * qx + cos * qy, gap, laws, mass, inertia, velocity,

@@ -44,7 +44,8 @@ class Laws(NamedTuple):
 
     # Contact of pusher and object
     pusher_radius: float
-    """Of the contact, with what the outline misses."""
+    outline_offset: float
+    """By which the surface lies outside the outline."""
     pusher_friction: float
     contact_stiffness: float
     """[N/m]"""
@@ -129,7 +130,8 @@ def laws_of(
     contents, contents_time = effects["moving_contents"]
     rolls = "rolling_finger" in effects
     return Laws(
-        pusher_radius=pusher_radius + effects["outline_error"][0],
+        pusher_radius=pusher_radius,
+        outline_offset=effects["outline_error"][0],
         pusher_friction=max(0.0, pusher_friction + effects["pusher_friction"][0]),
         contact_stiffness=2e5,
         damping_ratio=float(-log_bounce / np.hypot(np.pi, log_bounce)) if bounce > 0.0 else 1.0,
