@@ -79,7 +79,7 @@ def diagnose(
     report("looking for what the catalogue leaves over")
     thresholds, frames = settings.thresholds, left_over(base)
     (leftover, by_chance), unknown = (frames if selection.fit is base else left_over(selection.fit)).misfit, find_unknown(selection)
-    is_unknown = leftover > thresholds.leftover and by_chance < _CHANCE
+    is_unknown = leftover > max(thresholds.leftover, 1.0 + thresholds.leftover_share * (frames.misfit[0] - 1.0)) and by_chance < _CHANCE
     # What makes pushes held out worse is not believed, be it a wrench or a law.
     wrench = gap = None
     if unknown is not None and unknown.gain > thresholds.unknown and (is_unknown or _explains_more(unknown, selection, thresholds)):

@@ -35,8 +35,10 @@ class Thresholds:
     unknown: float = 10.0
     """A smooth wrench must gain so much before the cause counts as unknown, and more than one effect that was named by `apart`; several
     effects must gain more than the wrench by as much, or it counts as unknown, too."""
-    leftover: float = 1.5
+    leftover: float = 1.2
     """Mean square of the residuals beside all that was named, over that of a model that is right, from which something else is there."""
+    leftover_share: float = 0.05
+    """And so much of what the base model leaves beyond a model that is right: what a law is off by grows with the effect."""
     most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
     n_effects: int = 3
