@@ -33,7 +33,7 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment report
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; once for a set of thresholds), then its page
-	$(VENV)/push-ident experiment blind --seed 2000 --models 12 --json docs/experiments/blind.json
+	$(VENV)/push-ident experiment blind --seed 5000 --models 50 --json docs/experiments/blind.json
 	$(VENV)/push-ident experiment report
 
 test: setup lint  ## lint, types and all tests

@@ -95,8 +95,7 @@ def diagnose(
             gap = measure_gap(base, base, report)
     effects = _found(selection, gap)
     doubts = _doubts(selection, thresholds)
-    confusable = tuple(dict.fromkeys(name for names in doubts.values() for name in names))
-    verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, confusable)
+    verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, doubts)
     where = group_frames(frames)
     if is_unknown:
         sentence = sentence_of_unknown(gap, wrench, leftover, where)
@@ -111,13 +110,13 @@ def diagnose(
         verdict=verdict,
         sentence=sentence,
         effects=effects,
-        confusable=confusable,
+        doubts=doubts,
         gap=gap,
         gates=tuple(gates),
         selection=selection,
         where=where,
         next_push=proposal,
-        check=check_without_a_push([*(e.name for e in effects[-1:]), *confusable]) if effects else "",
+        check=check_without_a_push([*doubts, effects[-1].name]) if effects else "",
         unknown=wrench if is_unknown else unknown,
         frames=frames,
         leftover=leftover,
@@ -141,7 +140,7 @@ def _untrusted(gates: list[Gate]) -> Diagnosis:
     return Diagnosis(
         Verdict.NOT_TRUSTWORTHY,
         f"These data cannot be diagnosed: {failed.found}. {failed.remedy}",
-        (), (), None, tuple(gates), None, {}, None, failed.remedy,
+        (), {}, None, tuple(gates), None, {}, None, failed.remedy,
     )  # fmt: skip
 
 
@@ -207,9 +206,9 @@ def _explanations(selection: Selection, thresholds: Thresholds) -> dict[str, Eff
     return {f"without {last.name}": step.before, last.name: selection.fit}
 
 
-def _verdict(effects: Sequence[FoundEffect], confusable: Sequence[str]) -> Verdict:
+def _verdict(effects: Sequence[FoundEffect], doubts: dict[str, tuple[str, ...]]) -> Verdict:
     if not effects:
         return Verdict.NO_GAP
     if len(effects) > 1:
         return Verdict.SEVERAL
-    return Verdict.ONE_OF if confusable else Verdict.NAMED
+    return Verdict.ONE_OF if doubts else Verdict.NAMED

@@ -134,6 +134,15 @@ class Selection:
 
         return tuple(rival for rival in self.rivals if rival.behind < apart(rival))
 
+    def special_cases(self, apart: float) -> dict[str, str]:
+        """Of effects that were found: one that holds it as a special case and was not preferred, though it explains the pushes as well."""
+        return {
+            name: other.name
+            for name, (step, candidate) in self.added.items()
+            for other in step.candidates
+            if _NESTED.get(other.name) == name and other.gain > candidate.gain - apart
+        }
+
 
 def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progress | None = None) -> Selection:
     """Add effects while one is seen; drop one that another made needless.

@@ -48,8 +48,8 @@ class Diagnosis:
     sentence: str
     """What an engineer needs to know, in one sentence."""
     effects: tuple[FoundEffect, ...]
-    confusable: tuple[str, ...]
-    """Effects that these pushes cannot tell from one that was found."""
+    doubts: dict[str, tuple[str, ...]]
+    """Of effects that were found: those that these pushes cannot tell from them."""
     gap: Gap | None
     """On pushes held out; None where nothing could be trusted."""
     gates: tuple[Gate, ...]
@@ -64,6 +64,11 @@ class Diagnosis:
     """What the base model leaves of every frame; `where` is this in groups. None where nothing could be trusted."""
     leftover: float = np.nan
     """Mean square of the residuals beside all that the catalogue explains, over that of a model that is right."""
+
+    @property
+    def confusable(self) -> tuple[str, ...]:
+        """All effects that these pushes cannot tell from one that was found."""
+        return tuple(dict.fromkeys(name for names in self.doubts.values() for name in names))
 
     @property
     def fit(self) -> EffectFit | None:

@@ -250,7 +250,7 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         places=places,
         n_memory=n_memory,
         loading=loading,
-        level=np.array([isinstance(effect.acts, OnTable) and effect.acts.plane is not None for effect in EFFECTS.values()]),
+        is_plane=np.array([isinstance(effect.acts, OnTable) and effect.acts.plane is not None for effect in EFFECTS.values()]),
         loads=len(loading) > 0,
         planes=any(acts.plane is not None for acts in table),
         uneven=any(acts.load is not None for acts in table),

@@ -69,7 +69,7 @@ class ActiveEffects(NamedTuple):
     n_memory: int
     loading: NDArray[np.int64]
     """Places in `EFFECTS` of those that change the friction limits of the cells."""
-    level: BoolArray
+    is_plane: BoolArray
     """Of each of `EFFECTS`, whether it does so by a factor that is linear over the object, shape (n_effects,)."""
     loads: bool
     """Whether one does so at all; what is absent is not even asked, as asking takes its time."""
@@ -319,7 +319,7 @@ def table_action(effects: ActiveEffects, centre: Float64Array, arms: Float64Arra
             _loads(effects.places, inputs, _ALL, body, arms, dx, dy, factors)
         factor[:] = 1.0
         for place in effects.loading:
-            if effects.level[place]:
+            if effects.is_plane[place]:
                 for i in range(arms.shape[1]):
                     factors[place, i] = planes[place, 0] + planes[place, 1] * arms[0, i] + planes[place, 2] * arms[1, i]
             for i in range(arms.shape[1]):
@@ -482,7 +482,7 @@ def table_sensitivity(
             if effects.uneven:
                 _loads(effects.places, turned, k, turned_body, arms, dx, dy, scratch.d_factors)
             for place in effects.loading:
-                if effects.level[place]:
+                if effects.is_plane[place]:
                     d_plane, moments = scratch.d_planes[place], scratch.moments[place]
                     for j in range(3):
                         gx -= d_plane[j].imag * moments[0, j]

@@ -63,7 +63,7 @@ def draw_where(frames: Frames, groups: dict[str, list[Group]]) -> Figure:
     arrows.set_ylabel("y [m]")
     figure.colorbar(quiver, ax=arrows, shrink=0.7, label="speed [m/s]")
     for place, (name, angle) in enumerate((("in the table", frames.heading_in_table), ("in the body", frames.heading_in_body))):
-        polar = figure.add_subplot(1, 4, 3 + place, projection="polar")
+        polar = figure.add_subplot(1, 4, 3 + place, projection="polar", rlabel_position=22.5)
         sector = np.round(angle / (np.pi / 4)).astype(int) % 8
         for column, (label, colour) in enumerate((("along", _ACCENT), ("across", _WARM))):
             mean = [float(np.mean(frames.residual[sector == s, column])) if np.any(sector == s) else 0.0 for s in range(8)]
@@ -71,6 +71,7 @@ def draw_where(frames: Frames, groups: dict[str, list[Group]]) -> Figure:
             polar.plot(np.append(np.arange(8), 8) * np.pi / 4, closed, color=colour, label=label, marker=".")
         limit = max(2.0, float(np.abs(frames.residual).mean()) * 2)
         polar.set_ylim(-limit, limit)
+        polar.set_yticks([0.0, limit], ["0", f"{limit:.0f}"])
         polar.set_title(f"heading {name}", fontsize=9)
         polar.tick_params(labelsize=7)
         if place == 1:
@@ -97,7 +98,9 @@ def draw_ranking(selection: Selection, seen: float) -> Figure:
         unit = EFFECTS[score.name].parameters[0].unit
         shown = f"{score.smallest:.2g} {unit}".rstrip() if np.isfinite(score.smallest) else "no size"
         text = f"{gain:.1f}" if gain >= seen else f"not seen; {shown} would have shown"
-        ax.text(max(gain, 0.0) + 0.01 * right, row, text, va="center", fontsize=8, color="#333333" if gain >= seen else _GREY)
+        # Beside the line, not across it.
+        place, colour = (gain, "#333333") if gain >= seen else (seen, _GREY)
+        ax.text(place + 0.01 * right, row, text, va="center", fontsize=8, color=colour)
     ax.set_xlim(0.0, 1.3 * right)
     ax.set_xlabel("evidence [nat]")
     ax.spines[["top", "right"]].set_visible(False)
@@ -126,8 +129,7 @@ def draw_shrink(gap: Gap, found: tuple[str, ...]) -> Figure:
             color="#1c2430",
             alpha=0.6,
         )
-        ax.text(place, 1e3 * float(np.mean(errors)), f"{1e3 * float(np.mean(errors)):.1f} mm ", ha="right", va="bottom", fontsize=9)
-    ax.set_xticks(range(len(columns)), [name for name, _ in columns])
+    ax.set_xticks(range(len(columns)), [f"{name}\n{1e3 * float(np.mean(errors)):.1f} mm" for name, errors in columns])
     ax.set_ylabel("cell error at the end [mm]")
     ax.set_ylim(bottom=0.0)
     ax.spines[["top", "right"]].set_visible(False)

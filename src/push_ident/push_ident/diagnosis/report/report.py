@@ -60,9 +60,9 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
             "effects": [
                 {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "evidence": e.evidence} for e in diagnosis.effects
             ],
-            "confusable": diagnosis.confusable,
-            "last": diagnosis.effects[-1].name if diagnosis.effects else "",
-            "rivals": [f"{name}: {EFFECTS[name].what}" for name in diagnosis.confusable],
+            "doubts": diagnosis.doubts,
+            "what": {name: EFFECTS[name].what for name in diagnosis.confusable},
+            "special_cases": selection.special_cases(thresholds.apart),
             "apart_text": "No other effect of the catalogue explains these pushes nearly as well."
             if diagnosis.effects
             else "Nothing was found that would have to be told from something else.",
