@@ -313,6 +313,13 @@ def test_a_pusher_with_excess_friction_is_a_rougher_pusher() -> None:
     assert seen.pose == pytest.approx(simulate(rough, pusher, np.zeros(3), time).pose, abs=1e-9)
 
 
+def test_no_pusher_is_smoother_than_one_without_friction() -> None:
+    pusher, time = straight_push((-0.07, 0.03), 0.4), np.linspace(0.0, 1.4, 15)
+    smooth = simulate(plate(pusher_friction=0.0), pusher, np.zeros(3), time)
+    below = simulate(plate(pusher_friction=0.3), pusher, np.zeros(3), time, effects={"pusher_friction": [-0.35]})
+    np.testing.assert_array_equal(below.pose, smooth.pose)
+
+
 def test_an_outline_error_is_a_larger_object() -> None:
     model, pusher, time = plate(), straight_push((-0.075, 0.03), 0.4), np.linspace(0.0, 1.4, 15)
     larger = ObjectShape(model.shape.cells, model.shape.outline * (1.0 + 1e-3 / 0.05))

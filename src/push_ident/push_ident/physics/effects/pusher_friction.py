@@ -8,13 +8,15 @@ __all__ = ["EFFECT"]
 
 
 def _change(values: ComplexArray, coefficient: ComplexArray) -> ComplexArray:
-    return coefficient + values[0]
+    changed = coefficient + values[0]
+    # No surface is smoother than one without friction.
+    return changed if changed[0].real > 0.0 else 0.0 * changed
 
 
 EFFECT = Effect(
     name="pusher_friction",
     what="The pusher's friction coefficient is not the nominal one.",
-    equation="mu_p + excess",
+    equation="max(0, mu_p + excess)",
     parameters=(EffectParameter("excess", "", "above the coefficient of the model", scale=0.15, typical=0.15, low=-2.0, high=2.0),),
     acts=OnPusherFriction(_change),
     signature="Slip along the face: oblique and off-centre pushes.",
