@@ -401,7 +401,6 @@ def test_gradient_of_a_loss_has_the_effects() -> None:
         ({"table_tilt": {"z": 0.0}}, {}, "no parameter 'z', expected some of x, y"),
         ({"table_tilt": [0.0]}, {}, "got 1 values, expected 2"),
         ({"pusher_lag": [-0.1]}, {}, "pusher_lag.tau is -0.1 s, expected 0 to 0.5"),
-        ({"pusher_friction": [-0.4]}, {}, "coefficient -0.1, expected a number >= 0"),
         ({"wear": [0.0]}, {"friction_cone": "pyramid"}, "wear needs the circular cone"),
         ({"restitution": [0.1]}, {"quasi_static": True}, "restitution means nothing without inertia"),
     ],
