@@ -15,7 +15,7 @@ from objects import hammer, random_records
 from push_ident.diagnosis.diagnose import _doubts, _explains_more, _explanations, diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
-from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Group
 from push_ident.diagnosis.scores import EffectScore, Information
@@ -229,6 +229,21 @@ def test_doubts_of_an_earlier_effect_come_from_fits_beside_all_that_was_found() 
     selection = Selection(base, fit, steps, swaps)
     assert _doubts(selection, Thresholds()) == {"pusher_lag": ("pose_latency",)}
     assert list(_explanations(selection, Thresholds())) == ["pusher_lag", "pose_latency"]
+
+
+def test_stages_are_the_fits_on_the_way_to_all_that_was_found() -> None:
+    base, lag, both = _fit("outline_error"), _fit("outline_error", "pusher_lag"), _fit("outline_error", "pusher_lag", "wear")
+    steps = tuple(Step(fit, None, (), ()) for fit in (base, lag, both))
+    assert Selection(base, both, steps).stages == {"pusher_lag": lag}
+    assert Selection(base, lag, steps[:2]).stages == {} and Selection(base, base, steps).stages == {}
+
+
+def test_gap_is_measured_at_every_stage() -> None:
+    base = fit_base(_pushes(3, 1), DiagnosisSettings())
+    fit = fit_effects(base, ("table_tilt",))
+    gap = measure_gap(base, fit, between={"itself": fit})
+    np.testing.assert_array_equal(gap.stages["itself"], gap.after)
+    assert gap.before.shape == gap.after.shape == (3,) and measure_gap(base, base, between={"itself": fit}).stages == {}
 
 
 def test_a_law_that_holds_as_it_stands_asks_no_more_of_the_next_effect_and_one_that_is_a_guess_does() -> None:

@@ -89,7 +89,7 @@ def diagnose(
     if is_unknown:
         selection = Selection(base, base, selection.steps)
     if gap is None:
-        gap = measure_gap(base, selection.fit, report)
+        gap = measure_gap(base, selection.fit, report, between=selection.stages)
         if _vetoed(gap):
             selection = Selection(base, base, selection.steps)
             gap = measure_gap(base, base, report)

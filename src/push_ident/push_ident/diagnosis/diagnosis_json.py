@@ -31,6 +31,9 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "shrink_interval": list(gap.shrink_interval) if gap else [nan, nan],
             "before_per_push_m": gap.before.tolist() if gap else [],
             "after_per_push_m": gap.after.tolist() if gap else [],
+            "stages": [{"effects": names.split(", "), "after_m": float(np.mean(errors))} for names, errors in gap.stages.items()]
+            if gap
+            else [],
         },
         "where": {
             by: [

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,6 +38,8 @@ class Gap:
     """Of pushes held out together, with the effects over without [nat], shape (n_folds,)."""
     estimates: Float64Array
     """Values of the effects in the fits without each of the folds, shape (n_folds, n_values)."""
+    stages: dict[str, Float64Array] = field(default_factory=dict)
+    """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
 
     @property
     def effects_std(self) -> Float64Array:
@@ -73,20 +75,24 @@ def _shrink(before: Float64Array, after: Float64Array, noise: Float64Array) -> f
     return 1.0 - float(np.mean(after - noise)) / gap if gap > 0 else float("nan")
 
 
-def measure_gap(base: EffectFit, fit: EffectFit, on_progress: Progress | None = None) -> Gap:
+def measure_gap(
+    base: EffectFit, fit: EffectFit, on_progress: Progress | None = None, *, between: Mapping[str, EffectFit] | None = None
+) -> Gap:
     """Leave each push out of both fits once, and predict it.
 
     Args:
         base: without the effects.
         fit: with them; may be `base` itself.
         on_progress: told what is fitted.
+        between: fits with some of them, by what they have; for the `stages` of the gap.
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)
     n_folds = min(n, _N_FOLDS)
     folds = [list(range(first, n, n_folds)) for first in range(n_folds)]
     report(f"holding out each of {n} pushes once, in {n_folds} fits")
-    fits = [base] if fit is base else [base, fit]
+    stages = dict(between or {})
+    fits = [base] if fit is base else [base, *stages.values(), fit]
     results = side_by_side(lambda which: _left_out(*which), [(one, fold) for one in fits for fold in folds])
     errors = np.empty((len(fits), n))
     density = np.empty((len(fits), n_folds))
@@ -94,7 +100,8 @@ def measure_gap(base: EffectFit, fit: EffectFit, on_progress: Progress | None = 
         one, fold = divmod(k, n_folds)
         errors[one, folds[fold]], density[one, fold] = error, gain
     estimates = np.array([values for _, _, values in results[-n_folds:]])
-    return Gap(errors[0], errors[-1], _noise_errors(fit), density[-1] - density[0], estimates)
+    by_stage = dict(zip(stages, errors[1:-1], strict=True)) if fit is not base else {}
+    return Gap(errors[0], errors[-1], _noise_errors(fit), density[-1] - density[0], estimates, by_stage)
 
 
 def _left_out(fit: EffectFit, pushes: Sequence[int]) -> tuple[Float64Array, float, Float64Array]:

@@ -113,6 +113,12 @@ class Selection:
         return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(own.items())}
 
     @property
+    def stages(self) -> dict[str, EffectFit]:
+        """Fits with some of the effects that were found, by their names, in the order in which they were added."""
+        parts = {tuple(name for name in step.before.names if name not in self.base.names): step.before for step in self.steps}
+        return {", ".join(names): fit for names, fit in parts.items() if names and set(names) < set(self.found)}
+
+    @property
     def rivals(self) -> tuple[Rival, ...]:
         """Of the last effect, the nearest first, then of those before it; one that only holds the effect as a special case is none."""
         if not self.found:

@@ -108,18 +108,22 @@ def draw_ranking(selection: Selection, seen: float) -> Figure:
 
 
 def draw_shrink(gap: Gap, found: tuple[str, ...]) -> Figure:
-    """Cell error on pushes held out: base, with the effects, noise; every push a dot."""
+    """Cell error on pushes held out: base, with each effect more, noise; every push a dot, and what each step takes away."""
     from matplotlib.figure import Figure
 
-    columns = [("base model", gap.before)]
+    stages = [("base model", gap.before, _GREY), *(("with " + name, errors, "#6f8fb5") for name, errors in gap.stages.items())]
     if found:
-        columns.append(("with " + ",\n".join(found), gap.after))
-    columns.append(("noise of the poses", gap.noise))
-    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+        stages.append(("with " + ",\n".join(found), gap.after, _ACCENT))
+    columns = [*stages, ("noise of the poses", gap.noise, "#c9d1d9")]
+    figure = Figure(figsize=(1.6 + 1.6 * len(columns), 3.2), layout="constrained")
     ax = figure.subplots()
     rng = np.random.default_rng(0)
-    for place, (_, errors) in enumerate(columns):
-        ax.bar(place, 1e3 * float(np.mean(errors)), width=0.55, color=(_GREY, _ACCENT, "#c9d1d9")[place if found or place == 0 else 2])
+    means = [1e3 * float(np.mean(errors)) for _, errors, _ in columns]
+    for place, (_, errors, colour) in enumerate(columns):
+        ax.bar(place, means[place], width=0.55, color=colour)
+        if place > 0:
+            # What has gone since the column before, as in a waterfall.
+            ax.plot([place - 0.725, place + 0.275], [means[place - 1]] * 2, color="#1c2430", linewidth=0.8, linestyle=":")
         ax.plot(
             place + rng.uniform(-0.15, 0.15, len(errors)),
             1e3 * errors,
@@ -129,7 +133,7 @@ def draw_shrink(gap: Gap, found: tuple[str, ...]) -> Figure:
             color="#1c2430",
             alpha=0.6,
         )
-    ax.set_xticks(range(len(columns)), [f"{name}\n{1e3 * float(np.mean(errors)):.1f} mm" for name, errors in columns])
+    ax.set_xticks(range(len(columns)), [f"{name}\n{mean:.1f} mm" for (name, _, _), mean in zip(columns, means, strict=True)])
     ax.set_ylabel("cell error at the end [mm]")
     ax.set_ylim(bottom=0.0)
     ax.spines[["top", "right"]].set_visible(False)
