@@ -31,6 +31,8 @@ _FIRST: Final = 6
 _MOST: Final = 4
 """Pushes that a diagnosis may ask for."""
 _TRIES: Final = 12
+_SLOWER: Final = 2
+"""Times that a push may be made at half the speed because of a limit of the arm."""
 _SETTLED: Final = ("no_gap", "named", "several")
 
 
@@ -57,7 +59,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         reports = [_diagnose(client, object_id)]
         asked: list[Json] = []
         while not _is_settled(reports[-1]) and reports[-1].has_next_push and len(asked) < _MOST:
-            result = client.execute_push(_goal_of(reports[-1], object_id))
+            result = _make(client, _goal_of(reports[-1], object_id))
             asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_distance2})
             made += result.error_code == PushCode.NONE
             client.wait_for_map(object_id, made)
@@ -74,6 +76,16 @@ def _diagnose(client: CellClient, object_id: str) -> GapReport:
 
 def _is_settled(report: GapReport) -> bool:
     return report.verdict in _SETTLED and not report.confusable
+
+
+def _make(client: CellClient, goal: ExecutePush.Goal) -> ExecutePush.Result:
+    """Make a push, slower where the arm cannot make it as fast, which the planner of pushes does not know."""
+    for _ in range(_SLOWER):
+        result = client.execute_push(goal)
+        if result.error_code != PushCode.LIMIT:
+            return result
+        goal.speed *= 0.5
+    return client.execute_push(goal)
 
 
 def _goal_of(report: GapReport, object_id: str) -> ExecutePush.Goal:
