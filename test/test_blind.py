@@ -151,7 +151,7 @@ def test_figures_count_what_they_say() -> None:
         outcome("outside", ["gust"], "named", ["table_tilt"], [], 0, 0),
         outcome("outside", ["compliant_table"], "no_gap", [], [], 0, 0),
     ]
-    for result, visibility in zip(results[-3:], (80.0, 40.0, 2.0), strict=True):
+    for result, visibility in zip(results[-3:], (80.0, None, 2.0), strict=True):
         result.values["visibility"] = visibility
     results[3].values["asked"] = {"n": 1, "verdict": "named", "named": ["pusher_lag"], "confusable": [], "settled": True}
     results[6].values["asked"] = {"n": 2, "verdict": "named", "named": ["wear"], "confusable": [], "settled": True}

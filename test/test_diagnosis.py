@@ -231,6 +231,15 @@ def test_doubts_of_an_earlier_effect_come_from_fits_beside_all_that_was_found() 
     assert list(_explanations(selection, Thresholds())) == ["pusher_lag", "pose_latency"]
 
 
+def test_twins_that_no_push_tells_apart_are_doubts_of_each_other_unless_both_are_there() -> None:
+    def doubts(*found: str) -> dict[str, tuple[str, ...]]:
+        steps = tuple(Step(_fit(), None, (), (Candidate(name, _fit(name), 50.0),)) for name in found)
+        return _doubts(Selection(_fit(), _fit(*found), steps), Thresholds())
+
+    assert doubts("tool_offset") == {"tool_offset": ("camera_translation",)}
+    assert doubts("tool_offset", "camera_translation") == {} == doubts("wear")
+
+
 def test_stages_are_the_fits_on_the_way_to_all_that_was_found() -> None:
     base, lag, both = _fit("outline_error"), _fit("outline_error", "pusher_lag"), _fit("outline_error", "pusher_lag", "wear")
     steps = tuple(Step(fit, None, (), ()) for fit in (base, lag, both))

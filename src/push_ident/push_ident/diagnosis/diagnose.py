@@ -187,9 +187,9 @@ def _doubts(selection: Selection, thresholds: Thresholds) -> dict[str, tuple[str
     for rival in selection.open_rivals(thresholds):
         doubts[rival.of] = (*doubts.get(rival.of, ()), rival.name)
     for same in _SAME:
-        for name in same & set(selection.found):
-            twins = (twin for twin in sorted(same) if twin not in (*selection.found, *doubts.get(name, ())))
-            doubts[name] = (*doubts.get(name, ()), *twins)
+        for name in (n for n in selection.found if n in same):
+            if twins := [twin for twin in sorted(same) if twin not in (*selection.found, *doubts.get(name, ()))]:
+                doubts[name] = (*doubts.get(name, ()), *twins)
     return doubts
 
 

@@ -77,7 +77,7 @@ class Rival:
     of: str
     """The effect that was found."""
     fit: EffectFit
-    """With the rival in its place, and all that was found before it."""
+    """With the rival in its place."""
     behind: float
     """Log evidence that it lacks [nat]."""
 

@@ -130,7 +130,7 @@ def figures(cases: Sequence[Judged]) -> Json:
     both_seen = [c for c in pairs if c.detectable]
     surely = [c for c in singles if c.surely]
     # Where not even the base model could be trusted, that was seen.
-    visible = [c for c in outside if c.values.get("visibility", np.inf) >= _PLAIN]
+    visible = [c for c in outside if c.values.get("visibility") is None or c.values["visibility"] >= _PLAIN]
     shrunk = [c for c in (*seen, *both_seen) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]
     shrinks = [(c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"]) for c in shrunk]
     sized = [s for c in seen if c.right for s in _size_errors(c)]
