@@ -102,7 +102,7 @@ def compare(case: Case, effects: EffectValues, mode: str) -> tuple[set[str], Flo
     way = float(np.abs(motion.pose - case.pose).max())
     errors, doubts = np.zeros(len(point)), np.zeros(len(point))
     for column in range(len(point)):
-        first = 3e-5 if column < 7 else 1e-3
+        first = 1e-4 if column in (3, 6) else 3e-5 if column < 7 else 1e-3
 
         def poses(h: float, column: int = column) -> Float64Array:
             q = point.copy()
@@ -276,32 +276,38 @@ def test_a_tether_makes_a_body_without_friction_swing() -> None:
     assert motion.pose[:, 1] == pytest.approx(-0.02 * swing, abs=2e-4)
 
 
+SLANTED = {"table_tilt": [SLOPE, 0.0], "table_anisotropy": [0.0, -0.2]}
+"""A plate slides along x and rubs to its left, so that a load that goes ahead turns it to its left."""
+
+
 @pytest.mark.parametrize("name", ["push_height", "moving_contents"])
 def test_the_load_goes_ahead_of_the_motion_or_falls_behind_it(name: str) -> None:
-    # A plate slides down along x. Its load shifts by +-4 mm along the motion, so that its left half, which rubs more, brakes more on one
-    # side: friction mu (1 + c y) under a load 1 + lever x / <x^2> turns the plate by the torque of the map alone, whereas a map that
-    # grows along x and y together, mu (1 + c x y), turns it by the shift alone.
-    model = plate(friction=FRICTION)
-    x, y = model.shape.cells.centres.T
-    c, lever = 400.0, 4e-3
-    model = replace(model, friction=FRICTION * (1.0 + c * x * y))
-    value = [lever] if name == "push_height" else [lever, 0.05]
-    time = np.array([0.6])
-    motion = simulate(model, FAR, np.zeros(3), time, settings=FINE, effects={"table_tilt": [SLOPE, 0.0], name: value})
-    plain = simulate(model, FAR, np.zeros(3), time, settings=FINE, effects={"table_tilt": [SLOPE, 0.0]})
+    value = [4e-3] if name == "push_height" else [4e-3, 0.05]
+    model, time = plate(friction=FRICTION), np.array([0.6])
+    plain = simulate(model, FAR, np.zeros(3), time, settings=FINE, effects=SLANTED)
+    motion = simulate(model, FAR, np.zeros(3), time, settings=FINE, effects=SLANTED | {name: value})
+    assert plain.pose[-1, 0] > 0.02
     assert abs(plain.pose[-1, 2]) < 1e-9
-    # Friction -f along x at height y has the torque + y f; where the load is ahead (x > 0), f grows with y, so the plate turns left.
-    assert (1.0 if name == "push_height" else -1.0) * motion.pose[-1, 2] > 0.05
+    assert (1.0 if name == "push_height" else -1.0) * motion.pose[-1, 2] > 0.01
+
+
+def test_a_shift_moves_the_centre_of_friction_of_any_map_along_the_motion() -> None:
+    # Where nothing turns, friction at a centre that went ahead along the motion has the torque that it had.
+    model, time = plate(15, 0.1 / 15, friction=FRICTION), np.array([0.6])
+    x, y = model.shape.cells.centres.T
+    weight = 1.0 + 0.9 * np.sign(x * y)
+    model = replace(model, mass=0.5 * weight / np.sum(weight))
+    plain = simulate(model, FAR, np.zeros(3), time, settings=FINE, effects={"table_tilt": [SLOPE, 0.0]})
+    ahead = simulate(model, FAR, np.zeros(3), time, settings=FINE, effects={"table_tilt": [SLOPE, 0.0], "push_height": [4e-3]})
+    assert plain.pose[-1, 0] > 0.02
+    # Cells have an extent of their own, which their centres do not show.
+    assert ahead.pose[-1] == pytest.approx(plain.pose[-1], abs=5e-3)
 
 
 def test_contents_fall_behind_with_their_time_constant() -> None:
-    model = plate(friction=FRICTION)
-    x, y = model.shape.cells.centres.T
-    model = replace(model, friction=FRICTION * (1.0 + 400.0 * x * y))
-
     def turn(tau: float) -> float:
-        effects = {"table_tilt": [SLOPE, 0.0], "moving_contents": [4e-3, tau]}
-        return float(simulate(model, FAR, np.zeros(3), np.array([0.3]), settings=FINE, effects=effects).pose[-1, 2])
+        effects = SLANTED | {"moving_contents": [4e-3, tau]}
+        return float(simulate(plate(friction=FRICTION), FAR, np.zeros(3), np.array([0.3]), settings=FINE, effects=effects).pose[-1, 2])
 
     assert abs(turn(1.0)) < abs(turn(0.1)) < abs(turn(0.01))
 

@@ -157,7 +157,7 @@ LAWS = {
     "speed_dependent_friction": ((0.2,), 0.1),
     "pusher_friction": ((0.1,), 0.08),
     "push_height": ((0.02,), 0.4),
-    "moving_contents": ((0.01,), 0.4),
+    "moving_contents": ((0.01,), 0.3),
     "outline_error": ((1e-3,), 0.15),
     "pusher_speed_scale": ((0.02,), 0.05),
     "tool_offset": ((1.6e-3, 1.2e-3), 0.05),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError
 
 __all__ = [
-    "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation", "Memory",
+    "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation", "Load", "Memory",
     "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt",
     "equation", "unit_direction",
 ]  # fmt: skip
@@ -85,10 +85,8 @@ class Body(NamedTuple):
     """[rad/s]"""
     mass: Any
     """[kg]"""
-    sxx: Any
-    """Mean of r r' over the area of the cells [m^2], r from the centre of mass, object axes."""
-    sxy: Any
-    syy: Any
+    spread: Any
+    """Mean of r' r over the area of the cells [m^2], r from the centre of mass."""
     order: float
     """How many pushes went before this one."""
 
@@ -105,6 +103,18 @@ class Cell(NamedTuple):
     rx: Any
     """From the centre of mass [m], object axes."""
     ry: Any
+
+
+class Load(NamedTuple):
+    """Where the friction limits of all cells lie as long as no effect acts, as an equation sees it. Numbers are real or complex."""
+
+    x: Any
+    """Their centre [m], from the centre of mass, object axes."""
+    y: Any
+    xx: Any
+    """Their covariance about that centre [m^2]."""
+    xy: Any
+    yy: Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +149,20 @@ class OnTable:
     load: Equation | None = None
     """load(p, body, cell, memory): factor of the cell's friction limit; below 0 it counts as 0."""
     plane: Equation | None = None
-    """plane(p, body, memory): (even, x, y) of a factor even + x rx + y ry of the friction limit of the cell at (rx, ry) from the centre
-    of mass, object axes: a load that is linear over the object, evaluated once for all cells."""
+    """plane(p, body, memory): (even, x, y) of a factor even + x rx + y ry of the friction limit of the cell at (rx, ry) from the
+    centre of mass, object axes: a factor that is linear over the object, evaluated once for all cells."""
+    shift: Equation | None = None
+    """shift(p, body, load, memory): by how much the centre of the friction limits moves [m], object axes; their sum stays. It acts as
+    the factor 1 + (r - c)' S^-1 shift, with the centre c and the covariance S of the limits: the even tilt of the load that does so."""
     skew: Equation | None = None
     """skew(p, body): (a, b) [-] of E = [[a, b], [b, -a]], object axes: a cell is held back by f (I + E) times its direction."""
     pull: Equation | None = None
     """pull(p, body): (fx, fy, torque) on the object about its centre of mass [N, N, N m], table axes; linear in `p`."""
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether it changes friction limits by a factor that is linear over the object."""
+        return self.plane is not None or self.shift is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,10 +238,9 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
             places.memory[place] = N_FIXED_INPUTS + n_memory
             n_memory += effect.memory.size
     loading = np.array(
-        [names.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.plane)], dtype=np.int64
+        [names.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)], dtype=np.int64
     )
     x, y = arms
-    own_moment = cell_size**2 / 12
     table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
     return ActiveEffects(
         values=np.array(effects.values),
@@ -250,9 +249,10 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         places=places,
         n_memory=n_memory,
         loading=loading,
-        is_plane=np.array([isinstance(effect.acts, OnTable) and effect.acts.plane is not None for effect in EFFECTS.values()]),
+        is_plane=np.array([isinstance(effect.acts, OnTable) and effect.acts.is_plane for effect in EFFECTS.values()]),
         loads=len(loading) > 0,
-        planes=any(acts.plane is not None for acts in table),
+        planes=any(acts.is_plane for acts in table),
+        shifts=any(acts.shift is not None for acts in table),
         uneven=any(acts.load is not None for acts in table),
         skews=any(acts.skew is not None for acts in table),
         pulls=any(acts.pull is not None for acts in table),
@@ -261,12 +261,7 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         rebound=rebound,
         moves=moves,
         d_path=d_path,
-        moments=(
-            float(x.mean()),
-            float(y.mean()),
-            float(np.mean(x * x) + own_moment),
-            float(np.mean(x * y)),
-            float(np.mean(y * y) + own_moment),
-        ),
+        spread=(float(x.mean()), float(y.mean()), float(np.mean(x * x + y * y) + cell_size**2 / 6)),
+        cell_size=cell_size,
         order=float(order),
     )

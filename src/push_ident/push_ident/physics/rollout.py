@@ -32,11 +32,13 @@ from push_ident.physics.sensitivity import (
 from push_ident.physics.step import StepScratch, TableForces, new_step_scratch, step
 from push_ident.physics.support import add_skew, support_friction
 from push_ident.physics.table import (
+    N_SUMS,
     ActiveEffects,
     TableScratch,
     fill_inputs,
     new_table_scratch,
     strain,
+    sum_limits,
     table_action,
     table_sensitivity,
     update_memory,
@@ -116,8 +118,8 @@ def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int, effects: A
     scratch = None
     if effects is not None:
         n_memory, n_values, on_table = effects.n_memory, len(effects.values), bool(np.any(effects.on_table))
-        drive = new_effect_drive(n_memory, n_values)
-        drive.touches[n_memory:] = effects.moves
+        drive = new_effect_drive(n_memory, n_values, N_SUMS if effects.shifts else 0)
+        drive.touches[n_memory : n_memory + n_values] = effects.moves
         if effects.offset >= 0:
             drive.touches[n_memory + effects.offset] = True
         if effects.restitution >= 0:
@@ -270,6 +272,8 @@ def rollout(
         pulled = effects.pulls and not numerics.quasi_static
         if effects.loads:
             limit = table.limit
+        if effects.shifts:
+            sum_limits(effects, arms, push.limit, table.inputs)
     n_steps, n_frames = push.pusher.shape[0] - 1, frame_step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):

@@ -11,7 +11,8 @@ The state is s = (centre of mass x, y, yaw; velocity x, y, yaw rate), table axes
     s+ = (x + dt v, y.., yaw + dt omega, v, omega),      du = B ds + C dp + A sum_i (d impulse_i / d limit_i) d limit_i
 
 where the 3 x 14 block [A B C] of a step is all that a rollout must keep. Active effects (`table.py`) add to it the response E to their
-memory m and their values q. The memory goes on by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
+memory m and their values q, and where an effect shifts the load to the sums of the limits of all cells that it depends on. The memory goes
+on by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class Tape(NamedTuple):
     event: NDArray[np.int8]
     """`IDLE`, `MOVED` or `CAME_TO_REST`, shape (n_steps,)."""
     block: Float64Array
-    """[A B C E], shape (n_steps, 3, 14 + n_memory + n_values), object axes."""
+    """[A B C E], shape (n_steps, 3, 14 + n_memory + n_values), object axes; `N_SUMS` columns more where one shifts the load."""
     twist: Float64Array
     """After the step, object axes at its start, shape (n_steps, 3)."""
     heading: Float64Array
@@ -117,7 +118,8 @@ class StepBalance(NamedTuple):
 
 
 class EffectDrive(NamedTuple):
-    """What effects do in a step, as its derivative sees it; object axes. Rows belong to the memory of the effects, then their values."""
+    """What effects do in a step, as its derivative sees it; object axes. Rows belong to the memory of the effects, then their values,
+    then the sums of the limits of the cells."""
 
     offset: float
     """Of the contact surface [m]."""
@@ -140,20 +142,20 @@ class EffectDrive(NamedTuple):
     """Which act on the contacts at all, shape (n,)."""
 
 
-def new_effect_drive(n_memory: int, n_values: int) -> EffectDrive:
+def new_effect_drive(n_memory: int, n_values: int, n_sums: int) -> EffectDrive:
     """Drive of no effect that acts on the contacts."""
-    n = n_memory + n_values
+    n = n_memory + n_values + n_sums
     return EffectDrive(
         0.0, Rebound(False, 0.0, np.zeros(3)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n),
         np.zeros((n, 3)), np.zeros((3, _EFFECTS + n)), np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
 
 
-def new_tape(n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, skewed: bool = False) -> Tape:
+def new_tape(n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, n_sums: int = 0, *, skewed: bool = False) -> Tape:
     """Empty tape of a rollout; `n_cells` is 0 where no effect changes friction limits."""
     n_inputs = N_FIXED_INPUTS + n_memory + n_values
     return Tape(
-        np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, _EFFECTS + n_memory + n_values)), np.zeros((n_steps, 3)),
+        np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, _EFFECTS + n_memory + n_values + n_sums)), np.zeros((n_steps, 3)),
         np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros((n_steps if skewed else 0, 2)),
         np.zeros((n_steps, n_memory, n_inputs)),
     )  # fmt: skip
@@ -350,7 +352,7 @@ def _add_skew_columns(
 @kernel
 def _effect_columns(
     tape: Tape, n: int, arms: Float64Array, own_arms: Float64Array, first: int, last: int, eps: float, dt: float,
-    memory: Float64Array, du: Float64Array,
+    n_values: int, memory: Float64Array, du: Float64Array,
 ) -> None:  # fmt: skip
     """Let effects change the part of the twist after step n that does not come from the state, columns `first` to `last`.
 
@@ -367,6 +369,13 @@ def _effect_columns(
             for p in range(own_arms.shape[1]):
                 du[i, n_body + p] *= factor[p]
     first_value = N_BODY_PARAMETERS + arms.shape[1]
+    first_sum = _EFFECTS + n_memory + n_values
+    if block.shape[1] > first_sum:
+        x, y = own_arms[0], own_arms[1]
+        for i in range(3):
+            b = block[i, first_sum:]
+            for p in range(own_arms.shape[1]):
+                du[i, n_body + p] += b[0] + (b[1] + b[3] * x[p] + b[4] * y[p]) * x[p] + (b[2] + b[5] * y[p]) * y[p]
     for i in range(3):
         for p in range(max(first, first_value), last):
             du[i, p - first] = block[i, _EFFECTS + n_memory + p - first_value]
@@ -459,7 +468,7 @@ def chain_forward(
     n_parameters = jacobian.shape[2]
     n_frames = frame_step.shape[0]
     n_memory = tape.memory.shape[1]
-    effects = n_parameters > N_BODY_PARAMETERS + arms.shape[1]
+    n_values = n_parameters - N_BODY_PARAMETERS - arms.shape[1]
     jacobian[:] = 0.0
     for first in range(0, n_parameters, _CHUNK):
         last = min(first + _CHUNK, n_parameters)
@@ -488,8 +497,8 @@ def chain_forward(
                         for p in range(PARAM_MASS, N_BODY_PARAMETERS):
                             du[i, p] = block[i, _MASS + p - PARAM_MASS]
                 _limit_columns(block, twist, own_arms, Cone(diamond, eps, cos, sin), dt, du[:, n_body:])
-                if effects:
-                    _effect_columns(tape, n, arms, own_arms, first, last, eps, dt, memory, du)
+                if n_values > 0:
+                    _effect_columns(tape, n, arms, own_arms, first, last, eps, dt, n_values, memory, du)
             if n_memory > 0:
                 _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
             if tape.event[n] != IDLE:
@@ -526,6 +535,18 @@ def _add_skew_gradient(
         scale = -dt / math.sqrt(ux * ux + uy * uy + eps * eps)
         fx, fy = scale * (a * ux + b * uy), scale * (b * ux - a * uy)
         gradient[i] += by_impulse[0] * fx + by_impulse[1] * fy + by_impulse[2] * (rx * fy - ry * fx)
+
+
+@fast_kernel
+def _add_sum_gradient(by_sums: Float64Array, arms: Float64Array, by_twist: Float64Array, gradient: Float64Array) -> None:
+    """Add what the limit of each cell does to the loss through their sums; `by_sums` is d twist / d sums of one step, shape (3, 6)."""
+    b = np.zeros(by_sums.shape[1])
+    for i in range(3):
+        for m in range(by_sums.shape[1]):
+            b[m] += by_sums[i, m] * by_twist[i]
+    x, y = arms[0], arms[1]
+    for p in range(x.shape[0]):
+        gradient[p] += b[0] + (b[1] + b[3] * x[p] + b[4] * y[p]) * x[p] + (b[2] + b[5] * y[p]) * y[p]
 
 
 @kernel
@@ -570,6 +591,7 @@ def chain_backward(
     n_cells, n_memory = arms.shape[1], tape.memory.shape[1]
     first_value = N_BODY_PARAMETERS + n_cells
     n_values = gradient.shape[0] - first_value
+    first_sum = _EFFECTS + n_memory + n_values
     by_memory = np.zeros(n_memory)
     by_limit = np.zeros(n_cells if n_values > 0 else 0)
     frame = frame_step.shape[0] - 1
@@ -608,6 +630,8 @@ def chain_backward(
                     _add_skew_gradient(twist, arms, tape.skew[n], eps, dt, by_impulse, by_limit)
                 for i in range(n_cells):
                     gradient[N_BODY_PARAMETERS + i] += by_limit[i] * (tape.factor[n, i] if tape.factor.shape[1] > 0 else 1.0)
+                if block.shape[1] > first_sum:
+                    _add_sum_gradient(block[:, first_sum:], arms, by_twist, gradient[N_BODY_PARAMETERS:first_value])
                 for i in range(3):
                     for j in range(n_memory):
                         by_memory[j] += block[i, _EFFECTS + j] * by_twist[i]

@@ -37,6 +37,7 @@ from push_ident.physics.sensitivity import (
     new_tape,
 )
 from push_ident.physics.support import GRAVITY
+from push_ident.physics.table import N_SUMS
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = [
@@ -478,7 +479,8 @@ def _run(
     force = np.empty((n_steps, 2))
     tape = new_tape(n_steps if derive else 0)
     if active is not None:
-        tape = new_tape(n_steps if derive else 0, len(shape.cells) if active.loads else 0, active.n_memory, n_values, active.skews)
+        n_cells, n_sums = len(shape.cells) if active.loads else 0, N_SUMS if active.shifts else 0
+        tape = new_tape(n_steps if derive else 0, n_cells, active.n_memory, n_values, n_sums, skewed=active.skews)
     scratch = new_rollout_scratch(len(shape.cells), len(corners), len(shape.outline), active, diamond=diamond)
     failed_at, _ = rollout(push, numerics, active, wanted_step, wanted_fraction, derive, pose, force, tape, scratch)
     if failed_at >= 0:

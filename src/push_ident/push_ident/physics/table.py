@@ -5,10 +5,11 @@ Inputs are one array, real or complex, so that a complex step can turn any of th
     0-5   state: centre of mass x, y, yaw and their velocities, table axes
     6     mass
     7-8   centre of mass, object frame
-    9-    memory of the effects, then their values; behind them a few that are not used
+    9-    memory of the effects, then their values, then the sums over the cells of f (1, rx, ry, rx rx, rx ry, ry ry), f their friction
+          limits and r from the nominal centre of mass, object axes; behind them a few that are not used
 
 As far as inputs act on a step, they are columns of its block too (`sensitivity.py`): the first nine of them from its state on, the
-rest behind those of the body.
+rest behind those of the body; the sums only where an effect shifts the load.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from push_ident.physics.effect import (
     ComplexArray,
     Effect,
     Equation,
+    Load,
     OnTable,
     equation,
 )  # fmt: skip
@@ -36,11 +38,13 @@ from push_ident.physics.support import cell_friction
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = [
-    "N_FIXED_INPUTS", "ActiveEffects", "Places", "TableScratch", "fill_inputs", "new_table_scratch", "strain", "table_action",
-    "table_sensitivity", "update_memory",
+    "N_FIXED_INPUTS", "N_SUMS", "ActiveEffects", "Places", "TableScratch", "fill_inputs", "new_table_scratch", "strain", "sum_limits",
+    "table_action", "table_sensitivity", "update_memory",
 ]  # fmt: skip
 
 N_FIXED_INPUTS = 9
+N_SUMS = 6
+"""How many sums of the friction limits are inputs."""
 _MASS = 6
 _CENTRE = 7
 _ALL = -1  # as the number of the input that is turned: none is, and everything is evaluated
@@ -75,6 +79,8 @@ class ActiveEffects(NamedTuple):
     """Whether one does so at all; what is absent is not even asked, as asking takes its time."""
     planes: bool
     """Whether one does so by such a factor."""
+    shifts: bool
+    """Whether one does so by such a factor that depends on where the limits lie."""
     uneven: bool
     """Whether one does so by a factor of any other shape."""
     skews: bool
@@ -89,8 +95,10 @@ class ActiveEffects(NamedTuple):
     """Which values move the pusher, shape (n_values,)."""
     d_path: Float64Array
     """Derivative of the pusher's path by the values, shape (n_values, n_steps + 1, 3)."""
-    moments: tuple[float, float, float, float, float]
-    """Mean of x, y, x x, x y, y y over the area of the cells [m, m^2], from the nominal centre of mass, object axes."""
+    spread: tuple[float, float, float]
+    """Mean of rx, ry and r' r over the area of the cells [m, m, m^2], from the nominal centre of mass, object axes."""
+    cell_size: float
+    """[m]"""
     order: float
     """How many pushes went before this one."""
 
@@ -126,7 +134,7 @@ class TableScratch(NamedTuple):
 
 def new_table_scratch(n_memory: int, n_values: int, n_cells: int) -> TableScratch:
     """Scratch space of the effects; `n_cells` is 0 where none acts on the table."""
-    n_inputs, n_effects = N_FIXED_INPUTS + n_memory + n_values + _PADDING, len(EFFECTS)
+    n_inputs, n_effects = N_FIXED_INPUTS + n_memory + n_values + N_SUMS + _PADDING, len(EFFECTS)
     return TableScratch(
         inputs=np.zeros(n_inputs),
         turned=np.zeros(n_inputs, dtype=np.complex128),
@@ -161,7 +169,7 @@ def _cell_of(body: Body, rx: Any, ry: Any) -> Cell:
 
 
 @equation
-def _no_plane(places: Places, inputs: Any, turned: int, body: Body, dx: Any, dy: Any, planes: Any) -> None:
+def _no_plane(places: Places, inputs: Any, turned: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
     planes[:] = 0.0
 
 
@@ -196,12 +204,28 @@ def _with_plane(others: Equation, effect: Effect, plane: Equation, place: int) -
     n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
 
     @equation
-    def planes_of(places: Places, inputs: Any, turned: int, body: Body, dx: Any, dy: Any, planes: Any) -> None:
-        others(places, inputs, turned, body, dx, dy, planes)
+    def planes_of(places: Places, inputs: Any, turned: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
+        others(places, inputs, turned, body, load, dx, dy, planes)
         own = places.values[place]
         if own >= 0 and _is_turned(places, turned, place, n_values, n_memory):
             even, x, y = plane(inputs[own:], body, inputs[places.memory[place] :])
             planes[place, 0], planes[place, 1], planes[place, 2] = even - x * dx - y * dy, x, y
+
+    return planes_of
+
+
+def _with_shift(others: Equation, effect: Effect, shift: Equation, place: int) -> Equation:
+    n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
+
+    @equation
+    def planes_of(places: Places, inputs: Any, turned: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
+        others(places, inputs, turned, body, load, dx, dy, planes)
+        own = places.values[place]
+        if own >= 0 and _is_turned(places, turned, place, n_values, n_memory):
+            qx, qy = shift(inputs[own:], body, load, inputs[places.memory[place] :])
+            determinant = load.xx * load.yy - load.xy * load.xy
+            x, y = (load.yy * qx - load.xy * qy) / determinant, (load.xx * qy - load.xy * qx) / determinant
+            planes[place, 0], planes[place, 1], planes[place, 2] = 1.0 - x * (load.x + dx) - y * (load.y + dy), x, y
 
     return planes_of
 
@@ -267,6 +291,8 @@ for _place, _effect in enumerate(EFFECTS.values()):
             _loads = _with_load(_loads, _effect, _effect.acts.load, _place)
         if _effect.acts.plane is not None:
             _planes = _with_plane(_planes, _effect, _effect.acts.plane, _place)
+        if _effect.acts.shift is not None:
+            _planes = _with_shift(_planes, _effect, _effect.acts.shift, _place)
         if _effect.acts.skew is not None:
             _skews = _with_skew(_skews, _effect.acts.skew, _place)
         if _effect.acts.pull is not None:
@@ -293,12 +319,36 @@ def _body_of(effects: ActiveEffects, inputs: Any, centre: Float64Array) -> Any:
     turn = inputs[2] - yaw
     cos, sin = math.cos(yaw) - math.sin(yaw) * turn, math.sin(yaw) + math.cos(yaw) * turn
     dx, dy = inputs[_CENTRE] - centre[0], inputs[_CENTRE + 1] - centre[1]
-    x, y, xx, xy, yy = effects.moments
-    body = Body(
-        inputs[0], inputs[1], cos, sin, inputs[3], inputs[4], inputs[5], inputs[_MASS],
-        xx - 2.0 * x * dx + dx * dx, xy - x * dy - y * dx + dx * dy, yy - 2.0 * y * dy + dy * dy, effects.order,
+    x, y, squared = effects.spread
+    spread = squared - 2.0 * (x * dx + y * dy) + dx * dx + dy * dy
+    return Body(inputs[0], inputs[1], cos, sin, inputs[3], inputs[4], inputs[5], inputs[_MASS], spread, effects.order), dx, dy
+
+
+@equation
+def _load_of(effects: ActiveEffects, inputs: Any, dx: Any, dy: Any) -> Load:
+    """Where the friction limits lie; (dx, dy) is by how much the centre of mass is off the nominal one."""
+    at = N_FIXED_INPUTS + effects.n_memory + effects.values.shape[0]
+    total = inputs[at] if effects.shifts else inputs[_MASS]  # no effect looks at it then
+    x, y = inputs[at + 1] / total, inputs[at + 2] / total
+    own = effects.cell_size * effects.cell_size / 12.0
+    return Load(
+        x - dx, y - dy, inputs[at + 3] / total - x * x + own, inputs[at + 4] / total - x * y, inputs[at + 5] / total - y * y + own
     )  # fmt: skip
-    return body, dx, dy
+
+
+@kernel
+def sum_limits(effects: ActiveEffects, arms: Float64Array, limit: Float64Array, inputs: Any) -> None:
+    """Enter the sums of the friction limits of a push in the inputs; the arguments are those of `table_sensitivity`."""
+    at = N_FIXED_INPUTS + effects.n_memory + effects.values.shape[0]
+    inputs[at : at + N_SUMS] = 0.0
+    for i in range(limit.shape[0]):
+        x, y, f = arms[0, i], arms[1, i], limit[i]
+        inputs[at] += f
+        inputs[at + 1] += f * x
+        inputs[at + 2] += f * y
+        inputs[at + 3] += f * x * x
+        inputs[at + 4] += f * x * y
+        inputs[at + 5] += f * y * y
 
 
 @equation
@@ -314,7 +364,7 @@ def table_action(effects: ActiveEffects, centre: Float64Array, arms: Float64Arra
     body, dx, dy = _body_of(effects, inputs, centre)
     if effects.loads:
         if effects.planes:
-            _planes(effects.places, inputs, _ALL, body, dx, dy, planes)
+            _planes(effects.places, inputs, _ALL, body, _load_of(effects, inputs, dx, dy), dx, dy, planes)
         if effects.uneven:
             _loads(effects.places, inputs, _ALL, body, arms, dx, dy, factors)
         factor[:] = 1.0
@@ -452,9 +502,10 @@ def table_sensitivity(
     unit_inputs[n_inputs - n_values : n_inputs] = 0.0
     body, _, _ = _body_of(effects, inputs, centre)
     turned[:] = inputs
-    for k in range(n_inputs):
+    for k in range(n_inputs + N_SUMS if effects.shifts else n_inputs):
         column = 3 + k if k < N_FIXED_INPUTS else 5 + k
-        if k >= n_inputs - n_values:
+        is_sum = k >= n_inputs
+        if k >= n_inputs - n_values and not is_sum:
             if not effects.on_table[k - (n_inputs - n_values)]:
                 continue
             if effects.pulled[k - (n_inputs - n_values)]:
@@ -468,18 +519,19 @@ def table_sensitivity(
         turned[k] += STEP_OF_INPUT * 1j
         turned_body, dx, dy = _body_of(effects, turned, centre)
         a = b = gx = gy = gt = 0.0
-        if effects.skews:
+        if effects.skews and not is_sum:
             skew_a, skew_b = _skews(effects.places, turned, turned_body)
             a, b = skew_a.imag, skew_b.imag
-        if effects.pulls:
+        if effects.pulls and not is_sum:
             pull_x, pull_y, pull_torque = _pulls(effects.places, turned, turned_body)
             gx = (turned_body.cos * pull_x + turned_body.sin * pull_y).imag
             gy = (turned_body.cos * pull_y - turned_body.sin * pull_x).imag
             gt = pull_torque.imag
         if effects.loads:
             if effects.planes:
-                _planes(effects.places, turned, k, turned_body, dx, dy, scratch.d_planes)
-            if effects.uneven:
+                load = _load_of(effects, turned, dx, dy)
+                _planes(effects.places, turned, _ALL if is_sum else k, turned_body, load, dx, dy, scratch.d_planes)
+            if effects.uneven and not is_sum:
                 _loads(effects.places, turned, k, turned_body, arms, dx, dy, scratch.d_factors)
             for place in effects.loading:
                 if effects.is_plane[place]:
@@ -488,7 +540,7 @@ def table_sensitivity(
                         gx -= d_plane[j].imag * moments[0, j]
                         gy -= d_plane[j].imag * moments[1, j]
                         gt -= d_plane[j].imag * moments[2, j]
-                else:
+                elif not is_sum:
                     d_factor, weighted = scratch.d_factors[place], scratch.weighted[place]
                     for i in range(arms.shape[1]):
                         gx -= d_factor[i].imag * weighted[0, i]

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, Memory, OnTable, analytic_exp, equation, unit_direction
+from push_ident.physics.effect import (
+    Body,
+    Effect,
+    EffectParameter,
+    Load,
+    Memory,
+    OnTable,
+    analytic_exp,
+    equation,
+    unit_direction,
+)  # fmt: skip
 
 __all__ = ["EFFECT"]
 
 
 @equation
-def _plane(p: Any, body: Body, memory: Any) -> Any:
-    # The even tilt of the load that moves its centre by the memory.
-    determinant = body.sxx * body.syy - body.sxy * body.sxy
-    x = (body.syy * memory[0] - body.sxy * memory[1]) / determinant
-    y = (body.sxx * memory[1] - body.sxy * memory[0]) / determinant
-    return 1.0 + 0.0 * x, x, y
+def _shift(p: Any, body: Body, load: Load, memory: Any) -> Any:
+    return memory[0], memory[1]
 
 
 @equation
@@ -29,14 +35,14 @@ def _remember(p: Any, body: Body, dt: float, memory: Any, after: Any) -> None:
 EFFECT = Effect(
     name="moving_contents",
     what="Loose or liquid contents shift against the motion, and the load with them.",
-    equation="N_i ~ 1 + r_i' <r r'>^-1 q, tau dq/dt = -shift v - q, q in the object, v the unit direction of the centre of mass",
+    equation="N_i ~ 1 + (r_i - c)' S^-1 q, tau dq/dt = -shift v - q, q in the object, v the direction of the centre of mass",
     parameters=(
         EffectParameter("shift", "m", "how far the load falls behind in the end", scale=5e-3, typical=5e-3, low=0.0, high=0.05),
         EffectParameter("tau", "s", "time in which it does", scale=0.1, typical=0.1, nominal=0.1, low=0.01, high=2.0, shape=True),
     ),
-    acts=OnTable(plane=_plane),
+    acts=OnTable(shift=_shift),
     memory=Memory(2, _remember),
     signature="The first 0.2 s of each push; the centre of friction lags behind the motion.",
     rivals="push_height (leads, and at once), position_dependent_friction: wait, repeat, reverse.",
-    source="First-order model of sloshing; the load is that of an even bed of springs whose centre moves by q.",
+    source="First-order model of sloshing; q moves the centre of friction c; c and the covariance S weigh cells by their limits.",
 )

@@ -45,7 +45,7 @@ def _weighted(p: Any, first: int, f: Any) -> Any:
 
 @equation
 def _pull(p: Any, body: Body) -> Any:
-    radius = analytic_sqrt(body.sxx + body.syy)
+    radius = analytic_sqrt(body.spread)
     turn = radius * body.omega
     straight = analytic_sqrt(body.vx * body.vx + body.vy * body.vy + _SLOW * _SLOW)
     speed = analytic_sqrt(straight * straight + turn * turn)
