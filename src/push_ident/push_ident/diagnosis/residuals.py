@@ -3,7 +3,7 @@
 Rich maps take up most of what an effect leaves, and more in some frames than in others. What residuals would be without any gap is
 therefore drawn from the fit itself, refitted to every draw: with the whitened residuals' derivative J and the precision P of the prior
 
-    r = (I - J (J'J + P)^-1 J') e,      e normal of unit variance
+    r = (I - J (J'J + P)^-1 J') e,      e normal, of unit variance where errors do not last from frame to frame
 
 which is a parametric bootstrap with refit in the linear range of the fit.
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.observation import Observation
 from push_ident.types import Float64Array
 
 __all__ = ["Frames", "Group", "group_frames", "left_over"]
@@ -132,7 +133,7 @@ def _refitted_noise(fit: EffectFit, rng: np.random.Generator) -> list[Float64Arr
     """Draws of whitened residuals of each push without a gap, each of shape (n_draws, n_frames, 3)."""
     problem = fit.problem
     counts = [len(seen.time) for seen in problem.observations]
-    noise = rng.normal(size=(_N_DRAWS, 3 * sum(counts)))
+    noise = np.hstack([_noise_of(seen, rng).reshape(_N_DRAWS, -1) for seen in problem.observations])
     jacobian = problem.jacobian(fit.x)
     if jacobian is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
@@ -140,6 +141,22 @@ def _refitted_noise(fit: EffectFit, rng: np.random.Generator) -> list[Float64Arr
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(_N_DRAWS, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]
+
+
+def _noise_of(seen: Observation, rng: np.random.Generator) -> Float64Array:
+    """Draws of whitened errors of one push, shape (n_draws, n_frames, 3).
+
+    Where errors of the motion last from frame to frame, the whitening takes each of them for as much larger as makes their mean as
+    uncertain as it is; by itself each is smaller.
+    """
+    noise = rng.normal(size=(_N_DRAWS, len(seen.time), 3))
+    rho, moving = seen.correlation, slice(1, len(seen.time) - 1)
+    if rho > 0.0:
+        motion = noise[:, moving]
+        for frame in range(1, motion.shape[1]):
+            motion[:, frame] = rho * motion[:, frame - 1] + np.sqrt(1.0 - rho**2) * motion[:, frame]
+        motion *= np.sqrt((1.0 - rho) / (1.0 + rho))
+    return noise
 
 
 def group_frames(frames: Frames) -> dict[str, list[Group]]:

@@ -35,9 +35,9 @@ class Thresholds:
     unknown: float = 10.0
     """A smooth wrench must gain so much before the cause counts as unknown, and more than one effect that was named by `apart`; several
     effects must gain more than the wrench by as much, or it counts as unknown, too."""
-    leftover: float = 1.2
+    leftover: float = 1.1
     """Mean square of the residuals beside all that was named, over that of a model that is right, from which something else is there."""
-    leftover_share: float = 0.05
+    leftover_share: float = 0.03
     """And so much of what the base model leaves beyond a model that is right: what a law is off by grows with the effect."""
     most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
@@ -52,7 +52,7 @@ class DiagnosisSettings:
     """How a diagnosis is made. The base model has the nominal friction of the pusher: if it is not that, this is an effect too."""
 
     prior: Prior = field(default_factory=Prior)
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(growth_position=0.008, growth_yaw=0.08))
+    noise: NoiseModel = field(default_factory=lambda: NoiseModel(growth_position=0.008, growth_yaw=0.08, max_moving_frames=30))
     numerics: SimulationSettings = field(default_factory=SimulationSettings)
     thresholds: Thresholds = field(default_factory=Thresholds)
     base_effects: tuple[str, ...] = ()

@@ -22,6 +22,8 @@ from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["NoiseModel", "Observation", "noise_correlation", "observe_push"]
 
+_SHARING = 10
+"""Frames of one motion that share its discrepancy and count as `NoiseModel` has it; where there are more, each counts less."""
 _ENOUGH = 12
 """Degrees of freedom from which the scatter of rest frames is trusted."""
 _ENOUGH_PAIRS = 40
@@ -72,6 +74,8 @@ class Observation:
     """Of the last pose as it was seen, without the discrepancy that `whitening` has, shape (3, 3)."""
     touched: bool
     """Whether the pusher comes near the observed object at all."""
+    correlation: float = 0.0
+    """Of the errors of one frame of the motion and the next; `whitening` takes them for larger instead."""
 
 
 def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
@@ -92,9 +96,10 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     floor = np.diag([noise.floor_position**2, noise.floor_position**2, noise.floor_yaw**2])
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
-    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2
+    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2 * max(1.0, len(moving) / _SHARING)
     scatter = _scatter(record, before, after)
-    repeated = _repetition(noise.correlation**stride)
+    neighbours = min(max(noise.correlation, 0.0), _MOST_CORRELATION) ** stride
+    repeated = _repetition(neighbours)
     stated = [poses.covariance[g].mean(axis=0) * max(scatter, 1.0) * repeated for g in groups]
     for end in (0, -1):
         n = len(groups[end])
@@ -103,7 +108,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         stated[end] = stated[end] / repeated * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) * apart)
     covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched)
+    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, neighbours)
 
 
 def noise_correlation(records: Sequence[PushRecord]) -> float:
