@@ -17,7 +17,7 @@ from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.report import write_report
-from push_ident.diagnosis.residuals import Group
+from push_ident.diagnosis.residuals import Frames, Group
 from push_ident.diagnosis.scores import EffectScore, Information
 from push_ident.diagnosis.selection import Candidate, Rival, Selection, Step, _needed, _worth_refitting, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
@@ -30,7 +30,7 @@ from push_ident.identification.observation import NoiseModel, noise_correlation,
 from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import simulate
-from push_ident.types import ObjectModel, PoseTrack, PushRecord, SolveStatus
+from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord, SolveStatus
 
 TRUTH = hammer(1)
 TRUTH = ObjectModel(TRUTH.shape, TRUTH.mass, TRUTH.friction, 0.3)
@@ -345,7 +345,32 @@ def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
     assert "; and the pusher follows" in two and "30 ± 2 ms" in two and "(or in place of pusher_lag it is pose_latency: these" in two
     assert "predicted to 4.0 mm, and 0.7 mm of that" in sentence_of_nothing(gap)
     where = {"push": [Group("3", 20, (1.0, 2.5, 1.0), 1e-3, (0.5, 0.0, 0.5))]}
-    assert "1.5 times those of a model that is right, most by push at 3" in sentence_of_unknown(gap, None, 2.25, where)
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(4, 25, 3))
+    assert "1.5 times those of a model that is right, most by push at 3" in sentence_of_unknown(gap, None, _frames(1.5 * noise), where)
+    lasting = np.sqrt(0.5) * (noise + rng.normal(size=(4, 1, 3)))
+    assert re.search(
+        r"either: [3-6]\d % of the residuals go on from frame to frame", sentence_of_unknown(gap, None, _frames(lasting), where)
+    )
+
+
+def _frames(residual: Float64Array) -> Frames:
+    """Residuals of some pushes, shape (n_pushes, n_frames, 3), of which nothing else is known; without a gap they would be white."""
+    n_pushes, n_frames, _ = residual.shape
+    n = n_pushes * n_frames
+    none, white = np.zeros(n), np.random.default_rng(1).normal(size=(400, n, 3))
+    return Frames(residual.reshape(n, 3), np.zeros((n, 3)), np.repeat(np.arange(n_pushes), n_frames), none, none, none, none, none, white)
+
+
+def test_noise_does_not_last_from_frame_to_frame_and_what_is_unexplained_does() -> None:
+    rng = np.random.default_rng(2)
+    noise, slow = rng.normal(size=(14, 30, 3)), np.sin(np.linspace(0.0, 9.0, 30))[:, None] * np.ones((14, 1, 3))
+    lasting, by_chance = _frames(noise).persistence
+    assert abs(lasting) < 0.1 and by_chance > 0.01
+    lasting, by_chance = _frames(noise + 0.8 * slow).persistence
+    assert lasting == pytest.approx(0.8**2 * float(np.mean(slow**2)), abs=0.1) and by_chance == 0.0
+    # Of two frames a push the second is the rest that ends it.
+    assert _frames(noise[:, :2]).persistence == (0.0, 1.0)
 
 
 def test_effect_held_at_zero_is_as_if_it_had_never_been_there() -> None:

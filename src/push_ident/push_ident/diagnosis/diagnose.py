@@ -11,7 +11,7 @@ from push_ident.diagnosis.fits import EffectFit, fit_base
 from push_ident.diagnosis.gates import Gate, check_data, check_fit, check_outline
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import check_without_a_push, separating_push
-from push_ident.diagnosis.residuals import group_frames, left_over
+from push_ident.diagnosis.residuals import Frames, group_frames, left_over
 from push_ident.diagnosis.seen import SEEN_OUTLINE, as_seen, is_off, with_camera_in_question
 from push_ident.diagnosis.selection import Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
@@ -78,8 +78,8 @@ def diagnose(
     base = selection.base
     report("looking for what the catalogue leaves over")
     thresholds, frames = settings.thresholds, left_over(base)
-    (leftover, by_chance), unknown = (frames if selection.fit is base else left_over(selection.fit)).misfit, find_unknown(selection)
-    is_unknown = leftover > max(thresholds.leftover, 1.0 + thresholds.leftover_share * (frames.misfit[0] - 1.0)) and by_chance < _CHANCE
+    rest, unknown = frames if selection.fit is base else left_over(selection.fit), find_unknown(selection)
+    is_unknown = _is_more_there(frames, rest, thresholds, is_seen=is_seen)
     # What makes pushes held out worse is not believed, be it a wrench or a law.
     wrench = gap = None
     if unknown is not None and unknown.gain > thresholds.unknown and (is_unknown or _explains_more(unknown, selection, thresholds)):
@@ -98,7 +98,7 @@ def diagnose(
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, doubts)
     where = group_frames(frames)
     if is_unknown:
-        sentence = sentence_of_unknown(gap, wrench, leftover, where)
+        sentence = sentence_of_unknown(gap, wrench, rest, where)
     else:
         sentence = sentence_of_effects(effects, doubts, gap) if effects else sentence_of_nothing(gap)
     report("looking for the push that would settle it")
@@ -119,7 +119,8 @@ def diagnose(
         check=check_without_a_push([*doubts, effects[-1].name]) if effects else "",
         unknown=wrench if is_unknown else unknown,
         frames=frames,
-        leftover=leftover,
+        leftover=rest.misfit[0],
+        lasting=rest.persistence[0],
     )
 
 
@@ -142,6 +143,22 @@ def _untrusted(gates: list[Gate]) -> Diagnosis:
         f"These data cannot be diagnosed: {failed.found}. {failed.remedy}",
         (), {}, None, tuple(gates), None, {}, None, failed.remedy,
     )  # fmt: skip
+
+
+def _is_more_there(base: Frames, rest: Frames, thresholds: Thresholds, *, is_seen: bool) -> bool:
+    """Whether what was named leaves more of the frames than noise does, or what goes on from frame to frame.
+
+    Args:
+        base: what the base model leaves.
+        rest: what is left beside all that was named.
+        thresholds: what counts.
+        is_seen: a camera perceived the object, whose errors depend on the pose: they last from frame to frame.
+    """
+    beyond = max(base.misfit[0] - 1.0, 0.0)
+    (leftover, by_chance), (lasting, lasts_by_chance) = rest.misfit, rest.persistence
+    if leftover > max(thresholds.leftover, 1.0 + thresholds.leftover_share * beyond) and by_chance < _CHANCE:
+        return True
+    return not is_seen and lasting > thresholds.lasting + thresholds.lasting_share * beyond and lasts_by_chance < _CHANCE
 
 
 def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thresholds) -> bool:

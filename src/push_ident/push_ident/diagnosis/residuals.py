@@ -57,6 +57,23 @@ class Frames:
         left = float(np.mean(self.residual**2))
         return left / float(np.mean(without_gap)), float(np.mean(without_gap >= left))
 
+    @property
+    def persistence(self) -> tuple[float, float]:
+        """What of `misfit` lasts from frame to frame of a motion more than without a gap, and the probability of as much by chance.
+
+        Noise is new in every frame; what no effect explains goes on. 0 where no push has neighbouring frames.
+        """
+        pairs = np.flatnonzero((self.push[:-2] == self.push[1:-1]) & (self.push[1:-1] == self.push[2:]))  # without the rest that ends it
+        if not len(pairs):
+            return 0.0, 1.0
+
+        def lasting(residual: Float64Array) -> Float64Array:
+            before, after = residual[..., pairs, :], residual[..., pairs + 1, :]
+            return np.asarray(2.0 * np.sum(before * after, axis=(-2, -1)) / np.sum(before**2 + after**2, axis=(-2, -1)))
+
+        without_gap, found = lasting(self.without_gap), float(lasting(self.residual))
+        return self.misfit[0] * (found - float(np.mean(without_gap))), float(np.mean(without_gap >= found))
+
 
 @dataclass(frozen=True, slots=True)
 class Group:

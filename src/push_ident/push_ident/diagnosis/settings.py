@@ -39,6 +39,10 @@ class Thresholds:
     """Mean square of the residuals beside all that was named, over that of a model that is right, from which something else is there."""
     leftover_share: float = 0.03
     """And so much of what the base model leaves beyond a model that is right: what a law is off by grows with the effect."""
+    lasting: float = 0.12
+    """So much of it that lasts from frame to frame, from which something else is there, too: noise does not last."""
+    lasting_share: float = 0.02
+    """And so much of what the base model leaves beyond a model that is right."""
     most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
     n_effects: int = 3

@@ -64,6 +64,8 @@ class Diagnosis:
     """What the base model leaves of every frame; `where` is this in groups. None where nothing could be trusted."""
     leftover: float = np.nan
     """Mean square of the residuals beside all that the catalogue explains, over that of a model that is right."""
+    lasting: float = np.nan
+    """What of it lasts from frame to frame, which noise does not."""
 
     @property
     def confusable(self) -> tuple[str, ...]:

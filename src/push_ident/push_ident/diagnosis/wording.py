@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from push_ident.diagnosis.held_out import Gap
-from push_ident.diagnosis.residuals import Group
+from push_ident.diagnosis.residuals import Frames, Group
 from push_ident.diagnosis.unknown import SmoothWrench
 from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.physics.effects import EFFECTS
@@ -46,13 +46,13 @@ def sentence_of_effects(effects: Sequence[FoundEffect], doubts: Mapping[str, Seq
     return f"The simulation leaves out that {causes}{doubt}. {_outcome('With that added', gap)}"
 
 
-def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, leftover: float, where: dict[str, list[Group]]) -> str:
+def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, rest: Frames, where: dict[str, list[Group]]) -> str:
     """Of a diagnosis that found something it has no name for.
 
     Args:
         gap: with the smooth wrench, where there is one.
         wrench: that stands for the cause; None where none does.
-        leftover: mean square of the residuals over that of a model that is right.
+        rest: what all that could be named leaves.
         where: the residuals in groups.
     """
     if wrench is not None:
@@ -62,10 +62,14 @@ def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, leftover: float, 
         )
     before, _, noise = _millimetres(gap)
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
+    leftover, (lasting, _) = rest.misfit[0], rest.persistence
+    trace = f"residuals are {np.sqrt(leftover):.1f} times those of a model that is right"
+    if leftover < 1.0 or lasting > leftover - 1.0:
+        trace = f"{100.0 * lasting / leftover:.0f} % of the residuals go on from frame to frame, which noise does not"
     return (
-        f"The simulation leaves out something that is not in the catalogue, and no smooth force explains it either: residuals are "
-        f"{np.sqrt(leftover):.1f} times those of a model that is right, most by {by.replace('_', ' ')} at {name}. Pushes that it was not "
-        f"fitted to are predicted to {before:.1f} mm; {noise:.1f} mm is what the noise of the poses makes."
+        f"The simulation leaves out something that is not in the catalogue, and no smooth force explains it either: {trace}, most by "
+        f"{by.replace('_', ' ')} at {name}. Pushes that it was not fitted to are predicted to {before:.1f} mm; {noise:.1f} mm is what the "
+        f"noise of the poses makes."
     )
 
 

@@ -148,6 +148,7 @@ def _outcome(found: Diagnosis) -> Json:
         "steps": [] if found.selection is None else [_step(found.selection, i) for i in range(len(found.selection.steps))],
         "misfit": None if found.frames is None else found.frames.misfit,
         "leftover": found.leftover,
+        "lasting": found.lasting,
         "unknown_gain": None if found.unknown is None else found.unknown.gain,
         "failed_gates": [gate.found for gate in found.gates if not gate.passed],
     }
@@ -244,19 +245,29 @@ def _nearest(record: PushRecord, time: FloatArray) -> FloatArray:
 
 
 def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
-    """The same machinery told the true effects."""
+    """The same machinery told the true effects; `apart`: noncentrality between a single one and the nearest of its rivals when both are
+    fitted, which is less than their slopes at null tell."""
     assert found.gap is not None
     start = np.concatenate([(v - EFFECTS[name].nominal) / [p.scale for p in EFFECTS[name].parameters] for name, v in wanted.items()])
     fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.z[base.parameters.effect_slice], start]))
     is_found = {effect.name for effect in found.effects} == set(wanted)
     after = found.gap.after if is_found else measure_gap(fit, fit).before
     gap = replace(found.gap, after=after)
-    own = fit.effects
+    own, first = fit.effects, found.selection.steps[0] if found.selection else None
+    same = {*wanted, *(TWINS.get(name) for name in wanted)}
+    rivals = {c.name: _apart(fit, c.fit) for c in first.candidates if c.name not in same} if first and len(wanted) == 1 else {}
     return {
         "gain": fit.log_evidence - base.log_evidence,
+        "apart": min(rivals.values()) if rivals else None,
         "gap": _gap(gap),
         "parameters": {name: own.values[own.slice_of(name)].tolist() for name in wanted},
     }
+
+
+def _apart(a: EffectFit, b: EffectFit) -> float:
+    """Noncentrality between two fits of the same pushes: squared distance of what they say of all frames."""
+    said = [[fit.problem.residual(m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
+    return float(sum(np.sum((one - other) ** 2) for one, other in zip(*said, strict=True)))
 
 
 def _baselines(found: Diagnosis, base: EffectFit) -> Json:

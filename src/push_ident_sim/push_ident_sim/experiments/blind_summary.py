@@ -46,7 +46,7 @@ class Judged:
     set: frozenset[str]
     """All that the verdict leaves open."""
     noncentrality: float
-    """Of the weakest true effect, beside its hardest rival."""
+    """Of the weakest true effect, beside its hardest rival; by slopes at null, and of a single one by fits of both as well."""
     detectable: bool
     """Every true effect would be seen on average."""
     surely: bool
@@ -83,11 +83,17 @@ def judge(result: CaseResult) -> Judged:
         verdict=values["verdict"],
         named=named,
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
-        noncentrality=min((t["hardest"] or 0.0 for t in told), default=0.0),
+        noncentrality=_noncentrality(values),
         detectable=bool(told) and all((t["gain"] or 0.0) >= _SEEN for t in told),
         surely=bool(told) and all(_in_nine_of_ten(t) >= _SEEN for t in told),
         values=values,
     )
+
+
+def _noncentrality(values: Json) -> float:
+    hardest = min((t["hardest"] or 0.0 for t in values.get("detectability", {}).values()), default=0.0)
+    apart = values.get("oracle", {}).get("apart")
+    return float(hardest if apart is None else min(hardest, apart))
 
 
 def _in_nine_of_ten(told: Json) -> float:
