@@ -48,3 +48,20 @@ def test_disc_stays_round() -> None:
 def test_small_contour_comes_back_as_a_polygon() -> None:
     square = 0.004 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
     assert len(straighten(traced(square, np.random.default_rng(1)))) >= 3
+
+
+def test_edge_that_is_seen_in_two_parts_at_an_angle_has_no_dent() -> None:
+    # As a camera saw a side of the crimp.
+    side = [[0.0, -6e-4], [0.038, 1e-3], [0.0437, -7e-4], [0.056, -4e-4]]
+    plate = np.array([*side, [0.056, 0.03], [0.0, 0.03]])
+    for orientation in (1, -1):
+        outline = straighten(traced(plate[::orientation], np.random.default_rng(3)))
+        assert len(outline) == 4
+        assert np.max(np.abs(signed_distance(outline, np.array([[0.0, 0.0], [0.056, 0.0], [0.056, 0.03], [0.0, 0.03]])))) < 1.2e-3
+
+
+def test_side_that_bulges_does_not_become_straight() -> None:
+    x = np.linspace(0.0, 0.06, 40)
+    bulging = np.vstack([np.column_stack([x, -0.0016 * (1.0 - (2.0 * x / 0.06 - 1.0) ** 2)]), [[0.06, 0.03], [0.0, 0.03]]])
+    outline = straighten(traced(bulging, np.random.default_rng(4)))
+    assert np.min(outline[:, 1]) < -1e-3

@@ -13,6 +13,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from push_ident.geometry.outline import polygon_area
 from push_ident.types import Float64Array
 
 __all__ = ["straighten"]
@@ -26,7 +27,8 @@ _CORNER: Final = 0.0025
 _SHORTEST: Final = 0.008
 """Shorter stretches give no line [m]."""
 _BOW: Final = 0.0006
-"""Largest height of the arc of a stretch that counts as straight [m]."""
+"""Largest height of the arc of a stretch that counts as straight [m]; up to `_COARSE` where it bends inwards. An edge that is seen in two
+parts at an angle has a dent there, in which a simulated finger is caught; that a shallow hollow becomes an edge, no finger feels."""
 _RESTORED: Final = 0.004
 """Largest distance of a restored corner from the contour [m]."""
 _PARALLEL: Final = 0.25
@@ -64,8 +66,9 @@ def straighten(contour: Float64Array) -> Float64Array:
     if len(corners) < 3:
         return contour[_simplified(contour, _FINE)]
     ends = np.append(corners[1:], corners[0] + len(contour))
-    stretches = [_stretch(np.take(contour, np.arange(a, b + 1), axis=0, mode="wrap")) for a, b in zip(corners, ends, strict=True)]
-    stretches = _without_chamfers(_merged(stretches))
+    inwards = 1.0 if polygon_area(contour) > 0.0 else -1.0
+    runs = [np.take(contour, np.arange(a, b + 1), axis=0, mode="wrap") for a, b in zip(corners, ends, strict=True)]
+    stretches = _without_chamfers(_merged([_stretch(run, inwards) for run in runs], inwards))
     vertices: list[Float64Array] = []
     for here, following in zip(stretches, stretches[1:] + stretches[:1], strict=True):
         if here.line is None:
@@ -89,7 +92,8 @@ def _open_simplified(points: Float64Array) -> list[int]:
     return sorted({0, len(points) - 1} | {index[tuple(point)] for point in kept.tolist()})
 
 
-def _stretch(points: Float64Array) -> _Stretch:
+def _stretch(points: Float64Array, inwards: float) -> _Stretch:
+    """`inwards` is 1 where the inside is to the left of the contour's way, else -1."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     inner = points[(way >= _CORNER) & (way <= way[-1] - _CORNER)]
     if way[-1] < _SHORTEST or len(inner) < 5:
@@ -100,16 +104,16 @@ def _stretch(points: Float64Array) -> _Stretch:
     along = (inner - middle) @ direction
     across = (inner - middle) @ np.array([-direction[1], direction[0]])
     half = 0.5 * float(np.ptp(along))
-    bow = abs(float(np.polyfit(along / half, across, 2)[0]))
-    return _Stretch(points, _Line(middle, direction) if bow <= _BOW else None)
+    bow = inwards * float(np.polyfit(along / half, across, 2)[0])
+    return _Stretch(points, _Line(middle, direction) if -_COARSE <= bow <= _BOW else None)
 
 
-def _merged(stretches: list[_Stretch]) -> list[_Stretch]:
+def _merged(stretches: list[_Stretch], inwards: float) -> list[_Stretch]:
     """Join neighbours that are straight together: the coarse outline may break an edge where the contour wavers most."""
     i = 0
     while len(stretches) > 3 and i < len(stretches):
         here, following = stretches[i], stretches[(i + 1) % len(stretches)]
-        joined = _stretch(np.concatenate([here.points, following.points[1:]]))
+        joined = _stretch(np.concatenate([here.points, following.points[1:]]), inwards)
         if joined.line is None or np.max(np.linalg.norm(joined.points - joined.line.nearest(joined.points), axis=1)) > _COARSE:
             i += 1
         elif i + 1 < len(stretches):
