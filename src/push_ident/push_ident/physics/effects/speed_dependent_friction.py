@@ -26,6 +26,6 @@ EFFECT = Effect(
     parameters=(EffectParameter("b", "", "change of friction per factor e of speed", scale=0.1, typical=0.1, low=-0.5, high=0.5),),
     acts=OnTable(load=_load),
     signature="Coasting distance; a fast turn against a slow one.",
-    rivals="The maps, push_height: the same push at 0.04, 0.12 and 0.3 m/s.",
+    rivals="The maps, push_height: the same push at 0.04, 0.12 and 0.3 m/s. A film of oil acts alike.",
     source="Logarithmic law of rate-dependent friction; Ruina, Slip instability and state variable friction laws, 1983, without its state.",
 )
