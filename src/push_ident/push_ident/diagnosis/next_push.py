@@ -33,7 +33,7 @@ _CHECKS = {
     "tether": "Disconnect every cable and hose of the object and push again.",
     "moving_contents": "Shake the object and listen; wait ten seconds and repeat a push.",
     "push_height": "Repeat a push with the tool 20 mm lower.",
-    "pusher_friction": "See that the tip of the pusher does not turn, which acts as less friction; tape over it with something of known friction.",
+    "pusher_friction": "See that the tip of the pusher does not turn; tape over it with something of known friction.",
     "tool_offset": "Touch a mark of known position with the tool.",
     "camera_translation": "Look at a mark of known position with the camera.",
     "camera_rotation": "Look at two marks of known positions with the camera.",
