@@ -20,6 +20,6 @@ EFFECT = Effect(
     parameters=(EffectParameter("excess", "", "above the coefficient of the model", scale=0.15, typical=0.15, low=-2.0, high=2.0),),
     acts=OnPusherFriction(_change),
     signature="Slip along the face: oblique and off-centre pushes.",
-    rivals="push_height: pushes mirrored at +-20 degrees. A tip that turns rubs less. A model whose pusher friction is fitted leaves nothing of it.",
+    rivals="push_height: pushes mirrored at +-20 degrees. A tip that turns rubs less. Fitting the friction of the pusher takes it up.",
     source="Coulomb's law at the contact (the paper's mu_p).",
 )
