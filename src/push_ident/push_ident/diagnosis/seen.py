@@ -22,8 +22,12 @@ _OUTLINE_STD: Final = 4e-4
 _CAMERA_SHARE: Final = 0.25
 """Accuracy of a calibrated camera as a share of the prior of its effects: 0.5 mm, 2.5 mrad, 0.5 %. Over the 0.1 m that an object is pushed
 about, the perception of this suite was off by 0.3 mm and 3.5 mrad."""
-_POSE_STD: Final = (3e-4, 2e-3)
+_POSE_STD: Final = (5e-4, 4e-3)
 """Of a pose of such an object, shared by all frames of a rest [m, rad]."""
+_MOVING_FRAMES: Final = 10
+"""Kept of a motion at most: neighbouring frames share an error that depends on the pose, so that more of them tell nothing new."""
+_SEEN: Final = 10.0
+"""Gain of log evidence from which an effect counts as seen [nat]: what is left of the camera's errors gained up to 7 without any effect."""
 _OFF: Final = 2.5
 """Deviations from which a camera is not as accurate as it should be."""
 
@@ -32,7 +36,9 @@ def as_seen(settings: DiagnosisSettings) -> DiagnosisSettings:
     """Settings for poses and outlines that a camera told: its errors belong to the base model."""
     prior = replace(settings.prior, outline_std=_OUTLINE_STD, camera_share=_CAMERA_SHARE)
     own = [name for name in (SEEN_OUTLINE, *_CAMERA) if name not in settings.base_effects]
-    return replace(settings, base_effects=(*settings.base_effects, *own), prior=prior, noise=_noise(settings.noise))
+    thresholds = replace(settings.thresholds, seen=max(settings.thresholds.seen, _SEEN))
+    base = (*settings.base_effects, *own)
+    return replace(settings, base_effects=base, prior=prior, noise=_noise(settings.noise), thresholds=thresholds)
 
 
 def is_off(fit: EffectFit, asked: DiagnosisSettings) -> bool:
@@ -56,4 +62,9 @@ def with_camera_in_question(settings: DiagnosisSettings, asked: DiagnosisSetting
 def _noise(noise: NoiseModel) -> NoiseModel:
     """Noise of poses that a camera tells: their error depends on place and view, and no mean over frames takes it away."""
     floor_position = max(noise.floor_position, _POSE_STD[0])
-    return replace(noise, floor_position=floor_position, floor_yaw=max(noise.floor_yaw, _POSE_STD[1]))
+    return replace(
+        noise,
+        floor_position=floor_position,
+        floor_yaw=max(noise.floor_yaw, _POSE_STD[1]),
+        max_moving_frames=min(noise.max_moving_frames, _MOVING_FRAMES),
+    )
