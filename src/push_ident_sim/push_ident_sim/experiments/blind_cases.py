@@ -48,8 +48,6 @@ _PAIRABLE = tuple(name for name in CATALOGUE if name not in _HARDLY_SEEN)
 """Effects that slow pushes show, and of two that are the same to them one."""
 _ELSEWHERE = ("pose_flips", "compliant_table", "viscous_film", "rolling_finger", "pusher_wobble")
 """Effects that both engines have and that no diagnosis can name."""
-_NOT_FILMED = ("tether", "outline_error")
-"""A spring is anchored anew at every push; the error of an outline that a camera traced belongs to the base of a diagnosis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +118,7 @@ def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
     first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
     if camera:
-        filmed = all(name in EFFECTS and name not in _NOT_FILMED and EFFECTS[name].acts_on != "poses" for name in scenario.names)
+        filmed = all(name in EFFECTS and name != "tether" and EFFECTS[name].acts_on != "poses" for name in scenario.names)
         scenario = replace(scenario, engine="camera") if filmed else Scenario("camera", "null")
     rng = np.random.default_rng([model, OBJECT_NAMES.index(object_name), 77])
     values: dict[str, tuple[float, ...]] = {}
