@@ -100,10 +100,13 @@ def score_case(
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         centre = thing.mass @ thing.cells / thing.mass.sum()
         first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
-        wanted = {name: true_values(truth.effects, name, thing, first) for name in truth.names}
+        # What belongs to the base, as small errors of a camera do, is nothing to be found.
+        names = [name for name in truth.names if name not in base.names]
+        wanted = {name: true_values(truth.effects, name, thing, first) for name in names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
-        values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
-        values["oracle"] = _oracle(found, base, wanted)
+        if wanted:
+            values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
+            values["oracle"] = _oracle(found, base, wanted)
     if truth.scenario.kind == "outside" and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
     if truth.scenario.kind == "single" and ask is not None and _is_open(found):
