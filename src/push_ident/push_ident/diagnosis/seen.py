@@ -18,7 +18,7 @@ SEEN_OUTLINE: Final = "outline_error"
 _CAMERA: Final = ("camera_translation", "camera_rotation", "camera_scale")
 """Effects that belong to the base model within the accuracy of a camera, whose error changes with place and view."""
 _OUTLINE_STD: Final = 4e-4
-"""Of a traced outline [m]; the perception of this suite is off by 0.34 mm root mean square."""
+"""Of a traced outline [m]; the perception of this suite is off by 0.32 mm root mean square."""
 _CAMERA_SHARE: Final = 0.25
 """Accuracy of a calibrated camera as a share of the prior of its effects: 0.5 mm, 2.5 mrad, 0.5 %. Over the 0.1 m that an object is pushed
 about, the perception of this suite was off by 0.3 mm and 3.5 mrad."""
