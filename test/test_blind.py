@@ -136,6 +136,17 @@ def outcome(kind: str, truth: list[str], verdict: str, named: list[str], confusa
     return CaseResult(Case("book", 0, "14-pushes"), values)
 
 
+def test_rival_that_was_fitted_is_as_near_as_its_fit_says() -> None:
+    case = outcome("single", ["pusher_lag"], "named", ["pusher_lag"], [], 20.0, 50.0)
+    assert judge(case).noncentrality == 50.0
+    case.values["oracle"]["apart"] = 4.0
+    assert judge(case).noncentrality == 4.0
+    # What belongs to the base, as a small error of a camera, is neither detectable nor missed.
+    for key in ("detectability", "oracle"):
+        del case.values[key]
+    assert not judge(case).detectable and judge(case).noncentrality == 0.0
+
+
 def test_figures_count_what_they_say() -> None:
     results = [
         outcome("null", [], "no_gap", [], [], 0, 0),

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from objects import hammer, random_records
 
-from push_ident.diagnosis.diagnose import _doubts, _explains_more, _explanations, diagnose
+from push_ident.diagnosis.diagnose import _doubts, _explains_more, _explanations, _is_more_there, diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.report import write_report
-from push_ident.diagnosis.residuals import Frames, Group
+from push_ident.diagnosis.residuals import Frames, Group, _noise_of
 from push_ident.diagnosis.scores import EffectScore, Information
 from push_ident.diagnosis.selection import Candidate, Rival, Selection, Step, _needed, _worth_refitting, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
@@ -362,6 +362,16 @@ def _frames(residual: Float64Array) -> Frames:
     return Frames(residual.reshape(n, 3), np.zeros((n, 3)), np.repeat(np.arange(n_pushes), n_frames), none, none, none, none, none, white)
 
 
+def test_noise_that_lasts_is_drawn_as_large_as_its_whitening_leaves_it() -> None:
+    rho, n = 0.6, 40
+    seen = SimpleNamespace(time=np.zeros(n), correlation=rho)
+    drawn = _noise_of(cast(Any, seen), np.random.default_rng(5))[:, 1:-1]
+    # Frames are smaller by (1 - rho) / (1 + rho), and their mean is as uncertain as that of independent frames of unit variance.
+    assert float(np.var(drawn)) == pytest.approx((1 - rho) / (1 + rho), rel=0.03)
+    assert float(np.mean(drawn[:, 1:] * drawn[:, :-1]) / np.var(drawn)) == pytest.approx(rho, abs=0.02)
+    assert float(np.var(drawn.mean(axis=1))) * drawn.shape[1] == pytest.approx(1.0, rel=0.15)
+
+
 def test_noise_does_not_last_from_frame_to_frame_and_what_is_unexplained_does() -> None:
     rng = np.random.default_rng(2)
     noise, slow = rng.normal(size=(14, 30, 3)), np.sin(np.linspace(0.0, 9.0, 30))[:, None] * np.ones((14, 1, 3))
@@ -369,6 +379,12 @@ def test_noise_does_not_last_from_frame_to_frame_and_what_is_unexplained_does() 
     assert abs(lasting) < 0.1 and by_chance > 0.01
     lasting, by_chance = _frames(noise + 0.8 * slow).persistence
     assert lasting == pytest.approx(0.8**2 * float(np.mean(slow**2)), abs=0.1) and by_chance == 0.0
+    right, lasts, off = _frames(noise), _frames(0.8 * noise + 0.6 * slow), _frames(1.2 * noise)
+    assert not _is_more_there(right, right, Thresholds(), is_seen=False)
+    assert _is_more_there(right, lasts, Thresholds(), is_seen=False) and _is_more_there(right, off, Thresholds(), is_seen=False)
+    # What a camera is off by depends on the pose and lasts; what stays of a strong effect may be in its law.
+    assert not _is_more_there(right, lasts, Thresholds(), is_seen=True)
+    assert not _is_more_there(_frames(5.0 * noise), lasts, Thresholds(), is_seen=False)
     # Of two frames a push the second is the rest that ends it.
     assert _frames(noise[:, :2]).persistence == (0.0, 1.0)
 

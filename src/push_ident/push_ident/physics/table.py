@@ -208,24 +208,31 @@ def _with_plane(others: Equation, effect: Effect, plane: Equation, place: int) -
         others(places, inputs, turned, body, load, dx, dy, planes)
         own = places.values[place]
         if own >= 0 and _is_turned(places, turned, place, n_values, n_memory):
-            even, x, y = plane(inputs[own:], body, inputs[places.memory[place] :])
+            even, x, y = plane(inputs[own:], body, load, inputs[places.memory[place] :])
             planes[place, 0], planes[place, 1], planes[place, 2] = even - x * dx - y * dy, x, y
 
     return planes_of
 
 
-def _with_shift(others: Equation, effect: Effect, shift: Equation, place: int) -> Equation:
-    n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
+def _alike(plane: Equation) -> Equation:
+    """A plane that does not depend on where the limits lie."""
 
     @equation
-    def planes_of(places: Places, inputs: Any, turned: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
-        others(places, inputs, turned, body, load, dx, dy, planes)
-        own = places.values[place]
-        if own >= 0 and _is_turned(places, turned, place, n_values, n_memory):
-            qx, qy = shift(inputs[own:], body, load, inputs[places.memory[place] :])
-            determinant = load.xx * load.yy - load.xy * load.xy
-            x, y = (load.yy * qx - load.xy * qy) / determinant, (load.xx * qy - load.xy * qx) / determinant
-            planes[place, 0], planes[place, 1], planes[place, 2] = 1.0 - x * (load.x + dx) - y * (load.y + dy), x, y
+    def planes_of(p: Any, body: Body, load: Load, memory: Any) -> Any:
+        return plane(p, body, memory)
+
+    return planes_of
+
+
+def _tilted(shift: Equation) -> Equation:
+    """The plane that moves the centre of the limits by a shift."""
+
+    @equation
+    def planes_of(p: Any, body: Body, load: Load, memory: Any) -> Any:
+        qx, qy = shift(p, body, load, memory)
+        determinant = load.xx * load.yy - load.xy * load.xy
+        x, y = (load.yy * qx - load.xy * qy) / determinant, (load.xx * qy - load.xy * qx) / determinant
+        return 1.0 - x * load.x - y * load.y, x, y
 
     return planes_of
 
@@ -290,9 +297,9 @@ for _place, _effect in enumerate(EFFECTS.values()):
         if _effect.acts.load is not None:
             _loads = _with_load(_loads, _effect, _effect.acts.load, _place)
         if _effect.acts.plane is not None:
-            _planes = _with_plane(_planes, _effect, _effect.acts.plane, _place)
+            _planes = _with_plane(_planes, _effect, _alike(_effect.acts.plane), _place)
         if _effect.acts.shift is not None:
-            _planes = _with_shift(_planes, _effect, _effect.acts.shift, _place)
+            _planes = _with_plane(_planes, _effect, _tilted(_effect.acts.shift), _place)
         if _effect.acts.skew is not None:
             _skews = _with_skew(_skews, _effect.acts.skew, _place)
         if _effect.acts.pull is not None:
