@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from objects import hammer, random_records
 
-from push_ident.diagnosis.diagnose import _doubts, _explains_more, _explanations, _is_more_there, diagnose
+from push_ident.diagnosis.diagnose import _borne_out, _doubts, _explains_more, _explanations, _is_more_there, diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap, measure_gap
@@ -23,7 +23,7 @@ from push_ident.diagnosis.selection import Candidate, Rival, Selection, Step, _n
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, _best_parts
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
-from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_nothing, sentence_of_unknown
+from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_lone, sentence_of_nothing, sentence_of_unknown
 from push_ident.errors import InputError
 from push_ident.identification.budget import Meter
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
@@ -247,12 +247,42 @@ def test_stages_are_the_fits_on_the_way_to_all_that_was_found() -> None:
     assert Selection(base, lag, steps[:2]).stages == {} and Selection(base, base, steps).stages == {}
 
 
+@pytest.mark.parametrize(
+    ("gains", "kept", "lone"),
+    [
+        ([[5.0, 9.0, 4.0], [3.0, 7.0, 2.0]], ("pusher_lag", "wear"), None),
+        ([[5.0, 9.0, 4.0], [3.0, -1.5, 2.0]], ("pusher_lag",), ("wear", (1, 4))),
+        ([[5.0, 9.0, -2.0], [3.0, -1.5, 2.0]], (), ("pusher_lag", (2,))),
+    ],
+)
+def test_effect_that_one_push_alone_speaks_for_is_not_believed(
+    gains: list[list[float]], kept: tuple[str, ...], lone: tuple[str, tuple[int, ...]] | None
+) -> None:
+    base, lag, both = _fit(), _fit("pusher_lag"), _fit("pusher_lag", "wear")
+    selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
+    nothing = np.zeros(5)
+    gap = Gap(nothing, nothing, nothing, nothing[:3], np.zeros((3, 2)), ((0, 3), (1, 4), (2,)), np.array(gains))
+    believed, found = _borne_out(selection, gap, Thresholds())
+    assert believed.found == kept and (lone is None or len(believed.steps) == len(kept) + 1)
+    assert (found and (found.name, found.pushes)) == lone
+
+
 def test_gap_is_measured_at_every_stage() -> None:
     base = fit_base(_pushes(3, 1), DiagnosisSettings())
     fit = fit_effects(base, ("table_tilt",))
     gap = measure_gap(base, fit, between={"itself": fit})
     np.testing.assert_array_equal(gap.stages["itself"], gap.after)
     assert gap.before.shape == gap.after.shape == (3,) and measure_gap(base, base, between={"itself": fit}).stages == {}
+    gained = fit.log_evidence - base.log_evidence
+    np.testing.assert_allclose(gap.gain_without, [gained - gap.log_density_gain, np.zeros(3)], atol=1e-9)
+    assert gap.folds == ((0,), (1,), (2,)) and measure_gap(base, base).gain_without.shape == (0, 3)
+
+
+def test_sentence_points_at_the_push_that_alone_speaks_for_something() -> None:
+    assert sentence_of_lone("wear", ["push 3"]) == (
+        " Only push 3 speaks for wear, which is not believed until another push does: repeat that push."
+    )
+    assert "Only push 3 and push 13 speak for wear" in sentence_of_lone("wear", ["push 3", "push 13"])
 
 
 def test_a_law_that_holds_as_it_stands_asks_no_more_of_the_next_effect_and_one_that_is_a_guess_does() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from push_ident.diagnosis.selection import Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
-from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_nothing, sentence_of_unknown
+from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_lone, sentence_of_nothing, sentence_of_unknown
 from push_ident.errors import InputError
 from push_ident.identification.observation import noise_correlation, observe_push
 from push_ident.physics.effects import EFFECTS
@@ -81,7 +81,7 @@ def diagnose(
     rest, unknown = frames if selection.fit is base else left_over(selection.fit), find_unknown(selection)
     is_unknown = _is_more_there(frames, rest, thresholds, is_seen=is_seen)
     # What makes pushes held out worse is not believed, be it a wrench or a law.
-    wrench = gap = None
+    wrench = gap = lone = None
     if unknown is not None and unknown.gain > thresholds.unknown and (is_unknown or _explains_more(unknown, selection, thresholds)):
         gap = measure_gap(base, unknown.fit, report)
         wrench, gap = (unknown, gap) if gap.is_above_noise and not _vetoed(gap) else (None, None)
@@ -90,9 +90,12 @@ def diagnose(
         selection = Selection(base, base, selection.steps)
     if gap is None:
         gap = measure_gap(base, selection.fit, report, between=selection.stages)
-        if _vetoed(gap):
-            selection = Selection(base, base, selection.steps)
-            gap = measure_gap(base, base, report)
+        believed, lone = (Selection(base, base, selection.steps), None) if _vetoed(gap) else _borne_out(selection, gap, thresholds)
+        if believed is not selection:
+            rest = left_over(believed.fit)
+            is_unknown |= lone is not None and _is_more_there(frames, rest, thresholds, is_seen=is_seen)
+            selection = Selection(base, base, selection.steps) if is_unknown else believed
+            gap = measure_gap(base, selection.fit, report, between=selection.stages)
     effects = _found(selection, gap)
     doubts = _doubts(selection, thresholds)
     verdict = Verdict.UNKNOWN if is_unknown else _verdict(effects, doubts)
@@ -101,6 +104,8 @@ def diagnose(
         sentence = sentence_of_unknown(gap, wrench, rest, where)
     else:
         sentence = sentence_of_effects(effects, doubts, gap) if effects else sentence_of_nothing(gap)
+    if lone is not None:
+        sentence += sentence_of_lone(lone.name, [pushes[push].source or f"push {push}" for push in lone.pushes])
     report("looking for the push that would settle it")
     explanations = _explanations(selection, thresholds)
     last = pushes[-1].poses.pose[-1]
@@ -176,6 +181,28 @@ def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thre
 def _vetoed(gap: Gap) -> bool:
     """Whether pushes held out are told no better with what was added, neither where they ended nor how probable they were."""
     return float(np.mean(gap.log_density_gain)) <= 0.0 and float(np.mean(gap.after)) >= float(np.mean(gap.before))
+
+
+@dataclass(frozen=True, slots=True)
+class _Lone:
+    """Effects that one push, or those that were held out with it, alone speaks for."""
+
+    name: str
+    pushes: tuple[int, ...]
+
+
+def _borne_out(selection: Selection, gap: Gap, thresholds: Thresholds) -> tuple[Selection, _Lone | None]:
+    """What pushes bear out of what was found: an effect that gains nothing without one of them came of that one, be it that something
+    happened to it, or that it lies at an edge between sticking and sliding, where a trifle decides where the object goes."""
+    found: set[str] = set()
+    fits = [*selection.stages.values(), selection.fit]
+    for stage, (fit, gains) in enumerate(zip(fits, gap.gain_without, strict=True)):
+        fold = int(np.argmin(gains))
+        names = [name for name in fit.names if name not in (*selection.base.names, *found)]
+        if gains[fold] < thresholds.alone:
+            return selection.until(stage), _Lone(" and ".join(names), gap.folds[fold])
+        found |= set(names)
+    return selection, None
 
 
 def _found(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:

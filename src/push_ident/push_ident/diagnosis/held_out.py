@@ -38,6 +38,11 @@ class Gap:
     """Of pushes held out together, with the effects over without [nat], shape (n_folds,)."""
     estimates: Float64Array
     """Values of the effects in the fits without each of the folds, shape (n_folds, n_values)."""
+    folds: tuple[tuple[int, ...], ...] = ()
+    """Numbers of the pushes that were held out together."""
+    gain_without: Float64Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Of log evidence, of each stage and of all effects over the stage before, in the fits without each of the folds [nat], shape
+    (n_stages + 1, n_folds); no row where there is no effect."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
 
@@ -95,13 +100,23 @@ def measure_gap(
     fits = [base] if fit is base else [base, *stages.values(), fit]
     results = side_by_side(lambda which: _left_out(*which), [(one, fold) for one in fits for fold in folds])
     errors = np.empty((len(fits), n))
-    density = np.empty((len(fits), n_folds))
+    density, evidence = np.empty((len(fits), n_folds)), np.empty((len(fits), n_folds))
     for k, (error, gain, _) in enumerate(results):
         one, fold = divmod(k, n_folds)
         errors[one, folds[fold]], density[one, fold] = error, gain
+        evidence[one, fold] = fits[one].log_evidence - gain
     estimates = np.array([values for _, _, values in results[-n_folds:]])
     by_stage = dict(zip(stages, errors[1:-1], strict=True)) if fit is not base else {}
-    return Gap(errors[0], errors[-1], _noise_errors(fit), density[-1] - density[0], estimates, by_stage)
+    return Gap(
+        before=errors[0],
+        after=errors[-1],
+        noise=_noise_errors(fit),
+        log_density_gain=density[-1] - density[0],
+        estimates=estimates,
+        folds=tuple(map(tuple, folds)),
+        gain_without=np.diff(evidence, axis=0),
+        stages=by_stage,
+    )
 
 
 def _left_out(fit: EffectFit, pushes: Sequence[int]) -> tuple[Float64Array, float, Float64Array]:

@@ -118,6 +118,12 @@ class Selection:
         parts = {tuple(name for name in step.before.names if name not in self.base.names): step.before for step in self.steps}
         return {", ".join(names): fit for names, fit in parts.items() if names and set(names) < set(self.found)}
 
+    def until(self, stage: int) -> Selection:
+        """What was found before a stage, by its number: 0 for the base alone."""
+        fit = [self.base, *self.stages.values(), self.fit][stage]
+        n_steps = next((number for number, step in enumerate(self.steps, 1) if step.before is fit), len(self.steps))
+        return Selection(self.base, fit, self.steps[:n_steps])
+
     @property
     def rivals(self) -> tuple[Rival, ...]:
         """Of the last effect, the nearest first, then of those before it; one that only holds the effect as a special case is none."""

@@ -43,6 +43,8 @@ class Thresholds:
     """So much of it that lasts from frame to frame, from which something else is there, too: noise does not last."""
     lasting_share: float = 0.02
     """And so much of what the base model leaves beyond a model that is right."""
+    alone: float = -1.0
+    """An effect that gains less than this without one of the pushes is not believed: that push alone speaks for it."""
     most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
     n_effects: int = 3

@@ -12,7 +12,7 @@ from push_ident.diagnosis.unknown import SmoothWrench
 from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["sentence_of_effects", "sentence_of_nothing", "sentence_of_unknown", "size_of"]
+__all__ = ["sentence_of_effects", "sentence_of_lone", "sentence_of_nothing", "sentence_of_unknown", "size_of"]
 
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}
 """Units in which people think of an effect's size, with their factor."""
@@ -71,6 +71,17 @@ def sentence_of_unknown(gap: Gap, wrench: SmoothWrench | None, rest: Frames, whe
         f"{by.replace('_', ' ')} at {name}. Pushes that it was not fitted to are predicted to {before:.1f} mm; {noise:.1f} mm is what the "
         f"noise of the poses makes."
     )
+
+
+def sentence_of_lone(name: str, pushes: Sequence[str]) -> str:
+    """What is added to the sentence where an effect is not believed because nothing else bears it out.
+
+    Args:
+        name: of the effect.
+        pushes: those that alone speak for it.
+    """
+    speak, those = ("speaks", "that push") if len(pushes) == 1 else ("speak", "those pushes")
+    return f" Only {' and '.join(pushes)} {speak} for {name}, which is not believed until another push does: repeat {those}."
 
 
 def _outcome(added: str, gap: Gap) -> str:
