@@ -16,6 +16,7 @@ from push_ident.diagnosis.diagnose import _borne_out, _doubts, _explains_more, _
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.next_push import separating_push
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Frames, Group, _noise_of
 from push_ident.diagnosis.scores import EffectScore, Information
@@ -30,6 +31,7 @@ from push_ident.identification.observation import NoiseModel, noise_correlation,
 from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import simulate
+from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord, SolveStatus
 
 TRUTH = hammer(1)
@@ -441,6 +443,17 @@ def test_too_few_pushes_are_not_trusted() -> None:
     assert found.verdict is Verdict.NOT_TRUSTWORTHY
     assert "at least 3 pushes" in found.sentence
     assert to_json(found)["gap"]["before_m"] != to_json(found)["gap"]["before_m"]  # NaN, not a plausible number
+
+
+def test_no_push_is_expected_to_tell_a_tool_from_a_camera_that_is_off() -> None:
+    """The object lies where it is reported, and with a camera that is off elsewhere: the twins then say the same of every push."""
+    base = fit_base(_pushes(3, 1, {"tool_offset": [0.003, 0.001]}), DiagnosisSettings())
+    fits = {name: fit_effects(base, (name,)) for name in ("tool_offset", "camera_translation")}
+    limits = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0))
+    twins = separating_push(fits, np.zeros(3), limits)
+    other = separating_push({"nothing": base, "tool_offset": fits["tool_offset"]}, np.zeros(3), limits)
+    assert twins is not None and other is not None
+    assert twins.distance2 < 0.1 and not twins.settles and other.distance2 > 1.0
 
 
 def test_unknown_effect_and_no_push_are_refused() -> None:

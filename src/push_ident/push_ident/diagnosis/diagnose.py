@@ -242,7 +242,7 @@ def _explanations(selection: Selection, thresholds: Thresholds) -> dict[str, Eff
     if not selection.found:
         first = selection.steps[0] if selection.steps else None
         return {"no effect": selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
-    rivals = selection.open_rivals(thresholds)
+    rivals = [rival for rival in selection.open_rivals(thresholds) if {rival.of, rival.name} not in _SAME]
     if rivals:
         return {rivals[0].of: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.of == rivals[0].of}}
     # Where nothing is open, the push that would show the last effect most clearly confirms it.

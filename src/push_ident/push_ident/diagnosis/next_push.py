@@ -12,6 +12,7 @@ from push_ident.diagnosis.parallel import side_by_side
 from push_ident.errors import PlanningError
 from push_ident.identification.next_push import PlannedPush, candidate_pushes
 from push_ident.identification.parameters import Mechanics
+from push_ident.physics.effect_values import seen_poses, true_pose
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
@@ -130,10 +131,15 @@ def _outcome(model: _Predictor, push: PlannedPush) -> tuple[Float64Array, Float6
     """Predicted poses, shape (n_frames, 3), and their covariance by the uncertainty of the fit, all frames together."""
     pusher, mechanics = push.pusher, model.mechanics
     time = np.linspace(pusher.time[0], pusher.time[-1], _N_FRAMES)
-    motion = mechanics.simulate(pusher, push.pose_object_in_table, time, settings=model.settings, order=model.order, jacobian=True)
+    # The object lies where it is reported: with a camera that is off, elsewhere.
+    start = true_pose(mechanics.effects, push.pose_object_in_table)
+    motion = mechanics.simulate(pusher, start, time, settings=model.settings, order=model.order, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
-    rows = (motion.jacobian[:, :, 3:] @ mechanics.derivative[3:]).reshape(3 * _N_FRAMES, -1)
+    _, by_pose, by_value = seen_poses(mechanics.effects, start[None])
+    derivative = mechanics.derivative.copy()
+    derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
+    rows = (motion.jacobian @ derivative).reshape(3 * _N_FRAMES, -1)
     return motion.pose, np.asarray(rows @ model.covariance @ rows.T)
 
 
