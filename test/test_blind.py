@@ -164,8 +164,8 @@ def test_figures_count_what_they_say() -> None:
     ]
     for result, visibility in zip(results[-3:], (80.0, None, 2.0), strict=True):
         result.values["visibility"] = visibility
-    results[3].values["asked"] = {"n": 1, "verdict": "named", "named": ["pusher_lag"], "confusable": [], "settled": True}
-    results[6].values["asked"] = {"n": 2, "verdict": "named", "named": ["wear"], "confusable": [], "settled": True}
+    results[3].values["asked"] = {"n": 1, "expected": True, "verdict": "named", "named": ["pusher_lag"], "confusable": [], "settled": True}
+    results[6].values["asked"] = {"n": 2, "expected": False, "verdict": "named", "named": ["wear"], "confusable": [], "settled": True}
     counted = figures([judge(r) for r in results])
     shares = {name: (round(f["share"] * f["n"]), f["n"]) for name, f in counted.items() if f.get("share") is not None}
     assert shares["false_alarms"] == (1, 2)
@@ -175,6 +175,7 @@ def test_figures_count_what_they_say() -> None:
     assert shares["wrong_names"] == (1, 5)
     assert shares["in_set"] == (3, 4)
     assert shares["ties_settled"] == (1, 2) and counted["ties_asked"]["value"] == pytest.approx(1.5)
+    assert shares["ties_settled_as_expected"] == (1, 1)
     assert shares["silent_undetectable"] == (1, 1)
     assert shares["pairs_both"] == (0, 1) and shares["pairs_one"] == (1, 1)
     assert shares["unknown_flagged"] == (1, 2) and shares["unknown_misnamed"] == (1, 3)

@@ -16,7 +16,7 @@ from push_ident.diagnosis.diagnose import _borne_out, _doubts, _explains_more, _
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effects_but, without_pushes
 from push_ident.diagnosis.held_out import Gap, measure_gap
-from push_ident.diagnosis.next_push import separating_push
+from push_ident.diagnosis.next_push import SeparatingPush, separating_push
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Frames, Group, _noise_of
 from push_ident.diagnosis.scores import EffectScore, Information
@@ -452,8 +452,19 @@ def test_no_push_is_expected_to_tell_a_tool_from_a_camera_that_is_off() -> None:
     limits = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0))
     twins = separating_push(fits, np.zeros(3), limits)
     other = separating_push({"nothing": base, "tool_offset": fits["tool_offset"]}, np.zeros(3), limits)
-    assert twins is not None and other is not None
-    assert twins.distance2 < 0.1 and not twins.settles and other.distance2 > 1.0
+    assert twins is None and other is not None and other.distance2 > 1.0
+
+
+@pytest.mark.parametrize(
+    ("between", "aim"),
+    [
+        (("wear", "tether"), "tells wear from tether best"),
+        (("without wear", "wear"), "confirms wear best"),
+        (("no effect", "wear"), "would show wear best"),
+    ],
+)
+def test_what_a_push_is_for_is_said_in_words(between: tuple[str, str], aim: str) -> None:
+    assert SeparatingPush(cast(Any, None), between, 10.0).aim == aim
 
 
 def test_unknown_effect_and_no_push_are_refused() -> None:

@@ -53,6 +53,23 @@ def test_push_made_before_tells_less_than_others(seed: int) -> None:
     assert again.error_after > np.median([v.error_after for v in new])
 
 
+def test_planned_pusher_keeps_its_acceleration_and_goes_as_far() -> None:
+    at_once, ramped = (
+        candidate_pushes(SHAPE, np.zeros(3), np.random.default_rng(0), 5, SETTINGS, acceleration=acceleration)
+        for acceleration in (np.inf, 2.0)
+    )
+    for one, other in zip(at_once, ramped, strict=True):
+        np.testing.assert_allclose(other.pusher.position[[0, -1]], one.pusher.position[[0, -1]], atol=1e-12)
+        assert other.plan is not None
+        velocity = np.linalg.norm(np.diff(other.pusher.position, axis=0), axis=1) / np.diff(other.pusher.time)
+        assert velocity.max() == pytest.approx(other.plan.speed)
+        assert np.abs(np.diff(velocity) / np.diff(other.pusher.time)[1:]).max() < 2.0 + 1e-9
+        # As long at full speed as if it had that at once, less a ramp.
+        assert np.sum(velocity > 0.999 * other.plan.speed) * 0.01 == pytest.approx(
+            (SETTINGS.clearance + other.plan.distance) / other.plan.speed - other.plan.speed / 2.0, abs=0.021
+        )
+
+
 def test_no_push_takes_knowledge_away() -> None:
     for posterior in (prior_posterior(SHAPE), identify(random_records(hammer(1), 2, 1)).posterior):
         ranked = _rank(posterior, _candidates(10, 1))

@@ -90,12 +90,14 @@ def _show(diagnosis: Diagnosis) -> None:
     if proposal is not None and proposal.push.plan is not None:
         plan = proposal.push.plan
         console.print(
-            f"The push that tells {proposal.between[0]} from {proposal.between[1]} best: contact at ({plan.contact_point[0]:.3f}, "
+            f"The push that {proposal.aim}: contact at ({plan.contact_point[0]:.3f}, "
             f"{plan.contact_point[1]:.3f}) m, heading {plan.direction:.2f} rad, {plan.distance:.3f} m at {plan.speed:.2f} m/s, table "
             "frame. " + ("It should be enough." if proposal.settles else "It will hardly be enough by itself."),
             highlight=False,
             soft_wrap=True,
         )
+    elif diagnosis.confusable:
+        console.print("No push within the limits of a push would tell what is still open.", highlight=False)
     if diagnosis.selection is None:
         return
     first = diagnosis.selection.steps[0]

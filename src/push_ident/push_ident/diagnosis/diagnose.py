@@ -10,7 +10,7 @@ import numpy as np
 from push_ident.diagnosis.fits import EffectFit, fit_base
 from push_ident.diagnosis.gates import Gate, check_data, check_fit, check_outline
 from push_ident.diagnosis.held_out import Gap, measure_gap
-from push_ident.diagnosis.next_push import check_without_a_push, separating_push
+from push_ident.diagnosis.next_push import NO_EFFECT, check_without_a_push, separating_push, without
 from push_ident.diagnosis.residuals import Frames, group_frames, left_over
 from push_ident.diagnosis.seen import SEEN_OUTLINE, as_seen, is_off, with_camera_in_question
 from push_ident.diagnosis.selection import Selection, select_effects
@@ -241,13 +241,13 @@ def _explanations(selection: Selection, thresholds: Thresholds) -> dict[str, Eff
     """What a push should tell apart, by name: first what may be there in place of the last effect, then of one before it."""
     if not selection.found:
         first = selection.steps[0] if selection.steps else None
-        return {"no effect": selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
+        return {NO_EFFECT: selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
     rivals = [rival for rival in selection.open_rivals(thresholds) if {rival.of, rival.name} not in _SAME]
     if rivals:
         return {rivals[0].of: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.of == rivals[0].of}}
     # Where nothing is open, the push that would show the last effect most clearly confirms it.
     step, last = list(selection.added.values())[-1]
-    return {f"without {last.name}": step.before, last.name: selection.fit}
+    return {without(last.name): step.before, last.name: selection.fit}
 
 
 def _verdict(effects: Sequence[FoundEffect], doubts: dict[str, tuple[str, ...]]) -> Verdict:

@@ -10,22 +10,27 @@ import numpy as np
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.parallel import side_by_side
 from push_ident.errors import PlanningError
-from push_ident.identification.next_push import PlannedPush, candidate_pushes
+from push_ident.identification.next_push import PlannedPush, candidate_pushes, imagine_push
+from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import Mechanics
 from push_ident.physics.effect_values import seen_poses, true_pose
 from push_ident.physics.simulation import SimulationSettings
-from push_ident.pushing.push import PushSettings
+from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["SeparatingPush", "check_without_a_push", "separating_push"]
+__all__ = ["NO_EFFECT", "SeparatingPush", "check_without_a_push", "separating_push", "without"]
+
+NO_EFFECT = "no effect"
+"""Name of the explanation that nothing is left out."""
 
 _N_CANDIDATES = 120
 _SPEEDS = (0.04, 0.12, 0.25)
 """Speeds that candidates are spread over [m/s]: some effects differ by their speed alone."""
-_N_FRAMES = 12
-_POSE = np.array([1e-3, 1e-3, np.radians(0.5)])
-"""Deviation of an observed pose that is expected [m, m, rad]."""
+_ANYWHERE = np.array([0.01, 0.01, 0.1]) ** 2
+"""Variance of the first pose apart from where it is seen [m^2, m^2, rad^2]: a fit may put it anywhere."""
 
+_TELLS = 1.0
+"""Squared distance from which a push is worth making: two explanations that no push sets further apart are the same to this cell."""
 _SETTLES = 9.0
 """Squared distance of predictions, in units of what would be seen, that is rarely mistaken."""
 
@@ -64,9 +69,22 @@ class SeparatingPush:
     """Squared distance of their predictions in units of what would be seen."""
 
     @property
+    def aim(self) -> str:
+        """What it does, to go on with after "the push that"."""
+        first, second = self.between
+        if first == NO_EFFECT:
+            return f"would show {second} best"
+        return f"confirms {second} best" if first == without(second) else f"tells {first} from {second} best"
+
+    @property
     def settles(self) -> bool:
         """Whether one such push can be expected to be enough."""
         return self.distance2 >= _SETTLES
+
+
+def without(name: str) -> str:
+    """Name of the explanation that an effect that was found is not there."""
+    return f"without {name}"
 
 
 def check_without_a_push(names: Sequence[str]) -> str:
@@ -83,33 +101,39 @@ def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: Pu
         settings: limits and ranges of pushes.
 
     Returns:
-        None where no push is safe, or none would tell anything.
+        None where no push is safe, or none of them would tell anything that noise does not hide.
     """
     rng = np.random.default_rng(0)
     shape = next(iter(fits.values())).parameters.shape
     speeds = [min(speed, settings.max_speed) for speed in _SPEEDS]
     spread = [replace(settings, speed_range=(speed, speed)) for speed in speeds]
     try:
-        candidates = [push for own in spread for push in candidate_pushes(shape, pose, rng, _N_CANDIDATES // len(spread), own)]
+        # Lag and latency differ by the ramps alone.
+        candidates = [
+            push
+            for own in spread
+            for push in candidate_pushes(shape, pose, rng, _N_CANDIDATES // len(spread), own, acceleration=PUSH_ACCELERATION)
+        ]
     except PlanningError:
         return None
     names = list(fits)
     models = {name: _Predictor.of(fit) for name, fit in fits.items()}
-    outcomes = side_by_side(lambda push: {name: _outcome(models[name], push) for name in names}, candidates)
+    noise = next(iter(fits.values())).problem.noise
+    outcomes = side_by_side(lambda push: _outcomes(models, push, noise), candidates)
     best: SeparatingPush | None = None
     for push, seen in zip(candidates, outcomes, strict=True):
         pairs = [
-            (_distance2(seen[a], seen[b]), (a, b))  # type: ignore[arg-type]
+            (_distance2(one, other), (a, b))
             for i, a in enumerate(names)
             for b in names[i + 1 :]
-            if seen[a] is not None and seen[b] is not None
+            if (one := seen[a]) is not None and (other := seen[b]) is not None
         ]
         if not pairs:
             continue
         hardest, pair = min(pairs)
         if best is None or hardest > best.distance2:
             best = SeparatingPush(push, pair, hardest)
-    return best
+    return best if best is not None and best.distance2 >= _TELLS else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,23 +151,41 @@ class _Predictor:
         return cls(fit.parameters.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
 
 
-def _outcome(model: _Predictor, push: PlannedPush) -> tuple[Float64Array, Float64Array] | None:
-    """Predicted poses, shape (n_frames, 3), and their covariance by the uncertainty of the fit, all frames together."""
-    pusher, mechanics = push.pusher, model.mechanics
-    time = np.linspace(pusher.time[0], pusher.time[-1], _N_FRAMES)
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What an explanation expects to be seen of a push."""
+
+    frames: Float64Array
+    """Poses in deviations of what is seen, shape (3 n_frames,)."""
+    covariance: Float64Array
+    """Of them by what the fit does not know, and by where the object lay, shape (3 n_frames, 3 n_frames)."""
+
+
+def _outcomes(models: dict[str, _Predictor], push: PlannedPush, noise: NoiseModel | None) -> dict[str, _Outcome | None]:
+    """What each explanation expects to be seen of a push, at the frames that would be seen if the first one were true."""
+    first = next(iter(models.values()))
+    start = true_pose(first.mechanics.effects, push.pose_object_in_table)
+    record, _ = imagine_push(first.mechanics, push, start, settings=first.settings, order=first.order)
+    seen = observe_push(record, noise) if record is not None else None
+    return {name: _outcome(model, push, seen) if seen is not None else None for name, model in models.items()}
+
+
+def _outcome(model: _Predictor, push: PlannedPush, seen: Observation) -> _Outcome | None:
+    mechanics = model.mechanics
     # The object lies where it is reported: with a camera that is off, elsewhere.
     start = true_pose(mechanics.effects, push.pose_object_in_table)
-    motion = mechanics.simulate(pusher, start, time, settings=model.settings, order=model.order, jacobian=True)
+    motion = mechanics.simulate(push.pusher, start, seen.time, settings=model.settings, order=model.order, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
     _, by_pose, by_value = seen_poses(mechanics.effects, start[None])
     derivative = mechanics.derivative.copy()
     derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
-    rows = (motion.jacobian @ derivative).reshape(3 * _N_FRAMES, -1)
-    return motion.pose, np.asarray(rows @ model.covariance @ rows.T)
+    whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian).reshape(3 * len(seen.time), -1)
+    by_first, rows = whitened[:, :3], whitened @ derivative
+    covariance = rows @ model.covariance @ rows.T + (by_first * _ANYWHERE) @ by_first.T
+    return _Outcome(np.einsum("fij,fj->fi", seen.whitening, motion.pose).ravel(), covariance)
 
 
-def _distance2(a: tuple[Float64Array, Float64Array], b: tuple[Float64Array, Float64Array]) -> float:
-    off = (a[0] - b[0]).ravel()
-    noise = np.diag(np.tile(_POSE**2, _N_FRAMES))
-    return float(off @ np.linalg.solve(0.5 * (a[1] + b[1]) + noise, off))
+def _distance2(a: _Outcome, b: _Outcome) -> float:
+    off = a.frames - b.frames
+    return float(off @ np.linalg.solve(0.5 * (a.covariance + b.covariance) + np.eye(len(off)), off))

@@ -27,7 +27,7 @@ from scipy.linalg import solve_triangular
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import MapParameters
+from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.simulation import SimulationSettings
@@ -35,7 +35,10 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
 
-__all__ = ["Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "candidate_pushes", "rank_pushes", "reference_pushes"]
+__all__ = [
+    "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "candidate_pushes", "imagine_push", "rank_pushes",
+    "reference_pushes",
+]  # fmt: skip
 
 _SAMPLING = 100.0  # of planned pusher paths [Hz]
 _CHATTER = 10.0
@@ -118,6 +121,7 @@ def candidate_pushes(
     obstacles: Sequence[Float64Array] = (),
     *,
     rest: float = 0.5,
+    acceleration: float = np.inf,
 ) -> list[PlannedPush]:
     """Random safe pushes of an object where it lies now.
 
@@ -129,13 +133,15 @@ def candidate_pushes(
         settings: limits and ranges of the pushes.
         obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
         rest: the pusher stands still so long before and after the push [s].
+        acceleration: of the pusher at both ends of its way [m/s^2]; by default it has its speed at once, which is as good where only
+            friction decides.
 
     Raises:
         PlanningError: UNREACHABLE where no push is safe.
     """
     pose = np.array(pose_object_in_table, dtype=np.float64)
     plans = [sample_push(shape, pose, rng, settings, obstacles) for _ in range(n)]
-    return [PlannedPush(pose, _pusher_path(plan, settings, rest), plan) for plan in plans]
+    return [PlannedPush(pose, _pusher_path(plan, settings, rest, acceleration), plan) for plan in plans]
 
 
 def reference_pushes(shape: ObjectShape, rng: np.random.Generator, n: int, settings: PushSettings | None = None) -> list[PlannedPush]:
@@ -198,6 +204,34 @@ def rank_pushes(
     )
 
 
+def imagine_push(
+    mechanics: Mechanics,
+    push: PlannedPush,
+    first: Float64Array | None = None,
+    *,
+    sensor: PoseSensor | None = None,
+    settings: SimulationSettings | None = None,
+    order: float = 0.0,
+) -> tuple[PushRecord | None, SolveStatus]:
+    """The push as it would be recorded without noise if a model were true; no record where there would be nothing to see.
+
+    Args:
+        mechanics: the model.
+        push: what is made.
+        first: true pose of the object before it, shape (3,), where that is not the one it was planned for.
+        sensor: how it would be seen.
+        settings: numerics.
+        order: how many pushes went before.
+    """
+    pusher, sensor = push.pusher, sensor or PoseSensor()
+    time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
+    motion = mechanics.simulate(pusher, push.pose_object_in_table if first is None else first, time, settings=settings, order=order)
+    if motion.status is not SolveStatus.CONVERGED:
+        return None, motion.status
+    poses = PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3)))
+    return PushRecord("", mechanics.shape, poses, pusher), motion.status
+
+
 @dataclass(frozen=True, slots=True)
 class _Guess:
     """An object that may be the true one, and how predictions depend on the unknowns there."""
@@ -224,7 +258,7 @@ def _value(
     """Expected outcome of one push."""
     identity = np.eye(len(scale))
     roots: list[Float64Array] = [identity] * len(guesses)
-    record, status = _imagined(posterior, push, sensor, settings)
+    record, status = imagine_push(posterior.parameters.mechanics(posterior.z), push, sensor=sensor, settings=settings)
     if record is not None:
         seen = observe_push(record, noise)
         told = [_sensitivity(posterior.parameters, guess.z, push, seen, settings) @ scale for guess in guesses]
@@ -237,20 +271,6 @@ def _value(
         information=float(np.mean([max(0.0, np.sum(np.log(np.diag(root)))) for root in roots])),
         covariance=at_mean.T @ at_mean,
     )
-
-
-def _imagined(
-    posterior: ModelPosterior, push: PlannedPush, sensor: PoseSensor, settings: SimulationSettings
-) -> tuple[PushRecord | None, SolveStatus]:
-    """The push as it would be recorded if the mean model were true; no record where there would be nothing to see."""
-    parameters, pusher = posterior.parameters, push.pusher
-    mechanics = parameters.mechanics(posterior.z)
-    time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
-    motion = mechanics.simulate(pusher, push.pose_object_in_table, time, settings=settings)
-    if motion.status is not SolveStatus.CONVERGED:
-        return None, motion.status
-    poses = PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3)))
-    return PushRecord("", parameters.shape, poses, pusher), motion.status
 
 
 def _sensitivity(
@@ -313,9 +333,17 @@ def _square_root(covariance: Float64Array) -> Float64Array:
     return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
 
 
-def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float) -> PusherPath:
-    """Stand, drive straight at constant speed through the contact to the end, stand."""
+def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float, acceleration: float) -> PusherPath:
+    """Stand, drive straight through the contact to the end, stand."""
     length = settings.clearance + plan.distance
-    time = np.arange(0.0, length / plan.speed + 2 * rest, 1.0 / _SAMPLING)
-    way = np.clip((time - rest) * plan.speed, 0.0, length)
+    speed = min(plan.speed, float(np.sqrt(acceleration * length)))
+    ramp = speed / acceleration
+    end = length / speed + ramp
+    time = np.arange(0.0, end + 2 * rest, 1.0 / _SAMPLING)
+    since, left = np.clip(time - rest, 0.0, end), np.clip(rest + end - time, 0.0, end)
+    # At constant speed from the middle of the first ramp to that of the last, but for what is still missing within them.
+    way = np.clip(speed * (since - 0.5 * ramp), 0.0, length)
+    if ramp > 0:
+        way = np.where(since < ramp, 0.5 * acceleration * since**2, way)
+        way = np.where(left < ramp, length - 0.5 * acceleration * left**2, way)
     return PusherPath(time, plan.tool_start(settings.clearance) + way[:, None] * plan.heading, settings.pusher_radius)

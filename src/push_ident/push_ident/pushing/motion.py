@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
-from push_ident.pushing.push import PushCode, PushPlan2D
+from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
 from push_ident.types import Float64Array
 
@@ -47,7 +47,7 @@ class MotionSettings:
     """Lowest the tip may dip during a free move [m]: above every object."""
     free_speed: float = 0.25
     """Tool speed going up and down [m/s]."""
-    acceleration: float = 2.0
+    acceleration: float = PUSH_ACCELERATION
     """Tool acceleration at both ends of the push, and most of all other straight moves [m/s^2]."""
     settle: float = 0.3
     """Pause with the tool lowered, before the push [s]."""

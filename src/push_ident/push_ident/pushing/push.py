@@ -10,7 +10,10 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
-__all__ = ["PushCode", "PushPlan2D", "PushSettings"]
+__all__ = ["PUSH_ACCELERATION", "PushCode", "PushPlan2D", "PushSettings"]
+
+PUSH_ACCELERATION = 2.0
+"""Of the tool at both ends of a push, unless an arm is told otherwise [m/s^2]."""
 
 
 class PushCode(IntEnum):

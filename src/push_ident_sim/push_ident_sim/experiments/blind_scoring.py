@@ -15,7 +15,7 @@ from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.scores import Information
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.verdict import Diagnosis, Verdict
+from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
@@ -123,7 +123,7 @@ def _is_open(found: Diagnosis) -> bool:
 
 def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, ask: Ask) -> Json:
     """Make the pushes that the diagnosis asks for until nothing is left open."""
-    n_asked = 0
+    n_asked, expected = 0, found.next_push is not None and found.next_push.settles
     while _is_open(found) and n_asked < _MOST_ASKED and found.next_push is not None:
         more = ask(found.next_push.push, len(records))
         if more is None:
@@ -133,10 +133,11 @@ def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSett
         n_asked += 1
     return {
         "n": n_asked,
+        "expected": expected,
         "verdict": found.verdict.value,
         "named": [effect.name for effect in found.effects],
         "confusable": list(found.confusable),
-        "settled": found.verdict is Verdict.NAMED and not _is_open(found),
+        "settled": len(found.effects) == 1 and not _is_open(found),
     }
 
 

@@ -140,6 +140,7 @@ def figures(cases: Sequence[Judged]) -> Json:
     shrunk = [c for c in (*seen, *both_seen) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]
     shrinks = [(c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"]) for c in shrunk]
     sized = [s for c in seen if c.right for s in _size_errors(c)]
+    ties = [c for c in seen if "asked" in c.values]
     tuned = [c.values["baselines"]["tuned_gap"]["shrink"] for c in shrunk]
     return {
         "false_alarms": _share(nulls, lambda c: c.verdict not in ("no_gap", "not_trustworthy")),
@@ -151,8 +152,10 @@ def figures(cases: Sequence[Judged]) -> Json:
         "wrong_names_detectable": _share(seen, lambda c: c.wrong),
         "in_set": _share([c for c in seen if c.set], lambda c: c.truth[0] in c.set),
         "set_size": _statistic([len(c.set) for c in seen if c.set], np.mean),
-        "ties_settled": _share([c for c in seen if "asked" in c.values], _settled_rightly),
-        "ties_asked": _statistic([c.values["asked"]["n"] for c in seen if "asked" in c.values], np.mean),
+        "ties_settled": _share(ties, _settled_rightly),
+        "ties_settled_as_expected": _share([c for c in ties if c.values["asked"].get("expected", False)], _settled_rightly),
+        "ties_beyond_pushes": _share(ties, lambda c: c.values["asked"]["n"] == 0),
+        "ties_asked": _statistic([c.values["asked"]["n"] for c in ties], np.mean),
         "silent_undetectable": _share(below, lambda c: c.verdict == "no_gap"),
         "wrong_undetectable": _share(below, lambda c: c.wrong),
         "pairs_both": _share(both_seen, lambda c: set(c.truth) <= set(c.named)),

@@ -99,7 +99,7 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
     )
     return {
         "figure": svg(draw_proposal(proposal, diagnosis.selection.base.parameters.shape)),
-        "between": proposal.between,
+        "aim": proposal.aim,
         "x": x,
         "y": y,
         "heading": float(np.degrees(plan.direction)),
