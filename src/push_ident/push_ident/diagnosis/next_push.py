@@ -10,13 +10,13 @@ import numpy as np
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.parallel import side_by_side
 from push_ident.errors import PlanningError
-from push_ident.identification.next_push import PlannedPush, candidate_pushes, imagine_push
+from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import Mechanics
 from push_ident.physics.effect_values import seen_poses, true_pose
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.types import Float64Array, PoseTrack, SolveStatus
 
 __all__ = ["NO_EFFECT", "SeparatingPush", "check_without_a_push", "separating_push", "without"]
 
@@ -118,8 +118,9 @@ def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: Pu
         return None
     names = list(fits)
     models = {name: _Predictor.of(fit) for name, fit in fits.items()}
-    noise = next(iter(fits.values())).problem.noise
-    outcomes = side_by_side(lambda push: _outcomes(models, push, noise), candidates)
+    problem = next(iter(fits.values())).problem
+    sensor = _sensor(problem.records[-1].poses)
+    outcomes = side_by_side(lambda push: _outcomes(models, push, sensor, problem.noise), candidates)
     best: SeparatingPush | None = None
     for push, seen in zip(candidates, outcomes, strict=True):
         pairs = [
@@ -161,11 +162,17 @@ class _Outcome:
     """Of them by what the fit does not know, and by where the object lay, shape (3 n_frames, 3 n_frames)."""
 
 
-def _outcomes(models: dict[str, _Predictor], push: PlannedPush, noise: NoiseModel | None) -> dict[str, _Outcome | None]:
+def _sensor(poses: PoseTrack) -> PoseSensor:
+    """Sees as often and as well as the poses were seen."""
+    apart = float(np.median(np.diff(poses.time)))
+    return PoseSensor(rate=1.0 / max(apart, 1e-3), covariance=np.mean(poses.covariance, axis=0))
+
+
+def _outcomes(models: dict[str, _Predictor], push: PlannedPush, sensor: PoseSensor, noise: NoiseModel | None) -> dict[str, _Outcome | None]:
     """What each explanation expects to be seen of a push, at the frames that would be seen if the first one were true."""
     first = next(iter(models.values()))
     start = true_pose(first.mechanics.effects, push.pose_object_in_table)
-    record, _ = imagine_push(first.mechanics, push, start, settings=first.settings, order=first.order)
+    record, _ = imagine_push(first.mechanics, push, start, sensor=sensor, settings=first.settings, order=first.order)
     seen = observe_push(record, noise) if record is not None else None
     return {name: _outcome(model, push, seen) if seen is not None else None for name, model in models.items()}
 
