@@ -18,7 +18,7 @@ from push_ident.diagnosis.fits import EffectFit, fit_base, fit_effects, fit_effe
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import SeparatingPush, separating_push
 from push_ident.diagnosis.report import write_report
-from push_ident.diagnosis.residuals import Frames, Group, _noise_of
+from push_ident.diagnosis.residuals import Frames, Group, _noise_of, correlation_in_motion
 from push_ident.diagnosis.scores import EffectScore, Information
 from push_ident.diagnosis.selection import Candidate, Rival, Selection, Step, _needed, _worth_refitting, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
@@ -158,16 +158,38 @@ def test_poses_that_jump_and_come_back_are_not_trusted() -> None:
     assert "jump away" in found.sentence
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5])
-def test_correlation_of_noise_is_measured_at_rest_and_makes_means_worth_less(rho: float) -> None:
-    rng = np.random.default_rng(2)
-    records = []
-    for record in _pushes(14, 1):
+def _with_lasting_noise(records: list[PushRecord], rho: float, seed: int) -> list[PushRecord]:
+    """Noise of twice the deviation added, whose errors correlate from frame to frame."""
+    rng = np.random.default_rng(seed)
+    noisy = []
+    for record in records:
         noise = rng.normal(size=record.poses.pose.shape)
         for k in range(1, len(noise)):
             noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
         track = PoseTrack(record.poses.time, record.poses.pose + 2.0 * DEVIATION * noise, 5.0 * record.poses.covariance)
-        records.append(replace(record, poses=track))
+        noisy.append(replace(record, poses=track))
+    return noisy
+
+
+@pytest.mark.parametrize(("rho", "effects", "names"), [(0.6, None, []), (0.0, {"table_tilt": [0.03, 0.0]}, ["table_tilt"])])
+def test_noise_that_lasts_is_nothing_where_rests_are_too_short_to_tell_and_an_effect_is(
+    rho: float, effects: dict[str, list[float]] | None, names: list[str]
+) -> None:
+    records = []
+    for record in _with_lasting_noise(_pushes(8, 1, effects), rho, 1):
+        poses, driven = record.poses, record.pusher.time[np.abs(np.gradient(record.pusher.position, axis=0)).sum(axis=1) > 1e-9]
+        kept = (poses.time > driven[0] - 0.1) & (poses.time < driven[-1] + 0.25)
+        records.append(replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept])))
+    assert np.isnan(noise_correlation(records, enough_pairs=80))
+    # A fifth of the noise is white: neighbours correlate by 0.8 rho.
+    assert correlation_in_motion(fit_base(records, DiagnosisSettings())) == pytest.approx(0.8 * rho, abs=0.15)
+    found = diagnose(records)
+    assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_correlation_of_noise_is_measured_at_rest_and_makes_means_worth_less(rho: float) -> None:
+    records = _with_lasting_noise(_pushes(14, 1), rho, 2)
     measured = noise_correlation(records)
     assert measured == pytest.approx(rho, abs=0.2)
     told, naive = (observe_push(records[0], noise) for noise in (NoiseModel(correlation=max(measured, 0.0)), NoiseModel()))
@@ -412,11 +434,11 @@ def test_noise_does_not_last_from_frame_to_frame_and_what_is_unexplained_does() 
     lasting, by_chance = _frames(noise + 0.8 * slow).persistence
     assert lasting == pytest.approx(0.8**2 * float(np.mean(slow**2)), abs=0.1) and by_chance == 0.0
     right, lasts, off = _frames(noise), _frames(0.8 * noise + 0.6 * slow), _frames(1.2 * noise)
-    assert not _is_more_there(right, right, Thresholds(), is_seen=False)
-    assert _is_more_there(right, lasts, Thresholds(), is_seen=False) and _is_more_there(right, off, Thresholds(), is_seen=False)
+    assert not _is_more_there(right, right, Thresholds(), noise_is_known=True)
+    assert _is_more_there(right, lasts, Thresholds(), noise_is_known=True) and _is_more_there(right, off, Thresholds(), noise_is_known=True)
     # What a camera is off by depends on the pose and lasts; what stays of a strong effect may be in its law.
-    assert not _is_more_there(right, lasts, Thresholds(), is_seen=True)
-    assert not _is_more_there(_frames(5.0 * noise), lasts, Thresholds(), is_seen=False)
+    assert not _is_more_there(right, lasts, Thresholds(), noise_is_known=False)
+    assert not _is_more_there(_frames(5.0 * noise), lasts, Thresholds(), noise_is_known=True)
     # Of two frames a push the second is the rest that ends it.
     assert _frames(noise[:, :2]).persistence == (0.0, 1.0)
 

@@ -11,7 +11,7 @@ from push_ident.diagnosis.fits import EffectFit, fit_base
 from push_ident.diagnosis.gates import Gate, check_data, check_fit, check_outline
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import NO_EFFECT, check_without_a_push, separating_push, without
-from push_ident.diagnosis.residuals import Frames, group_frames, left_over
+from push_ident.diagnosis.residuals import Frames, correlation_in_motion, group_frames, left_over
 from push_ident.diagnosis.seen import SEEN_OUTLINE, as_seen, is_off, with_camera_in_question
 from push_ident.diagnosis.selection import Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
@@ -30,6 +30,8 @@ Progress = Callable[[str], None]
 
 _SAME = ({"tool_offset", "camera_translation"},)
 """Effects that no push can tell apart."""
+_ENOUGH_PAIRS = 80
+"""Pairs of neighbouring frames at rest from which the correlation of their errors is known to a tenth."""
 _CHANCE = 0.005
 """Probability below which residuals are not those of a model that is right."""
 
@@ -68,10 +70,11 @@ def diagnose(
     correlation = noise_correlation(records)
     if correlation > settings.noise.correlation:
         settings = replace(settings, noise=replace(settings.noise, correlation=correlation))
-    selection, found = _explain(pushes, settings, report)
+    rests_tell = bool(np.isfinite(noise_correlation(records, enough_pairs=_ENOUGH_PAIRS)))
+    selection, found = _explain(pushes, settings, report, rests_tell=rests_tell)
     if selection is not None and is_seen and is_off(selection.fit, asked):
         report("the camera is less accurate than it should be: looking again")
-        selection, found = _explain(pushes, with_camera_in_question(settings, asked), report)
+        selection, found = _explain(pushes, with_camera_in_question(settings, asked), report, rests_tell=rests_tell)
     gates += found
     if selection is None:
         return _untrusted(gates)
@@ -79,7 +82,9 @@ def diagnose(
     report("looking for what the catalogue leaves over")
     thresholds, frames = settings.thresholds, left_over(base)
     rest, unknown = frames if selection.fit is base else left_over(selection.fit), find_unknown(selection)
-    is_unknown = _is_more_there(frames, rest, thresholds, is_seen=is_seen)
+    # Errors of perceived poses depend on the pose, and last; so may those of others, where too few frames at rest tell.
+    noise_is_known = rests_tell and not is_seen
+    is_unknown = _is_more_there(frames, rest, thresholds, noise_is_known=noise_is_known)
     # What makes pushes held out worse is not believed, be it a wrench or a law.
     wrench = gap = lone = None
     if unknown is not None and unknown.gain > thresholds.unknown and (is_unknown or _explains_more(unknown, selection, thresholds)):
@@ -93,7 +98,7 @@ def diagnose(
         believed, lone = (Selection(base, base, selection.steps), None) if _vetoed(gap) else _borne_out(selection, gap, thresholds)
         if believed is not selection:
             rest = left_over(believed.fit)
-            is_unknown |= lone is not None and _is_more_there(frames, rest, thresholds, is_seen=is_seen)
+            is_unknown |= lone is not None and _is_more_there(frames, rest, thresholds, noise_is_known=noise_is_known)
             selection = Selection(base, base, selection.steps) if is_unknown else believed
             gap = measure_gap(base, selection.fit, report, between=selection.stages)
     effects = _found(selection, gap)
@@ -129,10 +134,17 @@ def diagnose(
     )
 
 
-def _explain(pushes: Sequence[PushRecord], settings: DiagnosisSettings, report: Progress) -> tuple[Selection | None, list[Gate]]:
-    """The base model and what to add to it; None where a gate is not passed."""
+def _explain(
+    pushes: Sequence[PushRecord], settings: DiagnosisSettings, report: Progress, *, rests_tell: bool
+) -> tuple[Selection | None, list[Gate]]:
+    """The base model and what to add to it; None where a gate is not passed.
+
+    Where frames at rest do not tell how errors of the poses last, those of the motions have to.
+    """
     report("fitting the base model")
     base = fit_base(pushes, settings)
+    if not rests_tell and (correlation := correlation_in_motion(base)) > settings.noise.correlation:
+        base = fit_base(pushes, replace(settings, noise=replace(settings.noise, correlation=correlation)))
     gates = check_fit(base)
     if not all(gate.passed for gate in gates):
         return None, gates
@@ -150,20 +162,20 @@ def _untrusted(gates: list[Gate]) -> Diagnosis:
     )  # fmt: skip
 
 
-def _is_more_there(base: Frames, rest: Frames, thresholds: Thresholds, *, is_seen: bool) -> bool:
+def _is_more_there(base: Frames, rest: Frames, thresholds: Thresholds, *, noise_is_known: bool) -> bool:
     """Whether what was named leaves more of the frames than noise does, or what goes on from frame to frame.
 
     Args:
         base: what the base model leaves.
         rest: what is left beside all that was named.
         thresholds: what counts.
-        is_seen: a camera perceived the object, whose errors depend on the pose: they last from frame to frame.
+        noise_is_known: how far errors of the poses last from frame to frame is known; else what lasts may be just these.
     """
     beyond = max(base.misfit[0] - 1.0, 0.0)
     (leftover, by_chance), (lasting, lasts_by_chance) = rest.misfit, rest.persistence
     if leftover > max(thresholds.leftover, 1.0 + thresholds.leftover_share * beyond) and by_chance < _CHANCE:
         return True
-    return not is_seen and lasting > thresholds.lasting + thresholds.lasting_share * beyond and lasts_by_chance < _CHANCE
+    return noise_is_known and lasting > thresholds.lasting + thresholds.lasting_share * beyond and lasts_by_chance < _CHANCE
 
 
 def _explains_more(unknown: SmoothWrench, selection: Selection, thresholds: Thresholds) -> bool:

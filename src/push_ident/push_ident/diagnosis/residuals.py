@@ -19,12 +19,14 @@ from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observation import Observation
 from push_ident.types import Float64Array
 
-__all__ = ["Frames", "Group", "group_frames", "left_over"]
+__all__ = ["Frames", "Group", "correlation_in_motion", "group_frames", "left_over"]
 
 _N_SECTORS = 8
 _N_DRAWS = 400
 _STILL = 0.01
 """Slower than this an object counts as resting [m/s]."""
+_ENOUGH_DIFFERENCES = 40
+"""Of frames of a motion, from which the correlation of their errors is told."""
 _DEGREES = ("along", "across", "rotation")
 
 
@@ -174,6 +176,29 @@ def _noise_of(seen: Observation, rng: np.random.Generator) -> Float64Array:
             motion[:, frame] = rho * motion[:, frame - 1] + np.sqrt(1.0 - rho**2) * motion[:, frame]
         motion *= np.sqrt((1.0 - rho) / (1.0 + rho))
     return noise
+
+
+def correlation_in_motion(fit: EffectFit) -> float:
+    """Correlation of the errors of one frame and the next, from what a fit leaves of the motions: for pushes with hardly a frame at rest.
+
+    Over one frame a first-order autoregressive error differs by a variance 2 s^2 (1 - rho), over two by 2 s^2 (1 - rho^2). What an effect
+    leaves goes on smoothly and adds little to either; it makes the correlation come out too large rather than too small.
+
+    Returns:
+        At least 0; 0 where there are too few frames.
+    """
+    problem = fit.problem
+    over_one, over_two, strides = [], [], []
+    for push, (record, seen, motion) in enumerate(zip(problem.records, problem.observations, problem.simulate(fit.x), strict=True)):
+        left = problem.residual(motion, push)[1:-1]
+        if len(left) > 2:
+            over_one.append(np.diff(left, axis=0))
+            over_two.append(left[2:] - left[:-2])
+            strides.append(float(np.median(np.diff(seen.time[1:-1])) / np.median(np.diff(record.poses.time))))
+    if sum(map(len, over_two)) < _ENOUGH_DIFFERENCES:
+        return 0.0
+    ratio = float(np.mean(np.vstack(over_two) ** 2) / np.mean(np.vstack(over_one) ** 2))
+    return min(max(ratio - 1.0, 0.0), 1.0) ** (1.0 / float(np.mean(strides)))
 
 
 def group_frames(frames: Frames) -> dict[str, list[Group]]:

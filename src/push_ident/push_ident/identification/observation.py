@@ -111,8 +111,8 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, neighbours)
 
 
-def noise_correlation(records: Sequence[PushRecord]) -> float:
-    """Correlation of the errors of one frame and the next, from the frames at rest; NaN where they are too few.
+def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENOUGH_PAIRS) -> float:
+    """Correlation of the errors of one frame and the next, from the frames at rest; NaN where these make less than `enough_pairs`.
 
     For neighbours in time, of a first-order autoregressive error; the mean of each rest, which takes a part of it, is allowed for
     (Marriott & Pope, Bias in the estimation of autocorrelations, Biometrika 41, 1954).
@@ -129,7 +129,7 @@ def noise_correlation(records: Sequence[PushRecord]) -> float:
             products += float(np.sum(off[1:] * off[:-1]))
             squares += float(np.sum(off**2))
             n_pairs, n_frames, n_rests = n_pairs + max(len(off) - 1, 0), n_frames + len(off), n_rests + 1
-    if n_pairs < _ENOUGH_PAIRS or squares <= 0.0:
+    if n_pairs < enough_pairs or squares <= 0.0:
         return float("nan")
     length = n_frames / n_rests
     raw = products / n_pairs / (squares / n_frames)
