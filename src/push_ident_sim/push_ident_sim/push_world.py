@@ -29,6 +29,8 @@ _SWINGING_STEPS = 30
 """Time steps for which an object on springs must stand still to count as at rest: it may only be turning back."""
 _SETTLING_STEPS = 10
 """After the object was put down, so that every foot bears its load."""
+_ASIDE = np.array([10.0, 10.0])
+"""Far from any object [m]."""
 
 
 class PushWorld:
@@ -117,8 +119,12 @@ class PushWorld:
         """
         step = self.time_step
         start = self._begin(path.position[0])
-        self._place_pusher(start)
+        # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
+        # counts as a deep one, and shoots the object away. Bodies far apart have none.
+        self._place_pusher(start + _ASIDE)
         self._object.place(checked_pose(pose_object_in_table))
+        self._client.performCollisionDetection()
+        self._place_pusher(start)
         for _ in range(_SETTLING_STEPS):
             self._step(start, np.zeros(2))
         # Settling may creep by micrometres.
