@@ -474,7 +474,9 @@ def test_no_push_is_expected_to_tell_a_tool_from_a_camera_that_is_off() -> None:
     limits = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0))
     twins = separating_push(fits, np.zeros(3), limits)
     other = separating_push({"nothing": base, "tool_offset": fits["tool_offset"]}, np.zeros(3), limits)
-    assert twins is None and other is not None and other.distance2 > 1.0
+    assert twins is None and other is not None and other.distance2 > 9.0 and other.settles
+    three = separating_push({"nothing": base, **fits}, np.zeros(3), limits)
+    assert three is not None and "nothing" in three.between and three.distance2 > 9.0 and not three.settles
 
 
 @pytest.mark.parametrize(
@@ -486,7 +488,7 @@ def test_no_push_is_expected_to_tell_a_tool_from_a_camera_that_is_off() -> None:
     ],
 )
 def test_what_a_push_is_for_is_said_in_words(between: tuple[str, str], aim: str) -> None:
-    assert SeparatingPush(cast(Any, None), between, 10.0).aim == aim
+    assert SeparatingPush(cast(Any, None), between, 10.0, True).aim == aim
 
 
 def test_unknown_effect_and_no_push_are_refused() -> None:

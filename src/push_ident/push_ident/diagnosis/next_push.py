@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -67,6 +68,8 @@ class SeparatingPush:
     """The two explanations that it tells apart best of those that are hardest to tell apart."""
     distance2: float
     """Squared distance of their predictions in units of what would be seen."""
+    tells_all: bool
+    """False where there are explanations among them that no push tells apart."""
 
     @property
     def aim(self) -> str:
@@ -79,7 +82,7 @@ class SeparatingPush:
     @property
     def settles(self) -> bool:
         """Whether one such push can be expected to be enough."""
-        return self.distance2 >= _SETTLES
+        return self.tells_all and self.distance2 >= _SETTLES
 
 
 def without(name: str) -> str:
@@ -121,20 +124,16 @@ def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: Pu
     problem = next(iter(fits.values())).problem
     sensor = _sensor(problem.records[-1].poses)
     outcomes = side_by_side(lambda push: _outcomes(models, push, sensor, problem.noise), candidates)
-    best: SeparatingPush | None = None
-    for push, seen in zip(candidates, outcomes, strict=True):
-        pairs = [
-            (_distance2(one, other), (a, b))
-            for i, a in enumerate(names)
-            for b in names[i + 1 :]
-            if (one := seen[a]) is not None and (other := seen[b]) is not None
-        ]
-        if not pairs:
-            continue
-        hardest, pair = min(pairs)
-        if best is None or hardest > best.distance2:
-            best = SeparatingPush(push, pair, hardest)
-    return best if best is not None and best.distance2 >= _TELLS else None
+    pairs = list(combinations(names, 2))
+    distances = np.array([[_distance2(seen[a], seen[b]) for a, b in pairs] for seen in outcomes])
+    told = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= _TELLS)
+    if not len(told):
+        return None
+    # What no push tells apart does not count against any.
+    hardest = distances[:, told].min(axis=1)
+    best = int(np.argmax(hardest))
+    pair = pairs[told[int(np.argmin(distances[best, told]))]]
+    return SeparatingPush(candidates[best], pair, float(hardest[best]), len(told) == len(pairs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +192,9 @@ def _outcome(model: _Predictor, push: PlannedPush, seen: Observation) -> _Outcom
     return _Outcome(np.einsum("fij,fj->fi", seen.whitening, motion.pose).ravel(), covariance)
 
 
-def _distance2(a: _Outcome, b: _Outcome) -> float:
+def _distance2(a: _Outcome | None, b: _Outcome | None) -> float:
+    """0 where a simulation failed."""
+    if a is None or b is None:
+        return 0.0
     off = a.frames - b.frames
     return float(off @ np.linalg.solve(0.5 * (a.covariance + b.covariance) + np.eye(len(off)), off))
