@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import tempfile
+import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +32,8 @@ _FIRST: Final = 6
 _MOST: Final = 4
 """Pushes that a diagnosis may ask for."""
 _TRIES: Final = 12
+_PAUSE: Final = 2.0
+"""After a push that was refused [s]."""
 _SLOWER: Final = 2
 """Times that a push may be made at half the speed because of a limit of the arm."""
 _SETTLED: Final = ("no_gap", "named", "several")
@@ -52,9 +55,14 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         made = 0
         for attempt in range(_TRIES):
             goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=1000 * case.model + attempt)
-            made += client.execute_push(goal).error_code == PushCode.NONE
+            result = client.execute_push(goal)
+            made += result.error_code == PushCode.NONE
             if made == _FIRST:
                 break
+            if result.error_code != PushCode.NONE:
+                time.sleep(_PAUSE)  # the hand may still be closing
+        if not made:
+            raise InputError(f"None of {_TRIES} pushes was made; the last one: {result.error_text}")
         client.wait_for_map(object_id, made)
         reports = [_diagnose(client, object_id)]
         asked: list[Json] = []
