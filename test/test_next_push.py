@@ -16,6 +16,7 @@ from push_ident.identification.next_push import (
     PoseSensor,
     RankedPushes,
     candidate_pushes,
+    imagine_push,
     rank_pushes,
     reference_pushes,
 )
@@ -51,6 +52,14 @@ def test_push_made_before_tells_less_than_others(seed: int) -> None:
     assert again.information < 0.5 * before.information
     assert again.information < np.median([v.information for v in new])
     assert again.error_after > np.median([v.error_after for v in new])
+
+
+def test_sensor_slower_than_a_push_sees_both_its_ends() -> None:
+    push = _candidates(1, 0)[0]
+    mechanics = prior_posterior(SHAPE).parameters.mechanics(prior_posterior(SHAPE).z)
+    record, status = imagine_push(mechanics, push, sensor=PoseSensor(rate=0.1))
+    assert status is SolveStatus.CONVERGED and record is not None
+    np.testing.assert_array_equal(record.poses.time, push.pusher.time[[0, -1]])
 
 
 def test_planned_pusher_keeps_its_acceleration_and_goes_as_far() -> None:

@@ -225,6 +225,7 @@ def imagine_push(
     """
     pusher, sensor = push.pusher, sensor or PoseSensor()
     time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
+    time = time if len(time) > 1 else pusher.time[[0, -1]]  # slow sensors see both ends
     motion = mechanics.simulate(pusher, push.pose_object_in_table if first is None else first, time, settings=settings, order=order)
     if motion.status is not SolveStatus.CONVERGED:
         return None, motion.status
