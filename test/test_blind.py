@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.observation import observe_push
@@ -103,6 +105,14 @@ def test_push_that_is_asked_for_begins_where_the_diagnosis_says(model: int) -> N
     assert np.abs(record.poses.pose[before].mean(axis=0) - pose).max() < 0.02
     assert observe_push(record).touched
     assert make_asked_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
+
+
+def test_diagnosis_does_not_believe_what_one_push_alone_speaks_for() -> None:
+    """Nothing is in this case; one of its pushes lies at an edge of sliding, and gains 40 nat for a friction of the pusher."""
+    truth = draw_truth("hammer", 6030)
+    found = diagnose(make_records(truth, "hammer", 6030, 14, NOISE))
+    assert truth.scenario.kind == "null" and found.verdict == Verdict.NO_GAP and found.effects == ()
+    assert "Only push" in found.sentence and "which is not believed until another push does" in found.sentence
 
 
 # --- figures

@@ -285,10 +285,15 @@ def test_effect_that_one_push_alone_speaks_for_is_not_believed(
     base, lag, both = _fit(), _fit("pusher_lag"), _fit("pusher_lag", "wear")
     selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
     nothing = np.zeros(5)
-    gap = Gap(nothing, nothing, nothing, nothing[:3], np.zeros((3, 2)), ((0, 3), (1, 4), (2,)), np.array(gains))
+    gap = Gap(nothing, nothing, nothing, np.ones(3), np.zeros((3, 2)), ((0, 3), (1, 4), (2,)), np.array(gains))
     believed, found = _borne_out(selection, gap, Thresholds())
     assert believed.found == kept and (lone is None or len(believed.steps) == len(kept) + 1)
     assert (found and (found.name, found.pushes)) == lone
+    # What makes pushes held out worse is not believed, whatever it gained.
+    worse = replace(gap, log_density_gain=-np.ones(3))
+    assert _borne_out(selection, worse, Thresholds())[0].found == ()
+    neither = Selection(base, base, selection.steps[:1])
+    assert _borne_out(neither, replace(worse, gain_without=np.zeros((0, 3))), Thresholds()) == (neither, None)
 
 
 def test_gap_is_measured_at_every_stage() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from push_ident_sim.experiments import EXPERIMENTS, convergence
 from push_ident_sim.experiments.experiment import Case, CaseResult
 from push_ident_sim.experiments.measuring import curve_on_grid, error_row
 from push_ident_sim.experiments.report import write_report
+from push_ident_sim.experiments.running import RunOptions, run_experiment
 from push_ident_sim.objects import make_object
 from push_ident_sim.sources import code_digest, files_behind
 from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
@@ -193,6 +195,14 @@ def test_command_runs_resumes_and_reports(tmp_path: Path, capfd: pytest.CaptureF
     command("report", "--page", page)
     assert EXPERIMENTS["real-protocol"].tables(content["summary"]) in page.read_text()
     assert (page.parent / "experiments" / "real-protocol.png").stat().st_size > 5000
+
+
+def test_cases_of_live_nodes_run_one_at_a_time_however_many_processes_are_asked_for(folder: Path, tmp_path: Path) -> None:
+    assert EXPERIMENTS["settle"].one_at_a_time and EXPERIMENTS["live"].one_at_a_time
+    options = RunOptions(tmp_path, folder, ("toolbox",), 1, 3, ("pair-0",), jobs=2, max_seconds=1.0, truth=FEW)
+    for alone, jobs in ((True, 1), (False, 2)):
+        experiment = replace(EXPERIMENTS["real-protocol"], one_at_a_time=alone, needs_truth=False)
+        assert run_experiment(experiment, options)["machine"]["jobs"] == jobs
 
 
 def test_command_names_what_there_is() -> None:

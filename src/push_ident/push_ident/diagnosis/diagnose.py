@@ -95,7 +95,7 @@ def diagnose(
         selection = Selection(base, base, selection.steps)
     if gap is None:
         gap = measure_gap(base, selection.fit, report, between=selection.stages)
-        believed, lone = (Selection(base, base, selection.steps), None) if _vetoed(gap) else _borne_out(selection, gap, thresholds)
+        believed, lone = _borne_out(selection, gap, thresholds)
         if believed is not selection:
             rest = left_over(believed.fit)
             is_unknown |= lone is not None and _is_more_there(frames, rest, thresholds, noise_is_known=noise_is_known)
@@ -204,8 +204,13 @@ class _Lone:
 
 
 def _borne_out(selection: Selection, gap: Gap, thresholds: Thresholds) -> tuple[Selection, _Lone | None]:
-    """What pushes bear out of what was found: an effect that gains nothing without one of them came of that one, be it that something
-    happened to it, or that it lies at an edge between sticking and sliding, where a trifle decides where the object goes."""
+    """What pushes bear out of what was found: nothing where it makes those held out worse. An effect that gains nothing without one of
+    them came of that one, be it that something happened to it, or that it lies at an edge between sticking and sliding, where a trifle
+    decides where the object goes."""
+    if not selection.found:
+        return selection, None
+    if _vetoed(gap):
+        return Selection(selection.base, selection.base, selection.steps), None
     found: set[str] = set()
     fits = [*selection.stages.values(), selection.fit]
     for stage, (fit, gains) in enumerate(zip(fits, gap.gain_without, strict=True)):

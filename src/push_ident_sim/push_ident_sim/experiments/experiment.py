@@ -85,3 +85,5 @@ class Experiment:
     """Variants that are one case, of the first object and ground truth."""
     fewer: Mapping[str, int] = field(default_factory=dict)
     """Variants of which so many ground truths of each object are enough, however many are asked for."""
+    one_at_a_time: bool = False
+    """Whether its cases run by themselves, however many processes are asked for: live nodes that share their cores fall behind."""

@@ -179,4 +179,5 @@ EXPERIMENT = Experiment(
     needs_truth=False,
     stages=("geometry", "pushing", "perception", "physics", "identification", "bags", "nodes"),
     once=tuple(_MEASURES),
+    one_at_a_time=True,
 )

@@ -93,7 +93,8 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
     sealed = experiment.prepare(cases, folder) if experiment.prepare else None
     missing = [case for case in cases if not files[case].exists()]
-    with single_threads(options.jobs) as pool:
+    jobs = 1 if experiment.one_at_a_time else options.jobs
+    with single_threads(jobs) as pool:
         unmade = [
             (n, m) for n, m in models if experiment.needs_truth and not truth_file(options.truth_folder, n, m, options.truth).exists()
         ]
@@ -115,7 +116,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "models": options.n_models,
         "seed": options.seed,
         "max_seconds": options.max_seconds,
-        "machine": describe_machine(options.jobs),
+        "machine": describe_machine(jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
         "summary": {**experiment.summarise(results), **({} if sealed is None else {"sealed": sealed})},
     }

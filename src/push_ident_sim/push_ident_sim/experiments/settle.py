@@ -201,4 +201,5 @@ EXPERIMENT = Experiment(
     draw=_draw,
     needs_truth=False,
     stages=("geometry", "perception", "pushing", "physics", "identification", "diagnosis", "nodes"),
+    one_at_a_time=True,
 )
