@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,11 +21,18 @@ from push_ident.diagnosis.next_push import SeparatingPush, separating_push
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import Frames, Group, _noise_of, correlation_in_motion
 from push_ident.diagnosis.scores import EffectScore, Information
+from push_ident.diagnosis.seen import odd_pushes
 from push_ident.diagnosis.selection import Candidate, Rival, Selection, Step, _needed, _worth_refitting, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, _best_parts
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
-from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_lone, sentence_of_nothing, sentence_of_unknown
+from push_ident.diagnosis.wording import (
+    sentence_of_effects,
+    sentence_of_lone,
+    sentence_of_nothing,
+    sentence_of_odd,
+    sentence_of_unknown,
+)  # fmt: skip
 from push_ident.errors import InputError
 from push_ident.identification.budget import Meter
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
@@ -307,6 +315,46 @@ def test_gap_is_measured_at_every_stage() -> None:
     assert gap.folds == ((0,), (1,), (2,)) and measure_gap(base, base).gain_without.shape == (0, 3)
 
 
+def test_what_is_smaller_than_cells_are_known_is_not_told_however_well_it_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "DEVIATION", 0.03 * DEVIATION)
+    found = diagnose(_pushes(5, 3, {"pose_latency": [0.0015]}))
+    assert found.verdict == Verdict.NO_GAP and found.effects == ()
+    assert "(pose_latency: delta 1.48 ± " in found.sentence and found.sentence.endswith("but by too little to matter.")
+    (latency,) = found.selection.base.effects.values if found.selection else ()
+    assert latency == pytest.approx(0.0015, abs=3e-4)
+    told = diagnose(_pushes(5, 3, {"pose_latency": [0.0035]}))
+    assert "pose_latency" in {*(effect.name for effect in told.effects), *(name for names in told.doubts.values() for name in names)}
+
+
+def test_object_that_moves_before_the_pusher_seems_to_be_there_is_not_taken_for_a_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "DEVIATION", 0.03 * DEVIATION)
+    found = diagnose(_pushes(6, 3, {"tool_offset": [0.006, 0.0]}))
+    assert all(gate.passed for gate in found.gates)
+    assert {found.effects[0].name, *found.doubts[found.effects[0].name]} == {"tool_offset", "camera_translation"}
+
+
+def test_push_that_goes_its_own_way_is_set_aside_where_a_camera_traced_the_outline() -> None:
+    noise = np.random.default_rng(2).normal(size=(8, 30, 3))
+    assert odd_pushes(_frames(noise)) == ()
+    few, many = noise.copy(), noise.copy()
+    few[[2, 5]] *= 3.0
+    many[[2, 5, 6]] *= 3.0
+    assert odd_pushes(_frames(few)) == (2, 5)
+    # What so many pushes have in common is not the edge that each of them met.
+    assert odd_pushes(_frames(many)) == ()
+    assert sentence_of_odd(["push 3"]).startswith(" Push 3 goes its own way and was set aside")
+    assert sentence_of_odd(["push 3", "push 4"]).startswith(" Push 3 and push 4 go their own way and were set aside")
+
+
+def test_diagnosis_through_a_camera_does_without_the_push_that_goes_its_own_way() -> None:
+    records = [replace(record, shape=replace(record.shape, is_seen=True)) for record in _pushes(8, 1)]
+    poses = records[3].poses
+    way = np.linalg.norm(poses.pose[:, :2] - poses.pose[0, :2], axis=1)
+    turned = poses.pose + np.outer(way, [0.0, 0.15, 3.0])
+    found = diagnose([*records[:3], replace(records[3], poses=replace(poses, pose=turned)), *records[4:]])
+    assert found.verdict == Verdict.NO_GAP and " Push 3 goes its own way and was set aside" in found.sentence
+
+
 def test_sentence_points_at_the_push_that_alone_speaks_for_something() -> None:
     assert sentence_of_lone("wear", ["push 3"]) == (
         " Only push 3 speaks for wear, which is not believed until another push does: repeat that push."
@@ -423,12 +471,23 @@ def _frames(residual: Float64Array) -> Frames:
 
 def test_noise_that_lasts_is_drawn_as_large_as_its_whitening_leaves_it() -> None:
     rho, n = 0.6, 40
-    seen = SimpleNamespace(time=np.zeros(n), correlation=rho)
+    seen = SimpleNamespace(time=np.zeros(n), correlation=rho, whitening=np.tile(np.eye(3), (n, 1, 1)), discrepancy=np.zeros((n, 3)))
     drawn = _noise_of(cast(Any, seen), np.random.default_rng(5))[:, 1:-1]
     # Frames are smaller by (1 - rho) / (1 + rho), and their mean is as uncertain as that of independent frames of unit variance.
     assert float(np.var(drawn)) == pytest.approx((1 - rho) / (1 + rho), rel=0.03)
     assert float(np.mean(drawn[:, 1:] * drawn[:, :-1]) / np.var(drawn)) == pytest.approx(rho, abs=0.02)
     assert float(np.var(drawn.mean(axis=1))) * drawn.shape[1] == pytest.approx(1.0, rel=0.15)
+
+
+def test_what_a_model_of_pushing_is_off_by_is_drawn_once_a_push_and_grows_with_the_way() -> None:
+    (record,) = _pushes(1, 1)
+    seen = observe_push(record, NoiseModel(discrepancy_position=0.5, discrepancy_yaw=0.0))
+    deviation, _, of_yaw = seen.discrepancy[-1]
+    assert deviation == pytest.approx(0.5 * np.linalg.norm(seen.pose[-1, :2] - seen.pose[0, :2]), rel=0.3)
+    assert of_yaw == 0.0 and not seen.discrepancy[0].any()
+    drawn = np.einsum("fij,dfj->dfi", np.linalg.inv(seen.whitening), _noise_of(seen, np.random.default_rng(5)))
+    np.testing.assert_allclose(drawn[:, -1, :2].std(axis=0), deviation, rtol=0.15)
+    assert np.corrcoef(drawn[:, -1, 0], drawn[:, -2, 0])[0, 1] > 0.95 > 0.2 > abs(np.corrcoef(drawn[:, -1, 2], drawn[:, -2, 2])[0, 1])
 
 
 def test_noise_does_not_last_from_frame_to_frame_and_what_is_unexplained_does() -> None:

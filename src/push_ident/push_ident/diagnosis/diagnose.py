@@ -12,17 +12,24 @@ from push_ident.diagnosis.gates import Gate, check_data, check_fit, check_outlin
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.next_push import NO_EFFECT, check_without_a_push, separating_push, without
 from push_ident.diagnosis.residuals import Frames, correlation_in_motion, group_frames, left_over
-from push_ident.diagnosis.seen import SEEN_OUTLINE, as_seen, is_off, with_camera_in_question
+from push_ident.diagnosis.seen import SEEN_OUTLINE, as_seen, is_off, odd_pushes, with_camera_in_question
 from push_ident.diagnosis.selection import Selection, select_effects
 from push_ident.diagnosis.settings import DiagnosisSettings, Thresholds
 from push_ident.diagnosis.unknown import SmoothWrench, find_unknown
 from push_ident.diagnosis.verdict import Diagnosis, FoundEffect, Verdict
-from push_ident.diagnosis.wording import sentence_of_effects, sentence_of_lone, sentence_of_nothing, sentence_of_unknown
+from push_ident.diagnosis.wording import (
+    sentence_of_effects,
+    sentence_of_lone,
+    sentence_of_nothing,
+    sentence_of_odd,
+    sentence_of_trifles,
+    sentence_of_unknown,
+)  # fmt: skip
 from push_ident.errors import InputError
 from push_ident.identification.observation import noise_correlation, observe_push
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
-from push_ident.types import PushRecord
+from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["diagnose"]
 
@@ -74,7 +81,14 @@ def diagnose(
     selection, found = _explain(pushes, settings, report, rests_tell=rests_tell)
     if selection is not None and is_seen and is_off(selection.fit, asked):
         report("the camera is less accurate than it should be: looking again")
-        selection, found = _explain(pushes, with_camera_in_question(settings, asked), report, rests_tell=rests_tell)
+        settings = with_camera_in_question(settings, asked)
+        selection, found = _explain(pushes, settings, report, rests_tell=rests_tell)
+    odd = odd_pushes(left_over(selection.fit)) if selection is not None and is_seen else ()
+    set_aside = [pushes[push].source or f"push {push}" for push in odd]
+    if odd:
+        report(f"{' and '.join(set_aside)} set aside: looking again")
+        pushes = [record for push, record in enumerate(pushes) if push not in odd]
+        selection, found = _explain(pushes, settings, report, rests_tell=rests_tell)
     gates += found
     if selection is None:
         return _untrusted(gates)
@@ -109,8 +123,12 @@ def diagnose(
         sentence = sentence_of_unknown(gap, wrench, rest, where)
     else:
         sentence = sentence_of_effects(effects, doubts, gap) if effects else sentence_of_nothing(gap)
+    if not is_unknown and (trifles := _trifles(selection, settings)):
+        sentence += sentence_of_trifles(trifles)
     if lone is not None:
         sentence += sentence_of_lone(lone.name, [pushes[push].source or f"push {push}" for push in lone.pushes])
+    if set_aside:
+        sentence += sentence_of_odd(set_aside)
     report("looking for the push that would settle it")
     explanations = _explanations(selection, thresholds)
     last = pushes[-1].poses.pose[-1]
@@ -226,20 +244,21 @@ def _found(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:
     if not selection.found:
         return ()
     fit = selection.fit
-    values, std = fit.effects.values, np.maximum(fit.posterior.effects_std, gap.effects_std)
-    effects = []
-    for name, (_, candidate) in selection.added.items():
-        own = fit.effects.slice_of(name)
-        names = [p.name for p in EFFECTS[name].parameters]
-        effects.append(
-            FoundEffect(
-                name,
-                dict(zip(names, map(float, values[own]), strict=True)),
-                dict(zip(names, map(float, std[own]), strict=True)),
-                candidate.gain,
-            )
-        )
-    return tuple(effects)
+    std = np.maximum(fit.posterior.effects_std, gap.effects_std)
+    return tuple(_sized(fit, std, name, candidate.gain) for name, (_, candidate) in selection.added.items())
+
+
+def _trifles(selection: Selection, settings: DiagnosisSettings) -> list[FoundEffect]:
+    """What went to the base because it is too small to matter; the evidence for it is not told."""
+    names = [name for name in selection.base.names if name not in settings.base_effects]
+    return [_sized(selection.fit, selection.fit.posterior.effects_std, name, np.nan) for name in names]
+
+
+def _sized(fit: EffectFit, std: Float64Array, name: str, evidence: float) -> FoundEffect:
+    own = fit.effects.slice_of(name)
+    names = [p.name for p in EFFECTS[name].parameters]
+    values, deviations = (dict(zip(names, map(float, v[own]), strict=True)) for v in (fit.effects.values, std))
+    return FoundEffect(name, values, deviations, evidence)
 
 
 def _doubts(selection: Selection, thresholds: Thresholds) -> dict[str, tuple[str, ...]]:

@@ -17,7 +17,7 @@ import numpy as np
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observation import Observation
-from push_ident.types import Float64Array
+from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Frames", "Group", "correlation_in_motion", "group_frames", "left_over"]
 
@@ -58,6 +58,10 @@ class Frames:
         without_gap = np.mean(self.without_gap**2, axis=(1, 2))
         left = float(np.mean(self.residual**2))
         return left / float(np.mean(without_gap)), float(np.mean(without_gap >= left))
+
+    def misfit_of(self, chosen: BoolArray) -> float:
+        """The same of some of the frames, chosen by a mask of shape (n,), without its probability."""
+        return float(np.mean(self.residual[chosen] ** 2) / np.mean(self.without_gap[:, chosen] ** 2))
 
     @property
     def persistence(self) -> tuple[float, float]:
@@ -166,7 +170,8 @@ def _noise_of(seen: Observation, rng: np.random.Generator) -> Float64Array:
     """Draws of whitened errors of one push, shape (n_draws, n_frames, 3).
 
     Where errors of the motion last from frame to frame, the whitening takes each of them for as much larger as makes their mean as
-    uncertain as it is; by itself each is smaller.
+    uncertain as it is; by itself each is smaller. What a model of pushing is off by grows with the way and lasts: it is nothing beside
+    the noise of most cameras, and all there is beside that of a good tracker.
     """
     noise = rng.normal(size=(_N_DRAWS, len(seen.time), 3))
     rho, moving = seen.correlation, slice(1, len(seen.time) - 1)
@@ -175,7 +180,8 @@ def _noise_of(seen: Observation, rng: np.random.Generator) -> Float64Array:
         for frame in range(1, motion.shape[1]):
             motion[:, frame] = rho * motion[:, frame - 1] + np.sqrt(1.0 - rho**2) * motion[:, frame]
         motion *= np.sqrt((1.0 - rho) / (1.0 + rho))
-    return noise
+    lasting = rng.normal(size=(_N_DRAWS, 1, 3)) * seen.discrepancy
+    return np.asarray(noise + np.einsum("fij,dfj->dfi", seen.whitening, lasting))
 
 
 def correlation_in_motion(fit: EffectFit) -> float:

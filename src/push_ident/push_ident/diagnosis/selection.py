@@ -157,7 +157,7 @@ class Selection:
 
 
 def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progress | None = None) -> Selection:
-    """Add effects while one is seen; drop one that another made needless.
+    """Add effects while one is seen; drop one that another made needless. One that is too small to matter goes to the base.
 
     Args:
         base: converged.
@@ -184,6 +184,9 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
                 freed = polished(freed)
                 base, fit = freed if fit is base else base, freed
                 continue
+        if candidates and candidates[0].gain >= needed and _is_trifle(candidates[0], thresholds):
+            report(f"{candidates[0].name} is too small to matter: it belongs to the base")
+            return select_effects(polished(fit_effects(base, (*base.names, candidates[0].name))), thresholds, on_progress)
         steps.append(Step(fit, told, scores, tuple(candidates)))
         if not candidates or candidates[0].gain < needed or n_found >= thresholds.n_effects:
             return Selection(base, fit, tuple(steps), swaps)
@@ -192,6 +195,13 @@ def select_effects(base: EffectFit, thresholds: Thresholds, on_progress: Progres
         if kept.log_evidence <= fit.log_evidence:
             return Selection(base, fit, tuple(steps), swaps)
         fit, swaps = kept, larger_swaps if kept is larger else ()
+
+
+def _is_trifle(candidate: Candidate, thresholds: Thresholds) -> bool:
+    """Whether an effect is smaller than cells are known."""
+    effect, fit = EFFECTS[candidate.name], candidate.fit
+    values = fit.effects.values[fit.effects.slice_of(candidate.name)]
+    return effect.is_geometric and float(np.linalg.norm(values)) < thresholds.trifles[effect.parameters[0].unit]
 
 
 def _needed(selection: Selection, thresholds: Thresholds) -> float:

@@ -47,6 +47,9 @@ class Thresholds:
     """An effect that gains less than this without one of the pushes is not believed: that push alone speaks for it."""
     most: float = 0.8
     """Where what was named gains this share of what a smooth wrench gains, the wrench is not needed."""
+    trifles: dict[str, float] = field(default_factory=lambda: {"s": 2e-3, "m": 1e-4, "rad": 1e-3, "": 1e-3})
+    """What moves what is driven or measured by less than this, by its unit, is not told, however well it is seen: no clock, no surface and
+    no scale of a cell is known better, and engines that are both right differ by as much (their time steps and contacts)."""
     n_effects: int = 3
     """At most so many are added."""
     n_refits: int = 5

@@ -12,7 +12,10 @@ from push_ident.diagnosis.unknown import SmoothWrench
 from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["sentence_of_effects", "sentence_of_lone", "sentence_of_nothing", "sentence_of_unknown", "size_of"]
+__all__ = [
+    "sentence_of_effects", "sentence_of_lone", "sentence_of_nothing", "sentence_of_odd", "sentence_of_trifles", "sentence_of_unknown",
+    "size_of",
+]  # fmt: skip
 
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}
 """Units in which people think of an effect's size, with their factor."""
@@ -82,6 +85,27 @@ def sentence_of_lone(name: str, pushes: Sequence[str]) -> str:
     """
     speak, those = ("speaks", "that push") if len(pushes) == 1 else ("speak", "those pushes")
     return f" Only {' and '.join(pushes)} {speak} for {name}, which is not believed until another push does: repeat {those}."
+
+
+def sentence_of_trifles(trifles: Sequence[FoundEffect]) -> str:
+    """What is added to the sentence where something was seen that is smaller than any cell is known.
+
+    Args:
+        trifles: at least one.
+    """
+    seen = "; ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in trifles)
+    return f" {seen[0].upper()}{seen[1:]}, but by too little to matter."
+
+
+def sentence_of_odd(pushes: Sequence[str]) -> str:
+    """What is added to the sentence where some pushes of an object that a camera traced were set aside.
+
+    Args:
+        pushes: those, at least one.
+    """
+    go, they = ("goes its own way and was", "it") if len(pushes) == 1 else ("go their own way and were", "they")
+    seen = " and ".join(pushes)
+    return f" {seen[0].upper()}{seen[1:]} {go} set aside: hold the traced outline beside the object where {they} touched it."
 
 
 def _outcome(added: str, gap: Gap) -> str:

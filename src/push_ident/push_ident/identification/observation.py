@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.outline import signed_distance
-from push_ident.types import Float64Array, PushRecord
+from push_ident.types import BoolArray, Float64Array, PushRecord
 
 __all__ = ["NoiseModel", "Observation", "noise_correlation", "observe_push"]
 
@@ -31,6 +31,8 @@ _ENOUGH_PAIRS = 40
 _MOST_CORRELATION = 0.95
 _OUTLIER = 6.0
 """A frame at rest that is so many deviations off the others is a wrong pose, not noise."""
+_CLEAR = 0.01
+"""Gap from which the pusher does not touch, though tool and camera be off by several times what is usual [m]."""
 _COAST = 0.15  # an object let go at 0.3 m/s on friction 0.2 rests within this [s]
 
 
@@ -74,6 +76,9 @@ class Observation:
     """Of the last pose as it was seen, without the discrepancy that `whitening` has, shape (3, 3)."""
     touched: bool
     """Whether the pusher comes near the observed object at all."""
+    discrepancy: Float64Array
+    """Deviation of what no model of pushing is free of, and what goes on from frame to frame; part of `whitening` [m, m, rad], shape
+    (n_frames, 3)."""
     correlation: float = 0.0
     """Of the errors of one frame of the motion and the next; `whitening` takes them for larger instead."""
 
@@ -108,7 +113,8 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         stated[end] = stated[end] / repeated * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) * apart)
     covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, neighbours)
+    discrepancy = travel[:, None] * np.array([noise.discrepancy_position, noise.discrepancy_position, noise.discrepancy_yaw])
+    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours)
 
 
 def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENOUGH_PAIRS) -> float:
@@ -121,7 +127,9 @@ def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENO
     n_pairs = n_frames = n_rests = 0
     for record in records:
         before, after, _ = _rests(record)
-        for rest in (_agreeing(record, before), _agreeing(record, after)):
+        # A tool or a camera that is off lets the object move before the pusher seems to be there.
+        clear = before[record.poses.time[before] < _first_time(record, _gaps(record) < _CLEAR)]
+        for rest in (_agreeing(record, clear), _agreeing(record, after)):
             if len(rest) < 4:
                 continue
             off = record.poses.pose[rest] - record.poses.pose[rest].mean(axis=0)
@@ -154,7 +162,7 @@ def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool
     """Frames at rest before the touch and after the push, at least one each; and whether the pusher comes near the object at all."""
     poses, pusher = record.poses, record.pusher
     near = _gaps(record) < max(3e-3, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
-    touch_time = float(pusher.time[np.argmax(near)]) if np.any(near) else np.inf
+    touch_time = _first_time(record, near)
     speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
     driving = near & (speed > 0.05 * max(float(speed.max()), 1e-9))
     rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + _COAST if np.any(driving) else -np.inf
@@ -165,6 +173,11 @@ def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool
     after = after[after > before[-1]]
     after = after if len(after) else np.array([len(poses.time) - 1])
     return before, after, bool(np.any(near))
+
+
+def _first_time(record: PushRecord, when: BoolArray) -> float:
+    """Of the samples of the pusher, shape (n_samples,), the first that is so [s]; infinity where none is."""
+    return float(record.pusher.time[np.argmax(when)]) if np.any(when) else np.inf
 
 
 def _scatter(record: PushRecord, *rests: NDArray[np.intp]) -> float:

@@ -167,7 +167,7 @@ EXPERIMENT = Experiment(
         "`engines`: how far the engines are apart without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", _CAMERA, _ENGINES),
-    fewer={"8-pushes": 8, "6-pushes": 8, _CAMERA: 2, _ENGINES: 2},
+    fewer={"8-pushes": 8, "6-pushes": 8, _CAMERA: 8, _ENGINES: 2},
     needs_truth=False,
     stages=("geometry", "physics", "identification", "diagnosis", "pushing"),
     prepare=seal_cases,
