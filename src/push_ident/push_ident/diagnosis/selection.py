@@ -201,7 +201,7 @@ def _is_trifle(candidate: Candidate, thresholds: Thresholds) -> bool:
     """Whether an effect is smaller than cells are known."""
     effect, fit = EFFECTS[candidate.name], candidate.fit
     values = fit.effects.values[fit.effects.slice_of(candidate.name)]
-    return effect.is_geometric and float(np.linalg.norm(values)) < thresholds.trifles[effect.parameters[0].unit]
+    return effect.is_geometric and float(np.linalg.norm(values)) < thresholds.trifles.get(effect.parameters[0].unit, 0.0)
 
 
 def _needed(selection: Selection, thresholds: Thresholds) -> float:

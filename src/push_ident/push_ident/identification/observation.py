@@ -146,6 +146,8 @@ def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENO
 
 def _agreeing(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
     """Frames at rest without wrong poses: a single one would drag the mean along."""
+    if len(rest) < 2:
+        return rest
     off = record.poses.pose[rest] - np.median(record.poses.pose[rest], axis=0)
     deviation = np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2))
     fits = np.max(np.abs(off) / deviation, axis=1) < _OUTLIER
