@@ -22,6 +22,7 @@ ORDER = [
     "identification",
     "diagnosis",
     "bags",
+    "offline",
     "fleet",
     "nodes",
     "cli",
