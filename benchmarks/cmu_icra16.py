@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.bags.importers import ImportReport, import_cmu_icra16
-from push_ident.bags.loading import load_pushes
 from push_ident.identification.identify import identify
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, held_out_errors
+from push_ident.offline.loading import load_pushes
 from push_ident.physics.simulation import GRAVITY, BodyParameters, body_of_cells, simulate_body
 from push_ident.types import CellGrid, ObjectShape, PushRecord
 

@@ -23,6 +23,7 @@ ORDER = [
     "identification",
     "diagnosis",
     "bags",
+    "offline",
     "fleet",
     "nodes",
     "cli",

@@ -110,13 +110,13 @@ class CellGrid:
 
 @dataclass(frozen=True, slots=True)
 class ObjectShape:
-    """What is known of an object by looking: its cells and its exact contact outline."""
+    """Geometry of an object: its cells and its contact outline."""
 
     cells: CellGrid
     outline: Float64Array
     """Simple polygon, counter-clockwise, not closed [m], shape (n_vertices, 2), object frame."""
-    is_seen: bool = False
-    """Whether a camera traced the outline: it is then off by some tenths of a millimetre."""
+    traced_by_camera: bool = False
+    """Whether a camera traced the outline, which then has an error of some tenths of a millimetre."""
 
     def __post_init__(self) -> None:
         _freeze(self, "outline", ("n_vertices", 2), {})

@@ -121,7 +121,7 @@ def _wrench(**weights: float) -> list[float]:
 
 def test_small_error_of_an_outline_that_a_camera_traced_is_no_effect_and_a_large_one_no_data() -> None:
     def traced(offset: float) -> list[PushRecord]:
-        return [replace(r, shape=replace(r.shape, is_seen=True)) for r in _pushes(6, 1, {"outline_error": [offset]})]
+        return [replace(r, shape=replace(r.shape, traced_by_camera=True)) for r in _pushes(6, 1, {"outline_error": [offset]})]
 
     small = diagnose(traced(5e-4))
     assert small.verdict is Verdict.NO_GAP
@@ -347,7 +347,7 @@ def test_push_that_goes_its_own_way_is_set_aside_where_a_camera_traced_the_outli
 
 
 def test_diagnosis_through_a_camera_does_without_the_push_that_goes_its_own_way() -> None:
-    records = [replace(record, shape=replace(record.shape, is_seen=True)) for record in _pushes(8, 1)]
+    records = [replace(record, shape=replace(record.shape, traced_by_camera=True)) for record in _pushes(8, 1)]
     poses = records[3].poses
     way = np.linalg.norm(poses.pose[:, :2] - poses.pose[0, :2], axis=1)
     turned = poses.pose + np.outer(way, [0.0, 0.15, 3.0])

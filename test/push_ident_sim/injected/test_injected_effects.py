@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from push_ident.bags.loading import load_pushes
 from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import rotation, transform_points
+from push_ident.offline.loading import load_pushes
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PusherPath
 from push_ident_sim.camera import INTRINSICS, DepthCamera, look_at

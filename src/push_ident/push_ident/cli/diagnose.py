@@ -9,7 +9,6 @@ import typer
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from push_ident.bags.loading import load_pushes
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
@@ -19,6 +18,7 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.identification.model_file import save_model
 from push_ident.identification.parameters import Prior
+from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import EFFECTS
 
 __all__ = ["diagnose_command"]

@@ -10,7 +10,6 @@ import typer
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from push_ident.bags.loading import LoadedPushes, load_pushes
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
@@ -24,6 +23,7 @@ from push_ident.identification.result import Identification
 from push_ident.identification.result_json import push_errors, result_json
 from push_ident.identification.running_record import running_record
 from push_ident.identification.solvers import SOLVERS
+from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import Float64Array, SolveStatus
 
 __all__ = ["CameraOption", "ObjectOption", "identify_command", "read_camera"]

@@ -10,7 +10,6 @@ import typer
 from rich.table import Table
 from scipy.special import chdtri
 
-from push_ident.bags.loading import load_pushes
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
@@ -19,6 +18,7 @@ from push_ident.identification.model_file import load_model
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
+from push_ident.offline.loading import load_pushes
 from push_ident.types import PushRecord, SolveStatus
 
 __all__ = ["predict_command"]

@@ -67,7 +67,7 @@ def diagnose(
         raise InputError("There is no push to diagnose; give at least three.")
     if strange := [name for name in settings.base_effects if name not in EFFECTS]:
         raise InputError(f"There is no effect `{strange[0]}`; choose from {', '.join(EFFECTS)}.")
-    asked, is_seen = settings, settings.outline_is_seen or records[0].shape.is_seen
+    asked, is_seen = settings, settings.outline_is_seen or records[0].shape.traced_by_camera
     if is_seen:
         settings = as_seen(settings)
     gates = check_data(records, settings)

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import push_ident
-from push_ident.bags.loading import load_pushes
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.budget import Budget
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import model_content
 from push_ident.identification.parameters import Prior
 from push_ident.identification.result_json import result_json
+from push_ident.offline.loading import load_pushes
 
 __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
 

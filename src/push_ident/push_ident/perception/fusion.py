@@ -77,7 +77,7 @@ def fuse_views(seen: SeenObject, views: Sequence[View], *, pose_known: bool = Fa
     moved = np.zeros(len(seen.shape.outline))
     outline = np.array(seen.shape.outline)
     for _ in range(_PASSES):
-        template = Template(replace(seen, shape=ObjectShape(seen.shape.cells, outline, is_seen=True)))
+        template = Template(replace(seen, shape=ObjectShape(seen.shape.cells, outline, traced_by_camera=True)))
         gradient, curvature = np.zeros(len(outline)), np.full(len(outline), _MISFIT / _PRIOR**2)
         n_found = 0
         for number, view in enumerate(views):
@@ -99,7 +99,7 @@ def fuse_views(seen: SeenObject, views: Sequence[View], *, pose_known: bool = Fa
     straight = straighten(_dense(outline))
     outline = straight if len(straight) >= 3 else outline
     x, y = centroid(outline)
-    shape = ObjectShape(cells_in_outline(outline - (x, y), seen.shape.cells.size), outline - (x, y), is_seen=True)
+    shape = ObjectShape(cells_in_outline(outline - (x, y), seen.shape.cells.size), outline - (x, y), traced_by_camera=True)
     return replace(seen, shape=shape, pose=_shifted_frame(seen.pose, (x, y)), top_origin=seen.top_origin - (x, y))
 
 

@@ -109,7 +109,7 @@ def see_object(sights: Sequence[Sight], *, min_height: float, cell_count: int) -
         full = [stopped.places(outline) for stopped, _, _ in seen]
         outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.places(outline) for _, passing, _ in seen]))
     x, y = centroid(outline)
-    shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y), is_seen=True)
+    shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y), traced_by_camera=True)
     grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in seen]), origin)
     return SeenObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.bags.loading import load_pushes
 from push_ident.identification.next_push import PlannedPush
+from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import EFFECTS as NAMED
 from push_ident.types import PushRecord
 from push_ident_sim.effects import EFFECTS, Effects

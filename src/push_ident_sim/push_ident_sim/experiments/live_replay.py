@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.stats import theilslopes
 
 from push_ident.bags.contract import Role, role_of
-from push_ident.bags.loading import load_pushes
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.errors import PushIdentError
@@ -24,6 +23,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.state_file import load_state
+from push_ident.offline.loading import load_pushes
 from push_ident.types import PushRecord
 from push_ident_sim.experiments.experiment import Json
 from push_ident_sim.experiments.live_nodes import (
