@@ -15,8 +15,8 @@ TABLES = {
     "bag_player_node": ("push_ident.nodes.bag_player_node", "PARAMETERS"),
     "bag_recorder_node": ("push_ident.nodes.bag_recorder_node", "PARAMETERS"),
     "viewer_node": ("push_ident.nodes.viewer_node", "PARAMETERS"),
-    "sim_cell_node": ("push_ident_sim.sim_cell_node", "PARAMETERS"),
-    "sim_hand_node": ("push_ident_sim.sim_hand_node", "PARAMETERS"),
+    "sim_cell_node": ("push_ident_sim.cell.sim_cell_node", "PARAMETERS"),
+    "sim_hand_node": ("push_ident_sim.cell.sim_hand_node", "PARAMETERS"),
 }
 
 

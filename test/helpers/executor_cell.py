@@ -30,7 +30,7 @@ from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus, PushRecord
-from push_ident_sim.robot import HOME, robot_description
+from push_ident_sim.cell.robot import HOME, robot_description
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RADIUS = 0.018

@@ -30,7 +30,7 @@ from push_ident.nodes.push_executor_parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
-from push_ident_sim.sim_hand_node import SimHandNode
+from push_ident_sim.cell.sim_hand_node import SimHandNode
 
 pytestmark = pytest.mark.alone
 

@@ -74,7 +74,7 @@ def test_a_node_that_cannot_start_says_why_in_one_line():
     assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output
 
 
-@pytest.mark.parametrize("module", ["push_ident.nodes.perception_node", "push_ident_sim.sim_cell_node"])
+@pytest.mark.parametrize("module", ["push_ident.nodes.perception_node", "push_ident_sim.cell.sim_cell_node"])
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 1.0, 2.0])
 def test_interrupt_while_a_node_is_loaded_ends_it_quietly(module, delay, tmp_path):
     # The import times tell when Python itself is up: before that no code of a package runs.

@@ -19,12 +19,12 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
-from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
-from push_ident_sim.effects import Effects
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
+from push_ident_sim.cell.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
+from push_ident_sim.cell.trajectory import JointTrajectory
+from push_ident_sim.cell.world import CellWorld, WorldConfig
+from push_ident_sim.injected import Effects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
-from push_ident_sim.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
-from push_ident_sim.trajectory import JointTrajectory
-from push_ident_sim.world import CellWorld, WorldConfig
 
 pytestmark = pytest.mark.alone
 
@@ -414,7 +414,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
 
     domain = 92
     chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
-    command = [sys.executable, "-m", "push_ident_sim.sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
+    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     context = rclpy.Context()
@@ -467,7 +467,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
 
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
     pytest.importorskip("rclpy")
-    command = [sys.executable, "-m", "push_ident_sim.sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
+    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": "91"}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     try:
