@@ -41,7 +41,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.extrinsics import pose_lines
+from push_ident.nodes.perception.extrinsics import pose_lines
 from push_ident.types import DepthFrame
 
 pytestmark = pytest.mark.alone
@@ -146,7 +146,7 @@ def camera_on(domain: int) -> Iterator[Camera]:
 
 def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes.perception_node", "--ros-args", "--params-file", str(CONFIG), *arguments],
+        [sys.executable, "-m", "push_ident.nodes", "perception_node", "--ros-args", "--params-file", str(CONFIG), *arguments],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -32,10 +32,10 @@ from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.arm_lease import ArmLease
 from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg
-from push_ident.nodes.hand_port import RobotiqHand
-from push_ident.nodes.push_executor_parameters import PARAMETERS
+from push_ident.nodes.push_executor.arm_lease import ArmLease
+from push_ident.nodes.push_executor.hand_port import RobotiqHand
+from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
@@ -175,7 +175,7 @@ def send(cell: Cell, **fields: object) -> Call:
 def start_node(domain: int, **parameters: object) -> subprocess.Popen[str]:
     arguments = [item for name, value in (QUICK | parameters).items() for item in ("-p", f"{name}:={value}")]
     return subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes.push_executor_node", "--ros-args", *arguments],
+        [sys.executable, "-m", "push_ident.nodes", "push_executor_node", "--ros-args", *arguments],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -8,13 +8,13 @@ from pathlib import Path
 
 TARGET = Path(__file__).resolve().parent.parent / "docs" / "parameters.md"
 TABLES = {
-    "perception_node": ("push_ident.nodes.perception_node", "PARAMETERS"),
-    "push_executor_node": ("push_ident.nodes.push_executor_parameters", "PARAMETERS"),
-    "identification_node": ("push_ident.nodes.identification_node", "PARAMETERS"),
-    "gap_diagnosis_node": ("push_ident.nodes.gap_diagnosis_node", "PARAMETERS"),
+    "perception_node": ("push_ident.nodes.perception.perception_node", "PARAMETERS"),
+    "push_executor_node": ("push_ident.nodes.push_executor.parameters", "PARAMETERS"),
+    "identification_node": ("push_ident.nodes.identification.identification_node", "PARAMETERS"),
+    "gap_diagnosis_node": ("push_ident.nodes.gap_diagnosis.gap_diagnosis_node", "PARAMETERS"),
     "bag_player_node": ("push_ident.nodes.bag_player_node", "PARAMETERS"),
     "bag_recorder_node": ("push_ident.nodes.bag_recorder_node", "PARAMETERS"),
-    "viewer_node": ("push_ident.nodes.viewer_node", "PARAMETERS"),
+    "viewer_node": ("push_ident.nodes.viewer.viewer_node", "PARAMETERS"),
     "sim_cell_node": ("push_ident_sim.sim_cell_node", "PARAMETERS"),
     "sim_hand_node": ("push_ident_sim.sim_hand_node", "PARAMETERS"),
 }
