@@ -12,10 +12,10 @@ import torch
 
 from push_ident.cli.main import app
 from push_ident.errors import InputError
-from push_ident_sim.benchmarks import BENCHMARKS
-from push_ident_sim.benchmarks.benchmark import Settings
-from push_ident_sim.benchmarks.running import write_page
-from push_ident_sim.benchmarks.timing import growth_exponent, interleaved
+from push_ident_sim.studies import BENCHMARKS
+from push_ident_sim.studies.common.bench_runner import write_page
+from push_ident_sim.studies.common.benchmark import Settings
+from push_ident_sim.studies.common.timing import growth_exponent, interleaved
 
 
 @pytest.fixture(autouse=True)

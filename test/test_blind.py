@@ -17,9 +17,12 @@ from push_ident.errors import InputError
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.observation import observe_push
 from push_ident.pushing.sampling import sample_push
-from push_ident_sim.effects import EFFECTS, Effects
-from push_ident_sim.experiments import EXPERIMENTS, blind
-from push_ident_sim.experiments.blind_cases import (
+from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.objects import OBJECT_NAMES, make_object
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
+from push_ident_sim.studies import EXPERIMENTS
+from push_ident_sim.studies.blind import study as blind
+from push_ident_sim.studies.blind.cases import (
     CATALOGUE,
     FIRST_REPORT_MODEL,
     Scenario,
@@ -28,12 +31,10 @@ from push_ident_sim.experiments.blind_cases import (
     make_asked_record,
     make_records,
 )  # fmt: skip
-from push_ident_sim.experiments.blind_scoring import score_case, true_values
-from push_ident_sim.experiments.blind_summary import figures, interval, judge, summarise_cases
-from push_ident_sim.experiments.experiment import Case, CaseResult
-from push_ident_sim.experiments.running import write_json
-from push_ident_sim.objects import OBJECT_NAMES, make_object
-from push_ident_sim.truth import CameraNoise, TruthSettings, path_of_plan
+from push_ident_sim.studies.blind.scoring import score_case, true_values
+from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
+from push_ident_sim.studies.common.experiment import Case, CaseResult
+from push_ident_sim.studies.common.runner import write_json
 
 NOISE = CameraNoise()
 

@@ -17,15 +17,16 @@ from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath
-from push_ident_sim import truth
-from push_ident_sim.experiments import EXPERIMENTS, convergence
-from push_ident_sim.experiments.experiment import Case, CaseResult
-from push_ident_sim.experiments.measuring import curve_on_grid, error_row
-from push_ident_sim.experiments.report import write_report
-from push_ident_sim.experiments.running import RunOptions, run_experiment
+from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.objects import make_object
-from push_ident_sim.sources import code_digest, files_behind
-from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
+from push_ident_sim.recordings import truth
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
+from push_ident_sim.studies import EXPERIMENTS
+from push_ident_sim.studies.common.experiment import Case, CaseResult
+from push_ident_sim.studies.common.measuring import curve_on_grid, error_row
+from push_ident_sim.studies.common.report import write_report
+from push_ident_sim.studies.common.runner import RunOptions, run_experiment
+from push_ident_sim.studies.convergence import study as convergence
 
 FEW = TruthSettings(n_train=2, n_test=1)
 
@@ -92,7 +93,7 @@ def test_pushes_are_seeded_and_simulated_once(folder: Path) -> None:
 
 
 def test_truth_and_results_depend_on_the_code_that_makes_the_truth() -> None:
-    names = {"bullet_object", "push_world", "friction", "objects", "truth", "true_motion", "sampling"}
+    names = {"bullet_object", "push_world", "cone_friction", "objects", "truth", "true_motion", "sampling"}
     behind_truth = {path.stem for path in files_behind(Path(truth.__file__))}
     behind_results = {path.stem for path in files_behind(Path(convergence.__file__))}
     assert names <= behind_truth <= behind_results

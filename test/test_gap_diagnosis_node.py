@@ -25,8 +25,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
-from push_ident_sim.effects import Effects
-from push_ident_sim.recording import RecordingSettings, record_pushes
+from push_ident_sim.injected import Effects
+from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 
 pytestmark = pytest.mark.alone
 

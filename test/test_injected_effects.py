@@ -16,17 +16,17 @@ from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.offline.loading import load_pushes
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PusherPath
-from push_ident_sim.camera import INTRINSICS, DepthCamera, look_at
-from push_ident_sim.effects import EFFECTS, Effects
-from push_ident_sim.effects.sensing import PoseSensor, check_rendered, true_camera
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, look_at
+from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.cell.trajectory import JointTrajectory
+from push_ident_sim.cell.world import CellWorld, WorldConfig
+from push_ident_sim.engines.bullet.push_world import PushWorld
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
 from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
-from push_ident_sim.push_world import PushWorld
-from push_ident_sim.recording import RecordingSettings, record_pushes, seal
-from push_ident_sim.robot import HOME, robot_description
-from push_ident_sim.trajectory import JointTrajectory
-from push_ident_sim.true_motion import TrueMotion
-from push_ident_sim.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, observe_motion
-from push_ident_sim.world import CellWorld, WorldConfig
+from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, observe_motion
 
 G, STEP, RADIUS = 9.81, 1.0 / 240.0, 0.008
 MU, MASS = 0.3, 0.6

@@ -11,11 +11,11 @@ from objects import hammer, random_records
 
 from push_ident.errors import PushIdentError
 from push_ident.identification.session import ObjectSession, SessionOptions
-from push_ident_sim.experiments import live
-from push_ident_sim.experiments.experiment import Case, CaseResult, Json
-from push_ident_sim.experiments.live_film import delays
-from push_ident_sim.experiments.live_nodes import microseconds
-from push_ident_sim.experiments.live_replay import difference, differing, growth
+from push_ident_sim.studies.common.experiment import Case, CaseResult, Json
+from push_ident_sim.studies.common.live_nodes import microseconds
+from push_ident_sim.studies.live import study as live
+from push_ident_sim.studies.live.film import delays
+from push_ident_sim.studies.live.replay import difference, differing, growth
 
 pytestmark = pytest.mark.alone
 

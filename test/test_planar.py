@@ -12,12 +12,12 @@ from push_ident.identification.prediction import cell_error
 from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath
-from push_ident_sim.effects import EFFECTS, Effects
-from push_ident_sim.experiments.blind_scoring import true_values
+from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import EFFECTS, Effects
 from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
-from push_ident_sim.planar import OUTSIDE, PlanarWorld
-from push_ident_sim.true_motion import TrueMotion
-from push_ident_sim.truth import TruthSettings, make_pushes, true_model
+from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
+from push_ident_sim.studies.blind.scoring import true_values
 
 RADIUS = 0.008
 AWAY = PusherPath(np.array([0.0, 0.01]), np.full((2, 2), 5.0), RADIUS)

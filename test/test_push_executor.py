@@ -40,8 +40,8 @@ from push_ident.pushing.push import PushCode
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus, PushRecord
-from push_ident_sim.robot import HOME, robot_description
-from push_ident_sim.sim_hand_node import SimHandNode
+from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.cell.sim_hand_node import SimHandNode
 
 pytestmark = pytest.mark.alone
 

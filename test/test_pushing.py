@@ -16,8 +16,8 @@ from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push, plan_r
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
 from push_ident.types import CellGrid, ObjectShape
+from push_ident_sim.cell.robot import HOME, PUSHER_RADIUS, robot_description
 from push_ident_sim.objects import make_object
-from push_ident_sim.robot import HOME, PUSHER_RADIUS, robot_description
 
 SETTINGS = PushSettings(workspace=(-0.2, 0.2, -0.25, 0.25))
 PARKED = (1.4, *HOME[1:])  # turned aside, out of the camera's view

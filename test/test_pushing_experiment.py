@@ -14,10 +14,10 @@ from push_ident.nodes.convert import stamp_to_msg
 from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push
 from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident_msgs.msg import PushRecord
-from push_ident_sim.experiments import pushing
-from push_ident_sim.experiments.experiment import Case, CaseResult
-from push_ident_sim.experiments.live_cell import Heard
-from push_ident_sim.robot import HOME, robot_description
+from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.studies.common.experiment import Case, CaseResult
+from push_ident_sim.studies.pushing import study as pushing
+from push_ident_sim.studies.pushing.live_cell import Heard
 
 pytestmark = pytest.mark.alone
 

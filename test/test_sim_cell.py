@@ -19,12 +19,12 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
-from push_ident_sim.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
-from push_ident_sim.effects import Effects
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
+from push_ident_sim.cell.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
+from push_ident_sim.cell.trajectory import JointTrajectory
+from push_ident_sim.cell.world import CellWorld, WorldConfig
+from push_ident_sim.injected import Effects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
-from push_ident_sim.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
-from push_ident_sim.trajectory import JointTrajectory
-from push_ident_sim.world import CellWorld, WorldConfig
 
 pytestmark = pytest.mark.alone
 

@@ -33,10 +33,10 @@ from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_t
 from push_ident.types import DepthFrame, PusherPath
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import PushScore as PushScoreMsg
-from push_ident_sim.camera import DepthCamera
-from push_ident_sim.experiments.seeing import CAMERA_POSE
+from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.objects import make_object
-from push_ident_sim.truth import true_model
+from push_ident_sim.recordings.truth import true_model
+from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
 pytestmark = pytest.mark.alone
 

@@ -11,8 +11,8 @@ from push_ident.nodes.executables import run_executable
 __all__ = ["NODES", "main"]
 
 NODES: Final = {
-    "sim_cell_node": "push_ident_sim.sim_cell_node",
-    "sim_hand_node": "push_ident_sim.sim_hand_node",
+    "sim_cell_node": "push_ident_sim.cell.sim_cell_node",
+    "sim_hand_node": "push_ident_sim.cell.sim_hand_node",
 }
 """Executable and the module whose `main` it runs. `setup.py` names the same executables."""
 

@@ -40,7 +40,7 @@ from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 
-__all__ = ["PushExecutorNode", "main"]
+__all__ = ["PARAMETERS", "PushExecutorNode", "main"]
 
 _POLL = 0.01
 """[s] between two looks for the pose of an object."""
