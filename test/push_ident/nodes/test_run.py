@@ -8,16 +8,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 import push_ident.nodes.executables
 import push_ident_sim.executables
+from helpers.paths import ROOT
 
 pytestmark = pytest.mark.alone
 
-ROOT = Path(__file__).resolve().parents[1]
 
 SCRIPT = """
 import sys, time
