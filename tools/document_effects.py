@@ -9,6 +9,7 @@ from pathlib import Path
 from push_ident.physics.effect import (
     Effect,
     EffectParameter,
+    Law,
     OnContact,
     OnPoses,
     OnPusherFriction,
@@ -26,6 +27,10 @@ PLACES = {
     OnPusherFriction: "on the pusher's friction coefficient",
     OnTimes: "on the times of measured poses",
     OnPoses: "on measured poses",
+}
+LAWS = {
+    Law.EXACT: "Exact law: it holds as it stands, if the effect is there",
+    Law.APPROXIMATE: "Approximate law: its error grows with the size of the effect",
 }
 HEAD = """# Effects
 
@@ -49,9 +54,22 @@ def section_of(effect: Effect) -> str:
     for p in effect.parameters:
         name = f"`{p.name}`" + (" (shape)" if p.shape else "")
         lines.append(f"| {name} | {p.unit} | {p.nominal:g} | {range_of(p)} | {p.scale:g} | {p.typical:g} | {p.what} |")
-    if effect.is_remainder:
+    if effect.is_unknown_cause:
         lines.insert(2, "Not a cause: it measures what no cause explains, and is never named.\n")
-    notes = [f"Acts {PLACES[type(effect.acts)]}", f"Signature: {effect.signature}", f"Rivals: {effect.rivals}", f"Source: {effect.source}"]
+    notes = [f"Acts {PLACES[type(effect.acts)]}", LAWS[effect.law], f"Signature: {effect.signature}"]
+    notes += [f"Rival: {rival.name}, separated by {rival.separated_by}" for rival in effect.rivals]
+    if effect.exact_twins:
+        notes.append(f"No push distinguishes it from {' and '.join(effect.exact_twins)}")
+    if effect.special_case_of:
+        notes.append(f"A special case of {' and '.join(effect.special_case_of)}")
+    if effect.check:
+        notes.append(f"Check without a push: {effect.check}")
+    if effect.export:
+        notes.append(f"Exported models carry it as {effect.export.value}, where the format allows it")
+    if effect.is_camera_error:
+        sizes = ", ".join(f"{p.name} {p.camera_std:g} {p.unit}".rstrip() for p in effect.parameters if p.camera_std is not None)
+        notes.append(f"Part of the base model where a camera traced the outline, with the standard deviation {sizes}")
+    notes.append(f"Source: {effect.source}")
     if effect.needs_inertia:
         notes.append("Not in quasi-static pushes")
     return "\n".join([*lines, "", *(f"- {note.rstrip('.')}." for note in notes), ""])
