@@ -36,7 +36,7 @@ _KILL_AFTER: Final = 1.0
 """[s] from SIGTERM to SIGKILL."""
 
 _MODULES: Final = {
-    "sim_cell_node": "push_ident_sim.sim_cell_node",
+    "sim_cell_node": "push_ident_sim.cell.sim_cell_node",
     "perception_node": "push_ident.nodes.perception_node",
     "push_executor_node": "push_ident.nodes.push_executor_node",
     "identification_node": "push_ident.nodes.identification_node",

@@ -59,7 +59,7 @@ def _with_both_directions(found: dict[str, Effect], extra: set[str]) -> dict[str
                     continue
                 if not {name, other} & extra:
                     raise ImportError(f"The effect {name} has {other} among its {field}, but not the reverse; add {name} to {other}.py.")
-                complete[other] = replace(complete[other], **{field: (*own, name)})
+                complete[other] = replace(complete[other], **{field: (*own, name)})  # type: ignore[arg-type]
     return complete
 
 
