@@ -11,6 +11,7 @@ from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.residuals import Frames
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.observation import NoiseModel
+from push_ident.physics.effects import EFFECTS
 
 __all__ = ["SEEN_OUTLINE", "as_seen", "is_off", "odd_pushes", "with_camera_in_question"]
 
@@ -47,7 +48,8 @@ _OFF: Final = 2.5
 
 def as_seen(settings: DiagnosisSettings) -> DiagnosisSettings:
     """Settings for poses and outlines that a camera told: its errors belong to the base model."""
-    prior = replace(settings.prior, outline_std=_OUTLINE_STD, camera_share=_CAMERA_SHARE)
+    accuracy: dict[str, tuple[float, ...]] = {SEEN_OUTLINE: (_OUTLINE_STD,)}
+    accuracy |= {name: tuple(_CAMERA_SHARE * p.scale for p in EFFECTS[name].parameters) for name in _CAMERA}
     own = [name for name in (SEEN_OUTLINE, *_CAMERA) if name not in settings.base_effects]
     asked = settings.thresholds
     thresholds = replace(
@@ -58,7 +60,9 @@ def as_seen(settings: DiagnosisSettings) -> DiagnosisSettings:
         apart=max(asked.apart, _APART),
     )
     base = (*settings.base_effects, *own)
-    return replace(settings, base_effects=base, prior=prior, noise=_noise(settings.noise), thresholds=thresholds)
+    return replace(
+        settings, base_effects=base, effect_std=settings.effect_std | accuracy, noise=_noise(settings.noise), thresholds=thresholds
+    )
 
 
 def is_off(fit: EffectFit, asked: DiagnosisSettings) -> bool:
@@ -90,7 +94,8 @@ def odd_pushes(frames: Frames) -> tuple[int, ...]:
 def with_camera_in_question(settings: DiagnosisSettings, asked: DiagnosisSettings) -> DiagnosisSettings:
     """The same settings with the errors of the camera as effects that may be found; `asked` as in `is_off`."""
     kept = tuple(name for name in settings.base_effects if name not in _CAMERA or name in asked.base_effects)
-    return replace(settings, base_effects=kept, prior=replace(settings.prior, camera_share=asked.prior.camera_share))
+    effect_std = {name: std for name, std in settings.effect_std.items() if name not in _CAMERA or name in asked.effect_std}
+    return replace(settings, base_effects=kept, effect_std=effect_std)
 
 
 def _noise(noise: NoiseModel) -> NoiseModel:
@@ -99,7 +104,7 @@ def _noise(noise: NoiseModel) -> NoiseModel:
         noise,
         floor_position=max(noise.floor_position, _POSE_STD[0]),
         floor_yaw=max(noise.floor_yaw, _POSE_STD[1]),
-        growth_position=max(noise.growth_position, _GROWTH[0]),
-        growth_yaw=max(noise.growth_yaw, _GROWTH[1]),
+        fit_discrepancy_position=max(noise.fit_discrepancy_position, _GROWTH[0]),
+        fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, _GROWTH[1]),
         max_moving_frames=min(noise.max_moving_frames, _MOVING_FRAMES),
     )

@@ -13,7 +13,7 @@ with the Hessian H of the cost and the precision P of the prior, all unknowns in
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,7 @@ import numpy as np
 from push_ident.identification.levenberg_marquardt import MAX_ITERATIONS, minimise
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.problem import Evaluation, FitProblem
-from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.identification.result import ModelPosterior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.simulation import SimulationSettings
@@ -79,6 +79,11 @@ class Fit:
         return self.problem.unknowns
 
     @property
+    def parameters(self) -> Unknowns:
+        """`unknowns` under the name of the code before."""
+        return self.problem.unknowns
+
+    @property
     def z(self) -> Float64Array:
         """Values of `unknowns`, shape (unknowns.size,)."""
         return self.problem.object_unknowns(self.x)
@@ -129,14 +134,7 @@ class Fit:
     @property
     def posterior(self) -> ModelPosterior:
         """As a Gaussian; the total mass is that of the prior."""
-        prior = self.unknowns.prior
-        return ModelPosterior(
-            self.unknowns,
-            self.z,
-            self.covariance,
-            Estimate(prior.total_mass, prior.total_mass * prior.total_mass_std),
-            prior.total_mass_std == 0,
-        )
+        return replace(ModelPosterior.of_prior(self.unknowns), z=self.z, covariance=self.covariance)
 
     @property
     def reduced_chi2(self) -> float:

@@ -13,7 +13,7 @@ from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.result import Checkpoint, Identification, ModelPosterior, prior_posterior
+from push_ident.identification.result import Checkpoint, Identification, ModelPosterior
 from push_ident.identification.solver import FitTask, MapFit
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
@@ -108,7 +108,7 @@ def _checked(fit: MapFit, prior: Prior, effects: Sequence[str], past: Summary | 
     untouched = not any(o.touched for o in problem.observations)
     if status is SolveStatus.SIMULATION_FAILED or untouched:
         status = status if status is SolveStatus.SIMULATION_FAILED else SolveStatus.NO_CONTACT
-        return prior_posterior(Unknowns(problem.unknowns.shape, prior, effects=effects)), status
+        return ModelPosterior.of_prior(Unknowns(problem.unknowns.shape, prior, effects=effects)), status
     return with_measured_forces(fit.posterior, problem, fit.x, past.log_forces.tolist() if past else ()), status
 
 

@@ -18,7 +18,6 @@ from push_ident.identification.result import Identification, ModelPosterior, pri
 from push_ident.identification.solver import FrameTask
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary, summarise
-from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
@@ -98,7 +97,7 @@ class OnlineIdentifier:
     def new(shape: ObjectShape, prior: Prior | None = None) -> OnlineState:
         """State of an object that was never pushed."""
         prior = prior or Prior()
-        return OnlineState(shape, prior, (), None, (), prior_posterior(Unknowns(shape, prior)), None)
+        return OnlineState(shape, prior, (), None, (), prior_posterior(shape, prior), None)
 
     @staticmethod
     def known(posterior: ModelPosterior) -> OnlineState:

@@ -135,15 +135,19 @@ class FitProblem:
 
     def object_unknowns(self, x: Float64Array) -> Float64Array:
         """The unknowns `z` of the object within `x`, shape (unknowns.size,)."""
-        return self.object_unknowns(x)
+        return x[: self.unknowns.size]
 
     def slice_of_first_pose(self, push: int) -> slice:
         """Place of the first pose of a push in `x`."""
         return _slice_of_first_pose(self.unknowns, push)
 
+    def first_pose_unknowns(self, x: Float64Array) -> Float64Array:
+        """The unknowns of the first poses within `x`, one row per push, shape (n_pushes, 3)."""
+        return x[self.unknowns.size :].reshape(-1, 3)
+
     @property
     def unit_prior(self) -> Float64Array:
-        """Precision of the unit normal prior, shape (size,): 1 for the unknowns of the object, 0 for first poses, whose prior is a frame."""
+        """Precision of the unit normal prior, shape (size,): 1 for unknowns of the object, 0 for first poses (their prior is a frame)."""
         return np.r_[np.ones(self.unknowns.size), np.zeros(3 * len(self.records))]
 
     def continued(self, x0: Float64Array, earlier: Float64Array) -> Float64Array:
@@ -265,7 +269,7 @@ class FitProblem:
         return PushTerms(cost, weighted.T @ residual.ravel(), weighted.T @ jacobian, residual)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
-        """Derivative of the residuals of one push by the unknowns of the object, then its first pose, shape (3 n_frames, unknowns.size + 3)."""
+        """Derivative of the residuals of one push by the unknowns of the object and its first pose, (3 n_frames, unknowns.size + 3)."""
         whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
         own = whitened[:, :, :3] @ self.first_scale[push]
         shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]

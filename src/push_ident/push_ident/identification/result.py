@@ -10,7 +10,7 @@ import numpy as np
 from push_ident.identification.prior import Prior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
-from push_ident.types import Float64Array, ObjectModel, SolveStatus
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus
 
 __all__ = ["Checkpoint", "Estimate", "Identification", "ModelPosterior", "prior_posterior"]
 
@@ -36,6 +36,18 @@ class ModelPosterior:
     """[kg]; the prior's where `total_mass_identifiable` is False."""
     total_mass_identifiable: bool
     """Whether a wrench or a given weight determines it; poses never do."""
+
+    @classmethod
+    def of_prior(cls, unknowns: Unknowns) -> ModelPosterior:
+        """The posterior without any push."""
+        prior = unknowns.prior
+        return cls(
+            unknowns=unknowns,
+            z=np.zeros(unknowns.size),
+            covariance=np.eye(unknowns.size),
+            total_mass=Estimate(prior.total_mass, prior.total_mass * prior.total_mass_std),
+            total_mass_identifiable=prior.total_mass_std == 0,
+        )
 
     @cached_property
     def model(self) -> ObjectModel:
@@ -101,16 +113,9 @@ class ModelPosterior:
         return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(variance)))
 
 
-def prior_posterior(unknowns: Unknowns) -> ModelPosterior:
+def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPosterior:
     """The posterior of an object that was never pushed: its prior."""
-    prior = unknowns.prior
-    return ModelPosterior(
-        unknowns=unknowns,
-        z=np.zeros(unknowns.size),
-        covariance=np.eye(unknowns.size),
-        total_mass=Estimate(prior.total_mass, prior.total_mass * prior.total_mass_std),
-        total_mass_identifiable=prior.total_mass_std == 0,
-    )
+    return ModelPosterior.of_prior(Unknowns(shape, prior or Prior()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.result import ModelPosterior, prior_posterior
+from push_ident.identification.result import ModelPosterior
 from push_ident.identification.summary import Summary
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
@@ -156,7 +156,7 @@ class CellByCellSolver(Solver):
         x, status = self.solve(problem, x0, np.random.default_rng(task.options.seed))
         meter.stop()
         return MapFit(
-            posterior=replace(prior_posterior(unknowns), z=problem.object_unknowns(x)),
+            posterior=replace(ModelPosterior.of_prior(unknowns), z=problem.object_unknowns(x)),
             status=status,
             problem=problem,
             x=x,

@@ -61,7 +61,8 @@ class Block:
         deviation = np.atleast_1d(np.array(std, dtype=np.float64))
         mask = np.zeros(len(deviation), dtype=bool)
         mask[list(frozen)] = True
-        return cls(name, deviation, *(np.broadcast_to(np.asarray(v, float), deviation.shape) for v in (low, high)), mask)
+        least, greatest = (np.broadcast_to(np.asarray(v, dtype=np.float64), deviation.shape) for v in (low, high))
+        return cls(name, deviation, least, greatest, mask)
 
     @property
     def size(self) -> int:
@@ -239,6 +240,11 @@ class Unknowns:
         """Place of the parameters of one effect in `z`. Raises InputError for an effect that is no unknown."""
         start, own = self.slice_of("effects").start, self.effects.slice_of(name)
         return slice(start + own.start, start + own.stop)
+
+    @property
+    def effect_slice(self) -> slice:
+        """Place of the block `effects` under the name of the code before."""
+        return self.slice_of("effects")
 
     @property
     def n_modes(self) -> int:

@@ -12,7 +12,7 @@ from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.result import ModelPosterior, prior_posterior
+from push_ident.identification.result import ModelPosterior
 from push_ident.identification.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import SolveStatus
@@ -88,4 +88,4 @@ def _average(fits: Sequence[Fit], unknowns: Unknowns) -> ModelPosterior:
     mean = weights @ np.array(means)
     zero = np.zeros((unknowns.size, unknowns.size))
     covariance = sum((w * (c + np.outer(m - mean, m - mean)) for w, m, c in zip(weights, means, covariances, strict=True)), zero)
-    return replace(prior_posterior(unknowns), z=mean, covariance=0.5 * (covariance + covariance.T))
+    return replace(ModelPosterior.of_prior(unknowns), z=mean, covariance=0.5 * (covariance + covariance.T))
