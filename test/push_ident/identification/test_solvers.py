@@ -58,17 +58,17 @@ def test_autograd_descends_through_the_reference_engine() -> None:
 
 
 def test_autograd_has_the_gradient_of_its_own_cost() -> None:
-    from push_ident.identification.solvers.autograd import _reference_cost
+    from push_ident.identification.solvers.autograd import reference_cost
 
     problem = FitProblem(TRAIN[:1], Unknowns(TRAIN[0].shape, Prior(max_modes=4)))
     x = 0.2 * np.random.default_rng(0).normal(size=problem.size)
-    unknowns, cost = _reference_cost(problem, x)
+    unknowns, cost = reference_cost(problem, x)
     cost.backward()  # type: ignore[no-untyped-call]
     assert unknowns.grad is not None
     for i in (0, 5, problem.unknowns.size - 1, problem.size - 1):
         step = np.zeros(problem.size)
         step[i] = 1e-5
-        difference = float((_reference_cost(problem, x + step)[1] - _reference_cost(problem, x - step)[1]).detach()) / 2e-5
+        difference = float((reference_cost(problem, x + step)[1] - reference_cost(problem, x - step)[1]).detach()) / 2e-5
         assert float(unknowns.grad[i]) == pytest.approx(difference, rel=2e-2, abs=1e-2)
 
 

@@ -31,8 +31,9 @@ from push_ident.identification.prior import Prior
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
-from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath
+from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape
 
 __all__ = ["Block", "Layout", "Mechanics", "Unknowns"]
 
@@ -116,28 +117,10 @@ class Mechanics:
         """The rows of the cells' friction limits, shape (n_cells, size)."""
         return self.derivative[PARAM_LIMIT : PARAM_LIMIT + len(self.shape.cells)]
 
-    def simulate(
-        self,
-        pusher: PusherPath,
-        pose_object_in_table: Float64Array,
-        time: Float64Array,
-        *,
-        settings: SimulationSettings | None = None,
-        order: float = 0.0,
-        jacobian: bool = False,
-    ) -> Motion:
+    def simulate(self, scenario: PushScenario, *, settings: SimulationSettings | None = None, jacobian: bool = False) -> Motion:
         """As `simulate_body`."""
         return simulate_body(
-            self.shape,
-            self.body,
-            self.pusher_friction,
-            pusher,
-            pose_object_in_table,
-            time,
-            settings=settings,
-            effects=self.effects,
-            order=order,
-            jacobian=jacobian,
+            self.shape, self.body, self.pusher_friction, scenario, settings=settings, effects=self.effects, jacobian=jacobian
         )
 
 

@@ -34,7 +34,7 @@ class Autograd(CellByCellSolver):
         graph: dict[str, torch.Tensor] = {}
 
         def cost(x: Float64Array) -> float:
-            graph["x"], graph["cost"] = _reference_cost(problem, x)
+            graph["x"], graph["cost"] = reference_cost(problem, x)
             return float(graph["cost"].detach())
 
         def gradient(x: Float64Array, cost_at_x: float) -> Float64Array | None:
@@ -49,7 +49,7 @@ class Autograd(CellByCellSolver):
 SOLVER = Autograd()
 
 
-def _reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, torch.Tensor]:
+def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, torch.Tensor]:
     """Unknowns that record operations on them, and the cost of the problem at them."""
     import torch
 
