@@ -67,7 +67,12 @@ def section_of(effect: Effect) -> str:
     lines = [f"## {effect.name}", "", effect.what, ""]
     if effect.is_unknown_cause:
         lines += ["It is not a cause: it measures what no effect of the catalogue explains, and a verdict never names it.", ""]
-    lines += [f"    {effect.equation}", "", "| parameter | unit | nominal | range | scale | typical | meaning |", "|---|---|---|---|---|---|---|"]
+    lines += [
+        f"    {effect.equation}",
+        "",
+        "| parameter | unit | nominal | range | scale | typical | meaning |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for p in effect.parameters:
         name = f"`{p.name}`" + (" (shape)" if p.shape else "")
         lines.append(f"| {name} | {p.unit} | {p.nominal:g} | {range_of(p)} | {p.scale:g} | {p.typical:g} | {p.what} |")
