@@ -11,8 +11,8 @@ from push_ident.cli.main import app
 
 HEAD = """# Commands
 
-Made from the command line itself. Every command works without a running node unless its description says so. Lengths are in metres, angles in
-radians. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
+Made from the command line itself. Every command works without a running node unless its description says so. Lengths are in metres,
+angles in radians. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
 """
 
 

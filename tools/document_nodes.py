@@ -24,8 +24,8 @@ ORDER = (
 )
 HEAD = """# Nodes
 
-Made from the code of the nodes. Names of topics are relative and can be remapped; `<id>` is the id of an object. Parameters marked *fixed* are
-read at the start. Their values are in `src/*/config/*.yaml`. A player publishes, and a recorder takes in, every topic of the
+Made from the code of the nodes. Names of topics are relative and can be remapped; `<id>` is the id of an object. Parameters marked
+*fixed* are read at the start. Their values are in `src/*/config/*.yaml`. A player publishes, and a recorder takes in, every topic of the
 [contract of bags](../how-to/own-data.md).
 """
 CALLS = {
@@ -68,12 +68,10 @@ def modules() -> dict[str, Module]:
 
 def node_name(module: Module) -> str | None:
     """The node whose file, or table of parameters, this is."""
-    for candidate in (
-        module.path.stem,
-        module.path.stem.replace("_parameters", "_node"),
-        module.path.parent.name,
-        f"{module.path.parent.name}_node",
-    ):
+    candidates = [module.path.stem]
+    if module.path.parent.parent.name == "nodes":
+        candidates.append(f"{module.path.parent.name}_node")
+    for candidate in candidates:
         if candidate in ORDER:
             return candidate
     return None

@@ -17,6 +17,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se3 import pose_of_quaternion
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
@@ -231,7 +232,7 @@ def test_push_ends_where_the_planar_model_says() -> None:
     model = ObjectModel(
         ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline), thing.mass, thing.friction, thing.pusher_friction
     )
-    predicted = simulate(model, PusherPath(rows[:, 0], rows[:, 3:5], PUSHER_RADIUS), np.zeros(3), rows[-1:, 0]).pose[0]
+    predicted = simulate(model, PushScenario(PusherPath(rows[:, 0], rows[:, 3:5], PUSHER_RADIUS), np.zeros(3), rows[-1:, 0])).pose[0]
     assert np.linalg.norm(rows[-1, 5:7]) > 0.04 and abs(rows[-1, 7]) > 0.1
     np.testing.assert_allclose(rows[-1, 5:7], predicted[:2], atol=1e-3)
     assert rows[-1, 7] == pytest.approx(predicted[2], abs=0.01)
@@ -414,7 +415,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
 
     domain = 92
     chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
-    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
+    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     context = rclpy.Context()
@@ -467,7 +468,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
 
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
     pytest.importorskip("rclpy")
-    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
+    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": "91"}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     try:

@@ -16,6 +16,7 @@ from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.observation import observe_push
+from push_ident.physics.effects import CAUSES
 from push_ident.pushing.sampling import sample_push
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
@@ -23,7 +24,6 @@ from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_
 from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.blind import study as blind
 from push_ident_sim.studies.blind.cases import (
-    CATALOGUE,
     FIRST_REPORT_MODEL,
     Scenario,
     Truth,
@@ -50,7 +50,7 @@ def test_one_round_holds_nulls_every_effect_from_small_to_large_pairs_and_strang
     truths = [draw_truth(c.object_name, c.model) for c in cases(0, 50)]
     kinds = Counter((t.scenario.engine, t.scenario.kind) for t in truths)
     assert all(kinds[engine, kind] >= 10 for engine in ("bullet", "planar") for kind in ("null", "single", "pair", "outside"))
-    for name in CATALOGUE:
+    for name in CAUSES:
         sizes = [t.scenario.size for t in truths if t.scenario.kind == "single" and t.names == (name,)]
         assert min(sizes) < 0.2 and max(sizes) >= 3.0
         # Bullet's spring is no tether of the catalogue.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.effect import Effect, OnContact, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter, Part
 
 __all__ = ["INJECTED"]
@@ -197,4 +197,4 @@ _ENTRIES = (
 
 INJECTED: dict[str, InjectedEffect] = {effect.name: effect for effect in _ENTRIES}
 """By name. An effect that names no cause has nothing to inject."""
-INJECTED |= {name: _through_its_equation(e) for name, e in EFFECTS.items() if name not in INJECTED and not e.is_remainder}
+INJECTED |= {name: _through_its_equation(EFFECTS[name]) for name in CAUSES if name not in INJECTED}

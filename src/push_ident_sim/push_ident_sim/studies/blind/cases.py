@@ -12,7 +12,7 @@ import numpy as np
 
 from push_ident.identification.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
@@ -31,12 +31,10 @@ from push_ident_sim.recordings.truth import (
 )  # fmt: skip
 from push_ident_sim.studies.common.experiment import Json
 
-__all__ = ["CATALOGUE", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
+__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
-CATALOGUE = tuple(name for name, effect in EFFECTS.items() if not effect.is_remainder)
-"""Effects that a diagnosis can name."""
 _SIZES = (0.15, 0.5, 1.2, 3.0)
 """Times the typical size."""
 _JITTER = 0.2
@@ -45,7 +43,7 @@ _N_NULLS = 20
 """Of each engine, in one round of the plan."""
 _N_PAIRS = 12
 _HARDLY_SEEN = ("restitution", "stribeck_friction", "wear", "speed_dependent_friction", "tether", "camera_translation")
-_PAIRABLE = tuple(name for name in CATALOGUE if name not in _HARDLY_SEEN)
+_PAIRABLE = tuple(name for name in CAUSES if name not in _HARDLY_SEEN)
 """Effects that slow pushes show, and of two that are the same to them one."""
 _ELSEWHERE = ("pose_flips", "compliant_table", "viscous_film", "rolling_finger", "pusher_wobble")
 """Effects that both engines have and that no diagnosis can name."""
@@ -104,7 +102,7 @@ def _plan() -> tuple[Scenario, ...]:
     for engine in ("bullet", "planar"):
         plan += [Scenario(engine, "null")] * _N_NULLS
         # Bullet's spring is anchored anew at every push: no tether of the catalogue, which has one place on the table.
-        plan += [Scenario(engine, "single", (name,), s) for name in CATALOGUE for s in _SIZES if (engine, name) != ("bullet", "tether")]
+        plan += [Scenario(engine, "single", (name,), s) for name in CAUSES for s in _SIZES if (engine, name) != ("bullet", "tether")]
         for _ in range(_N_PAIRS):
             first, second = rng.choice(len(_PAIRABLE), 2, replace=False)
             plan.append(Scenario(engine, "pair", (_PAIRABLE[first], _PAIRABLE[second]), 1.5))

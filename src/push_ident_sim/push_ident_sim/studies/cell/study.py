@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import ObjectModel, PusherPath
 from push_ident_sim.engines.true_motion import TrueMotion
@@ -135,7 +136,7 @@ def _pushed(thing: SimObject, motion: TrueMotion, settings: TruthSettings) -> Tr
 
 def _end(model: ObjectModel, motion: TrueMotion, settings: TruthSettings) -> FloatArray:
     """Last pose that the planar model predicts for the pusher's true path."""
-    return np.asarray(simulate(model, _path(motion, settings), motion.pose[0], motion.time[-1:]).pose[-1])
+    return np.asarray(simulate(model, PushScenario(_path(motion, settings), motion.pose[0], motion.time[-1:])).pose[-1])
 
 
 def _path(motion: TrueMotion, settings: TruthSettings) -> PusherPath:
@@ -204,7 +205,7 @@ def _speed(case: Case) -> Json:
     # Apart from other cells and from other cases of this run.
     domain = str(1 + os.getpid() % 100)
     parameters = {"object": case.object_name, "seed": case.model, "camera_rate": _CAMERA_RATE, "real_time_factor": 0.0}
-    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args"]
+    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args"]
     command += [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     node = subprocess.Popen(command, env={**os.environ, "ROS_DOMAIN_ID": domain}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     reports: list[dict[str, float]] = []

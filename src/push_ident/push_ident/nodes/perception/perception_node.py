@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
@@ -38,9 +37,9 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     transform_to_msg,
 )
-from push_ident.nodes.depth_input import DepthInput
-from push_ident.nodes.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.perception.depth_input import DepthInput
+from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.run import run_node
 from push_ident.perception.labels import Cylinder, RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
@@ -300,7 +299,7 @@ class PerceptionNode(Node):
             self._tell_calibration(name, camera)
         self._counter[f"{name}_frames"] += 1
         if self._perception is not None:
-            self._perception.see_also(name, frame, camera.pose, self._robot_at(frame.stamp))
+            self._perception.add_further_view(name, frame, camera.pose, self._robot_at(frame.stamp))
 
     def _leave_out(self, name: str, kind: str, why: str) -> None:
         """Tell what is wrong with a further camera; perception goes on without it."""
@@ -481,17 +480,13 @@ class PerceptionNode(Node):
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_seen is None:
             return self._last_error or "no depth frame has been taken in yet"
-        return self._last_seen.why_nothing()
+        return self._last_seen.why_no_pose()
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic
         return f"no depth image on {topic} ({self.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
 
 
-def main(args: list[str] | None = None) -> int:
-    """Entry point of the executable."""
-    return run_node(PerceptionNode, args=args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(PerceptionNode)

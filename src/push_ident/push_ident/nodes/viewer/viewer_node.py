@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any, Final
 
 import numpy as np
@@ -30,9 +29,9 @@ from push_ident.nodes.convert import (
 )
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
-from push_ident.nodes.rerun_scene import CellMap, RerunScene
 from push_ident.nodes.run import run_node
 from push_ident.nodes.seen_objects import SeenObjects
+from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
@@ -256,10 +255,11 @@ class ViewerNode(Node):
             self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_score(self, msg: PushScore) -> None:
-        self._scene.score(msg.error, msg.expected, msg.uniform)
+        self._scene.score(msg.cell_error, msg.expected_cell_error, msg.uniform_cell_error)
         words = self._words.setdefault(msg.object_id, {})
-        words["predicted before pushing"] = f"{1e3 * msg.mean_error:.1f} mm mean of {msg.n} (equal cells {1e3 * msg.mean_uniform:.1f} mm)"
-        words["in the 90 % region"] = f"{msg.share_within_ninety:.0%}"
+        mean, uniform = 1e3 * msg.mean_cell_error, 1e3 * msg.mean_uniform_cell_error
+        words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (uniform model {uniform:.1f} mm)"
+        words["within the 90 % region"] = f"{msg.share_within_90:.0%}"
         self._show_words()
 
     # ---- words
@@ -287,10 +287,6 @@ class ViewerNode(Node):
         self.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
-def main() -> None:
-    """Entry point."""
-    sys.exit(run_node(ViewerNode))
-
-
-if __name__ == "__main__":
-    main()
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(ViewerNode)
