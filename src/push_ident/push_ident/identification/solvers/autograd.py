@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from push_ident.physics.reference import ReferenceModel
 
-__all__ = ["SOLVER", "Autograd"]
+__all__ = ["SOLVER", "Autograd", "reference_cost"]
 
 _STEP = 0.01
 """Time step of the reference engine [s]: a usual one for differentiable engines of its kind."""
