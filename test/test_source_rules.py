@@ -26,7 +26,6 @@ LONG_FUNCTIONS: dict[str, str] = {
     "push_ident/physics/simulation.py:_run": "not split yet",
     "push_ident/diagnosis/diagnose.py:diagnose": "not split yet",
     "push_ident/diagnosis/diagnosis_json.py:to_json": "not split yet",
-    "push_ident/identification/identify.py:identify": "not split yet",
     "push_ident/cli/identify.py:identify_command": "not split yet",
     "push_ident/cli/supervisor.py:node_commands": "not split yet",
     "push_ident_sim/engines/planar/laws.py:laws_of": "not split yet",
@@ -34,11 +33,6 @@ LONG_FUNCTIONS: dict[str, str] = {
 }
 MANY_PARAMETERS: dict[str, str] = {
     "push_ident/cli/supervisor.py:node_commands": "not grouped yet",
-    "push_ident/identification/identify.py:identify": "not grouped yet",
-    "push_ident/identification/map_fit.py:fit_maps": "not grouped yet",
-    "push_ident/identification/next_push.py:rank_pushes": "not grouped yet",
-    "push_ident/identification/prediction.py:predict": "not grouped yet",
-    "push_ident/identification/push_study.py:learning_curve": "not grouped yet",
     "push_ident/physics/lcp.py:forward": "not grouped yet",
     "push_ident/physics/simulation.py:simulate_body": "not grouped yet",
     "push_ident/physics/simulation.py:simulate_body_with_pullback": "not grouped yet",
@@ -60,7 +54,6 @@ EFFECT_NAMES_OUTSIDE: dict[str, str] = {
     "push_ident/diagnosis/next_push.py": "not derived from a field of Effect yet",
     "push_ident/diagnosis/seen.py": "not derived from a field of Effect yet",
     "push_ident/diagnosis/selection.py": "not derived from a field of Effect yet",
-    "push_ident/identification/parameters.py": "not derived from a field of Effect yet",
     "push_ident/identification/export/mjcf.py": "not derived from a field of Effect yet",
     "push_ident/identification/export/sdf.py": "not derived from a field of Effect yet",
     "push_ident_sim/cell/sim_cell_node.py": "not derived from a field of the catalogue yet",
@@ -74,9 +67,6 @@ EFFECT_NAMES_OUTSIDE: dict[str, str] = {
 }
 UNDOCUMENTED: frozenset[str] = frozenset(
     {
-        "push_ident/diagnosis/fits.py:EffectFit.effects",
-        "push_ident/diagnosis/fits.py:EffectFit.model",
-        "push_ident/diagnosis/fits.py:EffectFit.parameters",
         "push_ident/diagnosis/gates.py:Gate.found",
         "push_ident/diagnosis/gates.py:Gate.passed",
         "push_ident/diagnosis/gates.py:Gate.remedy",
@@ -90,9 +80,6 @@ UNDOCUMENTED: frozenset[str] = frozenset(
         "push_ident/identification/push_study.py:SimulatedObject.execute",
         "push_ident/identification/push_study.py:SimulatedObject.pose",
         "push_ident/identification/push_study.py:SimulatedObject.shape",
-        "push_ident/identification/result.py:Identification.model",
-        "push_ident/identification/result.py:ModelPosterior.prior",
-        "push_ident/identification/result.py:ModelPosterior.pusher_friction",
         "push_ident/identification/session.py:ObjectSession.shape",
         "push_ident/physics/effect_values.py:EffectValues.effects",
         "push_ident_sim/cell/camera.py:DepthCamera.sim_object",
@@ -105,7 +92,6 @@ UNDOCUMENTED: frozenset[str] = frozenset(
 )
 PRIVATE_IN_TESTS: dict[str, str] = {
     "test/push_ident/diagnosis/test_diagnose.py": "not rewritten yet",
-    "test/push_ident/identification/test_solvers.py": "not rewritten yet",
     "test/push_ident_sim/studies/test_pushing.py": "not rewritten yet",
 }
 

@@ -431,11 +431,11 @@ def test_fit_without_hope_ends_early() -> None:
     problem = fit_base(_pushes(4, 1), DiagnosisSettings()).problem
     _, full, status = minimise(problem.of(problem.unknowns), np.zeros(problem.size))
     hopeless = problem.of(problem.unknowns)
-    _, early, given_up = minimise(hopeless, np.zeros(problem.size), worth=full.cost - 1e3)
-    assert (status, given_up) == (SolveStatus.CONVERGED, SolveStatus.BUDGET_SPENT)
+    _, early, given_up = minimise(hopeless, np.zeros(problem.size), needed_cost=full.cost - 1e3)
+    assert (status, given_up) == (SolveStatus.CONVERGED, SolveStatus.OUT_OF_REACH)
     assert early.cost > full.cost
     # What the full solve reaches is within hope at every step.
-    assert minimise(problem.of(problem.unknowns), np.zeros(problem.size), worth=full.cost + 1.0)[1].cost == full.cost
+    assert minimise(problem.of(problem.unknowns), np.zeros(problem.size), needed_cost=full.cost + 1.0)[1].cost == full.cost
 
 
 def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:

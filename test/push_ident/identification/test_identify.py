@@ -79,8 +79,9 @@ def test_cells_that_nothing_excited_stay_uncertain_and_pushes_narrow_the_rest() 
     relative = after.mass_friction_std / (after.model.mass * after.model.friction)
     assert np.all(relative > 0)
     assert np.median(relative) < np.median(before.mass_friction_std / (before.model.mass * before.model.friction))
-    spread = predict(after, records[0].pusher, records[0].poses.pose[0], records[0].poses.time)
-    wide = predict(before, records[0].pusher, records[0].poses.pose[0], records[0].poses.time)
+    scenario = PushScenario(records[0].pusher, records[0].poses.pose[0], records[0].poses.time)
+    spread = predict(after, scenario)
+    wide = predict(before, scenario)
     assert spread.cell_error_std < 0.5 * wide.cell_error_std
     assert np.all(np.linalg.eigvalsh(spread.covariance) >= -1e-15)
 

@@ -15,6 +15,7 @@ from push_ident.identification.next_push import (
     PlannedPush,
     PoseSensor,
     RankedPushes,
+    RankingOptions,
     candidate_pushes,
     imagine_push,
     rank_pushes,
@@ -22,7 +23,7 @@ from push_ident.identification.next_push import (
 )
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
+from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
 from push_ident.identification.result import ModelPosterior, prior_posterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -39,8 +40,9 @@ def _candidates(n: int, seed: int) -> list[PlannedPush]:
     return candidate_pushes(SHAPE, np.zeros(3), np.random.default_rng(seed), n, SETTINGS)
 
 
-def _rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int = 2, **options: object) -> RankedPushes:
-    return rank_pushes(posterior, candidates, reference=REFERENCE, rng=np.random.default_rng(0), n_draws=n_draws, **options)
+def _rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int = 2, **given: object) -> RankedPushes:
+    options = RankingOptions(n_draws=n_draws, **given)  # type: ignore[arg-type]
+    return rank_pushes(posterior, candidates, reference=REFERENCE, rng=np.random.default_rng(0), options=options)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -101,7 +103,7 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     # The fit weighs frames by how well they agree; on average over the noise the weight is one.
     weight = problem.weigh(np.zeros((1, 3)))[1][0]
     fitted = np.linalg.inv(prior + (problem.evaluate(np.zeros(problem.size)).hessian - prior) / weight)[:n, :n]
-    value = _rank(posterior, [push], settings=settings).values[0]
+    value = _rank(posterior, [push], numerics=settings).values[0]
     assert value.covariance == pytest.approx(fitted, abs=1e-8)
 
 
@@ -167,8 +169,7 @@ def test_policies_start_from_the_same_push_and_learn() -> None:
             held_out,
             np.random.default_rng(3),
             push_settings=SETTINGS,
-            n_pushes=3,
-            n_candidates=20,
+            options=CurveOptions(n_pushes=3, n_candidates=20),
         )
         for policy in (choose_at_random, choose_by(Criterion.ERROR, SETTINGS, n_reference=12))
     )

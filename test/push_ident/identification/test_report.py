@@ -46,7 +46,7 @@ def test_page_stands_alone_and_says_everything(tmp_path: Path) -> None:
 def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
     scores = running_record(RECORDS)
     assert [score.number for score in scores] == list(range(1, len(RECORDS) + 1))
-    assert np.mean([score.error for score in scores[2:]]) < np.mean([score.uniform for score in scores[2:]])
+    assert np.mean([score.cell_error for score in scores[2:]]) < np.mean([score.uniform_cell_error for score in scores[2:]])
     errors = _errors(RESULT, [3])
     write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), errors, SOURCE, 0.01, scores)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")

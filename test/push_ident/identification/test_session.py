@@ -26,9 +26,9 @@ def test_each_push_is_predicted_by_the_model_that_had_not_seen_it() -> None:
     assert [s.number for s in scores if s] == [1, 2, 3, 4, 5, 6]
     first, *later = session.record.latest
     # Before the first push the prior is all there is.
-    assert first.error == pytest.approx(first.uniform, rel=0.5)
-    assert np.mean([s.error for s in later[1:]]) < 0.5 * np.mean([s.uniform for s in later[1:]])
-    assert all(s.expected > 0 for s in session.record.latest)
+    assert first.cell_error == pytest.approx(first.uniform_cell_error, rel=0.5)
+    assert np.mean([s.cell_error for s in later[1:]]) < 0.5 * np.mean([s.uniform_cell_error for s in later[1:]])
+    assert all(s.expected_cell_error > 0 for s in session.record.latest)
     assert session.record.summary == summarise_scores([s for s in scores if s])
     assert session.record.summary.n == 6
 
@@ -127,7 +127,7 @@ def test_score_of_a_push_that_could_not_be_simulated_survives_the_file(tmp_path:
     save_state(file, session.online.state, object_id="o1", record=session.record.add(lost))
     kept = load_state(file).record
     assert kept.latest[0] == session.record.latest[0]
-    assert np.isnan(kept.latest[1].error)
+    assert np.isnan(kept.latest[1].cell_error)
     assert kept.summary.n == 1
 
 
@@ -136,8 +136,8 @@ def test_running_record_means_all_pushes_and_holds_the_latest() -> None:
     record = RunningRecord()
     for score in scores:
         record = record.add(score)
-    assert record.summary.mean_error == pytest.approx(0.2505)
-    assert (record.summary.n, record.summary.share_within_ninety) == (500, 0.5)
+    assert record.summary.mean_cell_error == pytest.approx(0.2505)
+    assert (record.summary.n, record.summary.share_within_90) == (500, 0.5)
     assert record.latest[0].number > 1
     assert record.latest[-1] is scores[-1]
 

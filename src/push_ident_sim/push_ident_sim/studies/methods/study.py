@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.identification.budget import Budget
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.physics.simulation import compile_kernels
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, load_truth
 from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings
@@ -83,7 +83,7 @@ def _tables(summary: Json) -> str:
     others = [
         [f"{race['object']}, {race['cells']} cells", *(millimetres(race[f"{model}_m"]) for model in ("uniform", "scalar", "truth"))]
         for race in races
-        if race["method"] == "gauss_newton"
+        if race["method"] == DEFAULT_SOLVER
     ]
     return "\n\n".join(
         [
