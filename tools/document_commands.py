@@ -11,8 +11,8 @@ from push_ident.cli.main import app
 
 HEAD = """# Commands
 
-Made from the command line itself. Every command works without a running node unless its description says so. Lengths are in metres, angles in
-radians. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
+Made from the command line itself. Every command works without a running node unless its description says so. Lengths are in metres,
+angles in radians. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
 """
 
 
@@ -35,7 +35,9 @@ def row_of(option: Any) -> str:
 def section_of(name: str, command: Any) -> str:
     arguments = [option for option in command.params if option.param_type_name == "argument"]
     options = [option for option in command.params if option.param_type_name != "argument" and not option.hidden and option.name != "help"]
-    usage = " ".join(["push-ident", name, *(option.metavar or option.name.upper() for option in arguments), *(["[OPTIONS]"] if options else [])])
+    usage = " ".join(
+        ["push-ident", name, *(option.metavar or option.name.upper() for option in arguments), *(["[OPTIONS]"] if options else [])]
+    )
     lines = [f"## {name}", "", command.help or "", "", f"    {usage}", ""]
     lines += ["| argument or option | default | meaning |", "|---|---|---|"]
     lines += [row_of(option) for option in (*arguments, *options)]

@@ -28,10 +28,11 @@ HEAD = """# Effects
 
 Made from `physics/effects/`, one file for each effect.
 
-An effect is a physical or measurement law that the base model leaves out. Give effects to `simulate(..., effects={"table_tilt": {"x": 0.01}})`.
-At their nominal values they change nothing, and derivatives with respect to their values are exact. `scale` is the standard deviation of the
-prior, `typical` a size that is met in practice; both are judgements, not measurements. Units are SI, axes those of the table frame unless stated
-otherwise. A *shape* parameter only shapes what the other parameters switch on; a test for the effect's absence holds it fixed.
+An effect is a physical or measurement law that the base model leaves out. Give effects to `simulate(..., effects={"table_tilt": {"x":
+0.01}})`. At their nominal values they change nothing, and derivatives with respect to their values are exact. `scale` is the standard
+deviation of the prior, `typical` a size that is met in practice; both are judgements, not measurements. Units are SI, axes those of the
+table frame unless stated otherwise. A *shape* parameter only shapes what the other parameters switch on; a test for the effect's absence
+holds it fixed.
 """
 
 
@@ -67,7 +68,12 @@ def section_of(effect: Effect) -> str:
     lines = [f"## {effect.name}", "", effect.what, ""]
     if effect.is_unknown_cause:
         lines += ["It is not a cause: it measures what no effect of the catalogue explains, and a verdict never names it.", ""]
-    lines += [f"    {effect.equation}", "", "| parameter | unit | nominal | range | scale | typical | meaning |", "|---|---|---|---|---|---|---|"]
+    lines += [
+        f"    {effect.equation}",
+        "",
+        "| parameter | unit | nominal | range | scale | typical | meaning |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for p in effect.parameters:
         name = f"`{p.name}`" + (" (shape)" if p.shape else "")
         lines.append(f"| {name} | {p.unit} | {p.nominal:g} | {range_of(p)} | {p.scale:g} | {p.typical:g} | {p.what} |")

@@ -24,8 +24,8 @@ ORDER = (
 )
 HEAD = """# Nodes
 
-Made from the code of the nodes. Names of topics are relative and can be remapped; `<id>` is the id of an object. Parameters marked *fixed* are
-read at the start. Their values are in `src/*/config/*.yaml`. A player publishes, and a recorder takes in, every topic of the
+Made from the code of the nodes. Names of topics are relative and can be remapped; `<id>` is the id of an object. Parameters marked
+*fixed* are read at the start. Their values are in `src/*/config/*.yaml`. A player publishes, and a recorder takes in, every topic of the
 [contract of bags](../how-to/own-data.md).
 """
 CALLS = {
@@ -68,7 +68,10 @@ def modules() -> dict[str, Module]:
 
 def node_name(module: Module) -> str | None:
     """The node whose file, or table of parameters, this is."""
-    for candidate in (module.path.stem, module.path.stem.replace("_parameters", "_node"), module.path.parent.name, f"{module.path.parent.name}_node"):
+    candidates = [module.path.stem]
+    if module.path.parent.parent.name == "nodes":
+        candidates.append(f"{module.path.parent.name}_node")
+    for candidate in candidates:
         if candidate in ORDER:
             return candidate
     return None
@@ -85,7 +88,9 @@ def used_by(name: str, known: dict[str, Module]) -> Iterator[Module]:
         done.add(current)
         yield known[current]
         todo += [
-            other for other in known[current].imports if other.startswith("push_ident.nodes.") and other in known and node_name(known[other]) is None
+            other
+            for other in known[current].imports
+            if other.startswith("push_ident.nodes.") and other in known and node_name(known[other]) is None
         ]
 
 
@@ -107,7 +112,9 @@ def entities(module: Module, known: dict[str, Module]) -> Iterator[tuple[str, st
                 yield CALLS[called], topic, kind
 
 
-def pairs(kind: ast.expr, topic: ast.expr, function: ast.FunctionDef, module: Module, known: dict[str, Module]) -> Iterator[tuple[str, str]]:
+def pairs(
+    kind: ast.expr, topic: ast.expr, function: ast.FunctionDef, module: Module, known: dict[str, Module]
+) -> Iterator[tuple[str, str]]:
     """Types and names; a loop over a table of them gives each."""
     if isinstance(kind, ast.Name):
         for loop in ast.walk(function):
@@ -117,7 +124,9 @@ def pairs(kind: ast.expr, topic: ast.expr, function: ast.FunctionDef, module: Mo
                     for row in loop.iter.elts:
                         if isinstance(row, ast.Tuple):
                             values = dict(zip(names, row.elts, strict=False))
-                            yield from ((type_name(values[kind.id]), name) for name in [text_of(topic, function, module, known, values)] if name)
+                            yield from (
+                                (type_name(values[kind.id]), name) for name in [text_of(topic, function, module, known, values)] if name
+                            )
                     return
     name = text_of(topic, function, module, known, {})
     if name:
@@ -168,12 +177,19 @@ def parameters_of(name: str, known: dict[str, Module]) -> list[str]:
 
 
 def section_of(name: str, known: dict[str, Module]) -> str:
-    main = [module for module in known.values() if node_name(module) == name and re.search(r"^def main\(", module.path.read_text("utf-8"), re.MULTILINE)]
+    main = [
+        module
+        for module in known.values()
+        if node_name(module) == name and re.search(r"^def main\(", module.path.read_text("utf-8"), re.MULTILINE)
+    ]
     if not main:
         raise LookupError(f"No file with a `main` for the node {name}; expected nodes/{name}.py or nodes/{name.removesuffix('_node')}/.")
     what = (ast.get_docstring(main[0].tree) or "").replace(f"`{name}`: ", "").split("\n\n")[0]
     lines = [f"## {name}", "", what[:1].upper() + what[1:], ""]
-    found = sorted({entity for module in used_by(name, known) for entity in entities(module, known)}, key=lambda e: (list(CALLS.values()).index(e[0]), e[1]))
+    found = sorted(
+        {entity for module in used_by(name, known) for entity in entities(module, known)},
+        key=lambda e: (list(CALLS.values()).index(e[0]), e[1]),
+    )
     lines += ["| | name | type |", "|---|---|---|"] if found else []
     lines += [f"| {verb} | `{topic}` | {kind} |" for verb, topic, kind in found]
     return "\n".join([*lines, *parameters_of(name, known)]) + "\n"

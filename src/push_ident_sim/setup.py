@@ -26,8 +26,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "sim_cell_node = push_ident_sim.cell.sim_cell_node:main",
-            "sim_hand_node = push_ident_sim.cell.sim_hand_node:main",
+            "sim_cell_node = push_ident_sim.executables:main",
+            "sim_hand_node = push_ident_sim.executables:main",
         ]
     },
 )

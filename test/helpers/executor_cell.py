@@ -176,7 +176,7 @@ def send(cell: Cell, **fields: object) -> Call:
 def start_node(domain: int, **parameters: object) -> subprocess.Popen[str]:
     arguments = [item for name, value in (QUICK | parameters).items() for item in ("-p", f"{name}:={value}")]
     return subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes.push_executor_node", "--ros-args", *arguments],
+        [sys.executable, "-m", "push_ident.nodes", "push_executor_node", "--ros-args", *arguments],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

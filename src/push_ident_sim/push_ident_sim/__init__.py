@@ -4,7 +4,3 @@
 simulated cell behind the ROS interface of the real one. `recordings/`: simulated pushes, as files and bags. `studies/`: experiments
 and benchmarks. `code_digest.py`, `workers.py`: which code a result depends on, and processes for work that is timed.
 """
-
-from push_ident.nodes import end_quietly_while_loading
-
-end_quietly_while_loading()

@@ -87,7 +87,7 @@ def record(user: User, bag: Path, *, most_bytes: int | None = None, min_free_mib
 
     parameters = ["-p", f"bag:={bag}", "-p", f"min_free_mib:={min_free_mib}"]
     return subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes.bag_recorder_node", "--ros-args", *parameters],
+        [sys.executable, "-m", "push_ident.nodes", "bag_recorder_node", "--ros-args", *parameters],
         env=os.environ | {"ROS_DOMAIN_ID": str(user.domain)},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -58,7 +58,7 @@ class Cell:
 
     def start(self, name: str, **parameters: object) -> subprocess.Popen[str]:
         arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
-        command = [sys.executable, "-m", f"push_ident.nodes.{name}", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "push_ident.nodes", name, "--ros-args", *arguments]
         return subprocess.Popen(command, env=self.environment, stderr=subprocess.PIPE, text=True)
 
     def wait_for(self, condition: Callable[[], object], timeout: float) -> None:

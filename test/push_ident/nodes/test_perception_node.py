@@ -41,7 +41,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.extrinsics import pose_lines
+from push_ident.nodes.perception.extrinsics import pose_lines
 from push_ident.types import DepthFrame
 
 pytestmark = pytest.mark.alone
@@ -149,7 +149,8 @@ def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
         [
             sys.executable,
             "-m",
-            "push_ident.nodes.perception_node",
+            "push_ident.nodes",
+            "perception_node",
             "--ros-args",
             "--params-file",
             str(CONFIG / "push_ident.yaml"),

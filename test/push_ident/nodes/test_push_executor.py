@@ -23,10 +23,10 @@ from trajectory_msgs.msg import JointTrajectory
 from helpers.executor_cell import ARM_TIMEOUT, CONTACT, FIST, PARKED, RADIUS, Call, Cell, Stalls, send, start_node, summary, wait_for
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.arm_lease import ArmLease
 from push_ident.nodes.convert import stamp_from_msg
-from push_ident.nodes.hand_port import RobotiqHand
-from push_ident.nodes.push_executor_parameters import PARAMETERS
+from push_ident.nodes.push_executor.arm_lease import ArmLease
+from push_ident.nodes.push_executor.hand_port import RobotiqHand
+from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord

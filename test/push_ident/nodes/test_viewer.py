@@ -116,7 +116,7 @@ def cell() -> Iterator[Cell]:
 
 def start(domain: int, **parameters: object) -> subprocess.Popen[str]:
     arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
-    command = [sys.executable, "-m", "push_ident.nodes.viewer_node", "--ros-args", *arguments]
+    command = [sys.executable, "-m", "push_ident.nodes", "viewer_node", "--ros-args", *arguments]
     return subprocess.Popen(command, env=os.environ | {"ROS_DOMAIN_ID": str(domain)}, stderr=subprocess.PIPE, text=True)
 
 

@@ -414,7 +414,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
 
     domain = 92
     chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
-    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
+    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     context = rclpy.Context()
@@ -467,7 +467,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
 
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
     pytest.importorskip("rclpy")
-    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
+    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": "91"}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     try:

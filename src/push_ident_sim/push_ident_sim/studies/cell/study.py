@@ -204,7 +204,7 @@ def _speed(case: Case) -> Json:
     # Apart from other cells and from other cases of this run.
     domain = str(1 + os.getpid() % 100)
     parameters = {"object": case.object_name, "seed": case.model, "camera_rate": _CAMERA_RATE, "real_time_factor": 0.0}
-    command = [sys.executable, "-m", "push_ident_sim.cell.sim_cell_node", "--ros-args"]
+    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args"]
     command += [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     node = subprocess.Popen(command, env={**os.environ, "ROS_DOMAIN_ID": domain}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     reports: list[dict[str, float]] = []

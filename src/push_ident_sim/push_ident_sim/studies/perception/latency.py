@@ -95,7 +95,7 @@ def measure_latency(object_name: str, seed: int, n_frames: int = 900) -> Json:
     thread.start()
     cores = sorted(os.sched_getaffinity(0))
     node = subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes.perception_node"],
+        [sys.executable, "-m", "push_ident.nodes", "perception_node"],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -197,7 +197,7 @@ def live_cell(cell: dict[str, object], executor: dict[str, object], *, relay: bo
         chosen = [
             NodeCommand(c.name, (*c.argv, "-r", f"joint_states:={_RELAYED}")) if c.name == "push_executor_node" else c for c in chosen
         ]
-    chosen.append(NodeCommand("sim_hand_node", (sys.executable, "-m", "push_ident_sim.cell.sim_hand_node")))
+    chosen.append(NodeCommand("sim_hand_node", (sys.executable, "-m", "push_ident_sim", "sim_hand_node")))
     context = Context()
     context.init(domain_id=domain)
     spinner = SingleThreadedExecutor(context=context)

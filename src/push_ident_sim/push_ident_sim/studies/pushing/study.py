@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.nodes.convert import stamp_from_msg
-from push_ident.nodes.push_executor_parameters import PARAMETERS
+from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
@@ -38,9 +37,9 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     transform_to_msg,
 )
-from push_ident.nodes.depth_input import DepthInput
-from push_ident.nodes.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.perception.depth_input import DepthInput
+from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.run import run_node
 from push_ident.perception.labels import Cylinder, RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
@@ -488,10 +487,6 @@ class PerceptionNode(Node):
         return f"no depth image on {topic} ({self.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
 
 
-def main(args: list[str] | None = None) -> int:
-    """Entry point of the executable."""
-    return run_node(PerceptionNode, args=args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(PerceptionNode)

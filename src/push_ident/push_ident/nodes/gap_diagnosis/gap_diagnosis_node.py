@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections import deque
 from dataclasses import replace
@@ -20,8 +19,8 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.observation import observe_push
 from push_ident.identification.parameters import Prior
-from push_ident.nodes.convert_diagnosis import report_to_msg
-from push_ident.nodes.diagnosis_process import DiagnosisProcess
+from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
+from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node
@@ -177,10 +176,6 @@ class GapDiagnosisNode(Node):
         self._diagnostics.publish(msg)
 
 
-def main() -> None:
-    """Entry point."""
-    sys.exit(run_node(GapDiagnosisNode, n_threads=3))
-
-
-if __name__ == "__main__":
-    main()
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(GapDiagnosisNode, n_threads=3)

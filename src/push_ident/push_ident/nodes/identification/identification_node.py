@@ -24,8 +24,8 @@ from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import SOLVERS
 from push_ident.nodes.convert import planar_pose_of, position_from_msg
 from push_ident.nodes.convert_model import pusher_path_from_msg
-from push_ident.nodes.identification_output import ObjectOutput
-from push_ident.nodes.latest_jobs import LatestJobs
+from push_ident.nodes.identification.latest_jobs import LatestJobs
+from push_ident.nodes.identification.output import ObjectOutput
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node, settle_memory
@@ -398,12 +398,8 @@ class _Identification:
         self._diagnostics.publish(msg)
 
 
-def main() -> None:
-    """Entry point."""
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
     # Threads hand over twenty times as often as by default: a frame must not wait for what is only looked at.
     sys.setswitchinterval(_TURN)
-    sys.exit(run_node(IdentificationNode))
-
-
-if __name__ == "__main__":
-    main()
+    return run_node(IdentificationNode)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any, Final
 
 import numpy as np
@@ -30,9 +29,9 @@ from push_ident.nodes.convert import (
 )
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
-from push_ident.nodes.rerun_scene import CellMap, RerunScene
 from push_ident.nodes.run import run_node
 from push_ident.nodes.seen_objects import SeenObjects
+from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
@@ -287,10 +286,6 @@ class ViewerNode(Node):
         self.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
-def main() -> None:
-    """Entry point."""
-    sys.exit(run_node(ViewerNode))
-
-
-if __name__ == "__main__":
-    main()
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(ViewerNode)

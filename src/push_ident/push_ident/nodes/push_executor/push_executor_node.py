@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -24,14 +23,14 @@ from std_srvs.srv import Trigger
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.nodes.arm_lease import ArmLease
-from push_ident.nodes.arm_port import ArmPort, ArmState
 from push_ident.nodes.convert import TABLE_FRAME, cylinder_to_msg, object_frame, position_to_msg, stamp_from_msg, stamp_to_msg
-from push_ident.nodes.force_port import ForcePort
-from push_ident.nodes.hand_port import make_hand
 from push_ident.nodes.parameters import Parameters
-from push_ident.nodes.push_executor_parameters import PARAMETERS, motion_settings, push_settings
-from push_ident.nodes.push_executor_watch import ArmWatch, patience
+from push_ident.nodes.push_executor.arm_lease import ArmLease
+from push_ident.nodes.push_executor.arm_port import ArmPort, ArmState
+from push_ident.nodes.push_executor.force_port import ForcePort
+from push_ident.nodes.push_executor.hand_port import make_hand
+from push_ident.nodes.push_executor.parameters import PARAMETERS, motion_settings, push_settings
+from push_ident.nodes.push_executor.watch import ArmWatch, patience
 from push_ident.nodes.recording_port import RecordingPort
 from push_ident.nodes.run import run_node
 from push_ident.nodes.seen_objects import SeenObject, SeenObjects
@@ -41,7 +40,7 @@ from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 
-__all__ = ["PushExecutorNode", "main"]
+__all__ = ["PARAMETERS", "PushExecutorNode", "main"]
 
 _POLL = 0.01
 """[s] between two looks for the pose of an object."""
@@ -506,10 +505,6 @@ def _record(under_way: _Push, now: float, error: PlanningError | None) -> PushRe
 
 
 def main() -> int:
-    """Entry point of the executable."""
+    """Run the node until a signal ends it; the exit code."""
     # The watch over a moving arm keeps one thread, its cancellation and the joint states need their own.
     return run_node(PushExecutorNode, n_threads=4)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

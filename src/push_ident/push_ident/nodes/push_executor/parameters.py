@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any, Final
 
-from push_ident.nodes.hand_port import HAND_KINDS
 from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
 

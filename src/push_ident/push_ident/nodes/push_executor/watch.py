@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.errors import PlanningError
-from push_ident.nodes.arm_port import ArmPort, ArmState
 from push_ident.nodes.convert import stamp_from_msg
-from push_ident.nodes.force_port import ForcePort
-from push_ident.nodes.hand_port import HandPort
+from push_ident.nodes.push_executor.arm_port import ArmPort, ArmState
+from push_ident.nodes.push_executor.force_port import ForcePort
+from push_ident.nodes.push_executor.hand_port import HandPort
 from push_ident.nodes.recording_port import RecordingPort
 from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.push import PushCode
