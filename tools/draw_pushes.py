@@ -124,7 +124,7 @@ def main() -> None:
     options = parser.parse_args()
     shots = shots_of(list(load_pushes([options.bag]).records))
     true = json.loads(options.truth.read_text(encoding="utf-8"))
-    load = np.array(true["mass"]) * np.array(true["friction"])
+    load = np.array(true["mass_kg"]) * np.array(true["friction"])
     truth = load / load.mean()
     pictures = [picture(shots, number, frame, truth, float(truth.max())) for number in range(len(shots)) for frame in range(FRAMES)]
     palette = pictures[-1].quantize(64)

@@ -76,10 +76,11 @@ def random_push(shape: ObjectShape, pose: Float64Array, rng: np.random.Generator
 
 def record_of(model: ObjectModel, pusher: PusherPath, pose: Float64Array, rng: np.random.Generator, *, noise: float = 1.0) -> PushRecord:
     """A push as a camera would see it at 30 Hz, with `noise` times 1 mm and 0.5 degrees, from the simulation of `model`."""
+    from push_ident.physics.scenario import PushScenario
     from push_ident.physics.simulation import SimulationSettings, simulate
 
     time = np.arange(pusher.time[0], pusher.time[-1], 1 / 30)
-    motion = simulate(model, pusher, pose, time, settings=SimulationSettings(step=1 / 960))
+    motion = simulate(model, PushScenario(pusher, pose, time), settings=SimulationSettings(step=1 / 960))
     std = noise * np.array([1e-3, 1e-3, np.radians(0.5)])
     seen = motion.pose + std * rng.normal(size=motion.pose.shape)
     covariance = np.broadcast_to(np.diag(np.maximum(std, 1e-5) ** 2), (len(time), 3, 3))
@@ -88,6 +89,7 @@ def record_of(model: ObjectModel, pusher: PusherPath, pose: Float64Array, rng: n
 
 def random_records(model: ObjectModel, n: int, seed: int, *, noise: float = 1.0) -> list[PushRecord]:
     """Random pushes that all move the object, each from a pose of its own."""
+    from push_ident.physics.scenario import PushScenario
     from push_ident.physics.simulation import simulate
 
     rng = np.random.default_rng(seed)
@@ -95,7 +97,7 @@ def random_records(model: ObjectModel, n: int, seed: int, *, noise: float = 1.0)
     while len(records) < n:
         pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
         pusher = random_push(model.shape, pose, rng)
-        end = simulate(model, pusher, pose, pusher.time[-1:]).pose[-1]
+        end = simulate(model, PushScenario(pusher, pose, pusher.time[-1:])).pose[-1]
         if np.linalg.norm(end[:2] - pose[:2]) > 0.01 or abs(end[2] - pose[2]) > 0.1:
             records.append(record_of(model, pusher, pose, rng, noise=noise))
     return records

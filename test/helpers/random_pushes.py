@@ -18,6 +18,7 @@ from push_ident.geometry.outline import outline_of_cells, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.physics.contact import CONTACT_FIELDS, find_contacts, max_candidates
 from push_ident.physics.modes import MAX_CONTACTS
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath
 
@@ -70,9 +71,13 @@ class Case:
     def simulate(self, how: SimulationSettings, *, jacobian: bool = False) -> Motion:
         """Poses at the start and at the end of every step."""
         return simulate_body(
-            self.model.shape, self.body, self.model.pusher_friction, self.pusher, self.pose, self.pusher.time, settings=how,
+            self.model.shape,
+            self.body,
+            self.model.pusher_friction,
+            PushScenario(self.pusher, self.pose, self.pusher.time),
+            settings=how,
             jacobian=jacobian,
-        )  # fmt: skip
+        )
 
 
 def random_shape(rng: np.random.Generator, n_cells: int, size: float = 0.011) -> ObjectShape:

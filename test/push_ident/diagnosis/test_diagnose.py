@@ -38,6 +38,7 @@ from push_ident.identification.budget import Meter
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
 from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effects import EFFECTS
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord, SolveStatus
@@ -52,7 +53,7 @@ def _pushes(n: int, seed: int, effects: dict[str, list[float]] | None = None) ->
     records = []
     for order, record in enumerate(random_records(TRUTH, n, seed)):
         time = record.poses.time
-        pose = simulate(TRUTH, record.pusher, record.poses.pose[0], time, effects=effects, order=order).pose
+        pose = simulate(TRUTH, PushScenario(record.pusher, record.poses.pose[0], time, order), effects=effects).pose
         seen = pose + rng.normal(size=pose.shape) * DEVIATION
         track = PoseTrack(time, seen, np.broadcast_to(np.diag(DEVIATION**2), (len(time), 3, 3)))
         records.append(replace(record, poses=track, order=order, source=f"push {order}"))

@@ -27,6 +27,7 @@ from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import cell_error
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.physics.effect_values import effect_values
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, body_of_cells, simulate
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
@@ -306,7 +307,7 @@ def test_engines_move_the_exported_object_as_our_own_simulation_does(model: Obje
     for _ in range(4):
         pose = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(-np.pi, np.pi)])
         pusher = random_push(model.shape, pose, rng)
-        own = simulate(model, pusher, pose, pusher.time[-1:]).pose[-1]
+        own = simulate(model, PushScenario(pusher, pose, pusher.time[-1:])).pose[-1]
         ends = pushed_in_mujoco(mjcf, pusher, pose), pushed_in_bullet(client, urdf, pusher, pose, model)
         way.append(cell_error(cells, own, pose))
         off.append([cell_error(cells, own, end) for end in ends])
@@ -327,7 +328,7 @@ def test_tilted_table_goes_into_mujocos_gravity(tmp_path: Path) -> None:
         pusher = random_push(model.shape, pose, rng)
         end = pushed_in_mujoco(path, pusher, pose)
         for errors, acting in ((off, effects), (without, None)):
-            own = simulate(model, pusher, pose, pusher.time[-1:], effects=acting).pose[-1]
+            own = simulate(model, PushScenario(pusher, pose, pusher.time[-1:]), effects=acting).pose[-1]
             errors.append(cell_error(model.shape.cells, own, end))
     assert np.mean(off) < 1e-3 < 2.5e-3 < np.mean(without)
     engine = mujoco.MjModel.from_xml_path(str(path))

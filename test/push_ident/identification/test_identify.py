@@ -15,6 +15,7 @@ from push_ident.identification.observation import observe_push
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import held_out_errors, predict
 from push_ident.identification.problem import FitProblem
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PoseTrack, PushRecord, SolveStatus, WrenchTrack
 
@@ -137,6 +138,6 @@ def _first_half(record: PushRecord) -> PushRecord:
 
 
 def _with_wrench(record: PushRecord, truth) -> PushRecord:  # type: ignore[no-untyped-def]
-    motion = simulate(truth, record.pusher, record.poses.pose[0], record.pusher.time[-1:])
+    motion = simulate(truth, PushScenario(record.pusher, record.poses.pose[0], record.pusher.time[-1:]))
     force = np.column_stack([np.interp(record.pusher.time, motion.force_time, motion.force[:, a]) for a in (0, 1)])
     return PushRecord("1", record.shape, record.poses, record.pusher, WrenchTrack(record.pusher.time, force))

@@ -24,6 +24,7 @@ from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
 from push_ident.identification.result import ModelPosterior
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.sampling import check_push
@@ -92,7 +93,7 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     posterior, push, settings = prior_posterior(SHAPE), _candidates(1, 2)[0], SimulationSettings()
     sensor = PoseSensor()
     time = np.arange(push.pusher.time[0], push.pusher.time[-1], 1 / sensor.rate)
-    motion = simulate(uniform_model(SHAPE), push.pusher, push.pose_object_in_table, time, settings=settings)
+    motion = simulate(uniform_model(SHAPE), PushScenario(push.pusher, push.pose_object_in_table, time), settings=settings)
     record = PushRecord("o1", SHAPE, PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3))), push.pusher)
     problem = FitProblem([record], posterior.parameters, settings=settings)
     n = posterior.parameters.size
@@ -145,7 +146,7 @@ def test_candidates_are_safe_and_touch_the_object() -> None:
     for push in _candidates(20, 6):
         assert push.plan is not None
         check_push(push.plan, outline, SETTINGS)
-        motion = simulate(uniform_model(SHAPE), push.pusher, push.pose_object_in_table, push.pusher.time[-1:])
+        motion = simulate(uniform_model(SHAPE), PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:]))
         assert motion.status is SolveStatus.CONVERGED
 
 

@@ -121,7 +121,8 @@ def _until(record: PushRecord, end: float) -> PushRecord:
 
 
 def _with_wrench(record: PushRecord) -> PushRecord:
+    from push_ident.physics.scenario import PushScenario
     from push_ident.physics.simulation import simulate
 
-    motion = simulate(TRUTH, record.pusher, record.poses.pose[0], record.poses.time)
+    motion = simulate(TRUTH, PushScenario(record.pusher, record.poses.pose[0], record.poses.time))
     return PushRecord(record.object_id, record.shape, record.poses, record.pusher, WrenchTrack(motion.force_time, 1.2 * motion.force))

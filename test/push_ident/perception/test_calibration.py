@@ -51,7 +51,7 @@ def test_the_table_is_found_without_any_guess_and_the_wall_is_not_taken_for_it()
 
 @pytest.mark.parametrize("outline", [rectangle(-0.1, -0.05, 0.1, 0.05), rectangle(0.0, 0.0, 0.1, 0.1)])
 def test_a_mark_that_looks_the_same_when_turned_is_refused(outline):
-    with pytest.raises(InputError, match="heading stays open"):
+    with pytest.raises(InputError, match="heading is ambiguous"):
         Mark(outline, 0.03)
 
 

@@ -15,10 +15,10 @@ from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder
 from push_ident.perception.pipeline import Perception, observe_offline
 from push_ident.perception.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import Sight, mean_depth, see_object
+from push_ident.perception.shape import SegmentedView, median_depth, trace_object
 from push_ident.perception.table import fit_table
-from push_ident.perception.topdown import FREE, OCCUPIED, UNSEEN, top_down
-from push_ident.perception.tracking import Template, TrackStatus, fit_pose, relocate
+from push_ident.perception.topdown import FREE, OCCUPIED, UNOBSERVED, top_down
+from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose, relocate
 from push_ident.types import CameraIntrinsics, DepthFrame
 
 SETTINGS = PerceptionSettings()
@@ -30,24 +30,24 @@ def hammer(pose):
     return [prism.at(pose) for prism in HAMMER]
 
 
-def see_hammer(pose, rng, n_frames=10):
-    """The hammer as taken in from frames at rest, and the camera corrected by the table."""
+def trace_hammer(pose, rng, n_frames=10):
+    """The hammer traced from frames at rest, and the camera corrected by the table."""
     frames = [render(hammer(pose), rng=rng, stamp=0.03 * i) for i in range(n_frames)]
     plane = fit_table(points_in_table(frames[0], CAMERA), SETTINGS)
     camera = plane.correct(CAMERA)
     points = points_in_table(frames[0], camera)
     segments, _ = find_segments(frames[0], points, label_pixels(points, (), SETTINGS), SETTINGS)
     noise = plane.noise / np.sqrt(n_frames)
-    mean = DepthFrame(0.0, mean_depth(frames), INTRINSICS)
-    seen = see_object([Sight(mean, camera, segments[0], noise)], min_height=0.008, cell_count=80)
-    return fuse_views(seen, [View(mean, camera, seen.pose)], pose_known=True), camera
+    mean = DepthFrame(0.0, median_depth(frames), INTRINSICS)
+    traced = trace_object([SegmentedView(mean, camera, segments[0], noise)], min_height=0.008, cell_count=80)
+    return fuse_views(traced, [View(mean, camera, traced.pose)], pose_known=True), camera
 
 
 @pytest.fixture(scope="module")
 def known():
     """Template of the hammer, corrected camera, and the pose of its object frame in the frame of HAMMER_OUTLINE."""
-    seen, camera = see_hammer(FIRST, np.random.default_rng(1))
-    return Template(seen), camera, compose(inverse(FIRST), seen.pose)
+    traced, camera = trace_hammer(FIRST, np.random.default_rng(1))
+    return Template(traced), camera, compose(inverse(FIRST), traced.pose)
 
 
 def errors_of(known, truths, rng, *, obstacles=lambda pose: [], robot=lambda pose: ()):
@@ -57,7 +57,7 @@ def errors_of(known, truths, rng, *, obstacles=lambda pose: [], robot=lambda pos
     for truth in truths:
         expected = compose(truth, offset)
         start = expected + rng.normal(size=3) * [0.004, 0.004, 0.03]
-        fit = fit_pose(template, render(hammer(truth) + obstacles(truth), rng=rng), camera, start, robot=robot(truth))
+        fit = fit_pose(template, Scene(render(hammer(truth) + obstacles(truth), rng=rng), camera, robot(truth)), start)
         fits.append(fit)
         if fit.status is TrackStatus.TRACKED:
             error = fit.pose - expected
@@ -117,7 +117,7 @@ def test_points_lie_where_the_scene_is():
 
 
 def test_frame_and_intrinsics_of_different_sizes_are_refused():
-    with pytest.raises(FrameError, match=r"\(4, 4\), camera info says \(480, 640\)"):
+    with pytest.raises(FrameError, match=r"\(4, 4\), its camera info \(480, 640\)"):
         points_in_table(DepthFrame(0.0, np.ones((4, 4), np.float32), INTRINSICS), CAMERA)
     with pytest.raises(FrameError, match="focal lengths > 0"):
         points_in_table(DepthFrame(0.0, np.ones((4, 4), np.float32), CameraIntrinsics(4, 4, 0.0, 1.0, 2.0, 2.0)), CAMERA)
@@ -140,7 +140,7 @@ def test_tilted_extrinsics_are_corrected_to_the_true_plane():
     assert plane.correct(wrong @ CAMERA)[2, 3] == pytest.approx(CAMERA[2, 3], abs=1e-3)
 
 
-def test_no_table_is_an_error_that_counts_what_was_seen():
+def test_no_table_is_an_error_that_counts_the_valid_points():
     empty = np.full((480, 640), np.nan, np.float32)
     with pytest.raises(PerceptionError, match="0 valid of 307200"):
         fit_table(points_in_table(DepthFrame(0.0, empty, INTRINSICS), CAMERA), SETTINGS)
@@ -153,7 +153,7 @@ def test_no_table_is_an_error_that_counts_what_was_seen():
 # Labels, top-down grid, segments
 
 
-def test_pixels_are_told_apart_and_what_was_not_seen_stays_unknown():
+def test_pixels_are_labelled_and_those_without_depth_stay_unknown():
     tool = Prism(np.add(circle(RADIUS), (-0.1, 0.1)), 0.11, 0.005)
     frame = render([*hammer(FIRST), tool], rng=np.random.default_rng(0))
     depth = frame.depth.copy()
@@ -179,7 +179,7 @@ def test_top_down_grid_shows_the_object_and_keeps_its_shadow_unknown():
 
     assert grid.occupancy.shape == (400, 400)
     assert np.mean(cells(-0.045, -0.095, 0.045, 0.095) == OCCUPIED) > 0.99
-    assert np.mean(cells(-0.08, -0.09, -0.06, 0.09) == UNSEEN) > 0.99
+    assert np.mean(cells(-0.08, -0.09, -0.06, 0.09) == UNOBSERVED) > 0.99
     assert np.mean(cells(0.06, -0.2, 0.2, 0.2) == FREE) > 0.99
     assert np.nanmedian(grid.height[grid.occupancy == OCCUPIED]) == pytest.approx(0.06, abs=0.004)
 
@@ -193,8 +193,8 @@ def test_an_object_beside_the_robot_is_no_whole_segment():
     assert not any(segment.whole for segment in segments)
     assert counts["beside_robot_or_cut"] == len(segments) > 0
     frame = render(hammer(FIRST), rng=rng)
-    alone = points_in_table(frame, CAMERA)
-    segments, _ = find_segments(frame, alone, label_pixels(alone, (), SETTINGS), SETTINGS)
+    points = points_in_table(frame, CAMERA)
+    segments, _ = find_segments(frame, points, label_pixels(points, (), SETTINGS), SETTINGS)
     assert len(segments) == 1 and segments[0].whole
     assert segments[0].area == pytest.approx(abs(polygon_area(HAMMER_OUTLINE)), rel=0.3)
 
@@ -203,10 +203,10 @@ def test_an_object_beside_the_robot_is_no_whole_segment():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.8, 1.57, -2.0])
-def test_outline_is_exact_on_all_sides_also_behind(yaw):
+def test_outline_is_exact_on_all_sides_the_hidden_one_included(yaw):
     truth = np.array([0.03, -0.02, yaw])
-    seen, _ = see_hammer(truth, np.random.default_rng(2))
-    outline = seen.shape.outline + seen.pose[:2]
+    traced, _ = trace_hammer(truth, np.random.default_rng(2))
+    outline = traced.shape.outline + traced.pose[:2]
     share = np.linspace(0, 1, 50, endpoint=False)[:, None]
     edge = np.roll(outline, -1, axis=0) - outline
     points = (outline[:, None] + share * edge[:, None]).reshape(-1, 2)
@@ -214,20 +214,20 @@ def test_outline_is_exact_on_all_sides_also_behind(yaw):
     distance = signed_distance(points, transform_points(truth, HAMMER_OUTLINE))
     assert np.sqrt(np.average(distance**2, weights=weight)) < 0.0010
     assert abs(np.average(distance, weights=weight)) < 0.0006
-    # Behind: seen from the camera, further away than the middle. No bias towards the shadow.
-    behind = points[:, 0] < seen.pose[0]
+    # Behind the middle, as seen from the camera. No bias towards the shadow.
+    behind = points[:, 0] < traced.pose[0]
     assert abs(np.average(distance[behind], weights=weight[behind])) < 0.0006
     assert polygon_area(outline) == pytest.approx(abs(polygon_area(HAMMER_OUTLINE)), rel=0.05)
-    assert 60 <= len(seen.shape.cells) <= 100
+    assert 60 <= len(traced.shape.cells) <= 100
     # Handle and head are of different height.
-    assert np.quantile(seen.top, 0.02) == pytest.approx(0.025, abs=0.002)
-    assert np.quantile(seen.top, 0.98) == pytest.approx(0.035, abs=0.002)
+    assert np.quantile(traced.top, 0.02) == pytest.approx(0.025, abs=0.002)
+    assert np.quantile(traced.top, 0.98) == pytest.approx(0.035, abs=0.002)
 
 
-def test_mean_depth_leaves_out_what_was_rarely_seen():
+def test_median_depth_leaves_out_pixels_that_are_rarely_valid():
     depths = [np.array([[1.0, np.nan, 1.0]]), np.array([[1.2, np.nan, np.nan]]), np.array([[1.1, 2.0, 3.0]])]
     frames = [DepthFrame(0.0, depth.astype(np.float32), INTRINSICS) for depth in depths]
-    np.testing.assert_allclose(mean_depth(frames), [[1.1, np.nan, 2.0]], rtol=1e-6)
+    np.testing.assert_allclose(median_depth(frames), [[1.1, np.nan, 2.0]], rtol=1e-6)
 
 
 # Tracking
@@ -272,20 +272,20 @@ def test_a_touching_pusher_does_not_pull_the_pose(known):
 def test_nothing_visible_is_a_status_and_never_a_frozen_pose(known):
     template, camera, offset = known
     start = compose(FIRST, offset)
-    gone = fit_pose(template, render([], rng=np.random.default_rng(0)), camera, start)
+    gone = fit_pose(template, Scene(render([], rng=np.random.default_rng(0)), camera), start)
     assert gone.status is TrackStatus.POOR_FIT
     roof = Prism(rectangle(-0.2, -0.2, 0.3, 0.2), 0.3, 0.28)
-    assert fit_pose(template, render([*hammer(FIRST), roof]), camera, start).status is TrackStatus.HIDDEN
+    assert fit_pose(template, Scene(render([*hammer(FIRST), roof]), camera), start).status is TrackStatus.HIDDEN
     blind = DepthFrame(0.0, np.full((480, 640), np.nan, np.float32), INTRINSICS)
-    assert fit_pose(template, blind, camera, start).status is TrackStatus.HIDDEN
-    assert fit_pose(template, blind, camera, [3.0, 0.0, 0.0]).status is TrackStatus.OUT_OF_VIEW
+    assert fit_pose(template, Scene(blind, camera), start).status is TrackStatus.HIDDEN
+    assert fit_pose(template, Scene(blind, camera), [3.0, 0.0, 0.0]).status is TrackStatus.OUT_OF_VIEW
 
 
 def test_a_lost_object_is_found_again_at_any_yaw(known):
     template, camera, offset = known
     for truth in (np.array([-0.1, 0.1, 2.7]), np.array([0.1, -0.1, -1.2])):
         expected = compose(truth, offset)
-        fit = relocate(template, render(hammer(truth), rng=np.random.default_rng(8)), camera, np.add(expected[:2], (0.006, -0.005)))
+        fit = relocate(template, Scene(render(hammer(truth), rng=np.random.default_rng(8)), camera), np.add(expected[:2], (0.006, -0.005)))
         assert fit.status is TrackStatus.TRACKED
         error = fit.pose - expected
         assert np.hypot(*error[:2]) < 0.0005 and abs(wrap_angle(error[2])) < 0.005
@@ -330,34 +330,34 @@ def test_two_objects_keep_their_ids_and_the_occupancy_comes_at_its_own_rate():
     rng = np.random.default_rng(10)
     box = Prism(rectangle(-0.2, 0.1, -0.1, 0.18), 0.05)
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=2, occupancy_period=0.15))
-    seen = [perception.observe(render([*hammer(FIRST), box], rng=rng, stamp=0.1 * i)) for i in range(5)]
-    assert list(seen[1].new_shapes) == ["o1", "o2"]
-    assert [len(observation.objects) for observation in seen] == [0, 0, 2, 2, 2]
-    assert [observation.occupancy is not None for observation in seen] == [True, False, True, False, True]
-    areas = [polygon_area(shape.outline) for shape in seen[1].new_shapes.values()]
+    observations = [perception.observe(render([*hammer(FIRST), box], rng=rng, stamp=0.1 * i)) for i in range(5)]
+    assert list(observations[1].new_shapes) == ["o1", "o2"]
+    assert [len(observation.objects) for observation in observations] == [0, 0, 2, 2, 2]
+    assert [observation.occupancy is not None for observation in observations] == [True, False, True, False, True]
+    areas = [polygon_area(shape.outline) for shape in observations[1].new_shapes.values()]
     assert areas == pytest.approx([0.008, 0.00712], rel=0.05)
-    assert seen[0].why_nothing() == "2 new objects are watched until they are at rest"
-    assert seen[-1].why_nothing() == ""
+    assert observations[0].why_no_pose() == "2 new objects are not at rest yet"
+    assert observations[-1].why_no_pose() == ""
 
 
-def test_a_moving_object_is_not_taken_in():
+def test_a_moving_object_is_not_registered():
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=3))
     rng = np.random.default_rng(11)
     for i in range(5):
-        seen = perception.observe(render(hammer(np.add(FIRST, (0.006 * i, 0.0, 0.0))), rng=rng, stamp=0.1 * i))
-        assert not seen.new_shapes and not seen.objects
+        observation = perception.observe(render(hammer(np.add(FIRST, (0.006 * i, 0.0, 0.0))), rng=rng, stamp=0.1 * i))
+        assert not observation.new_shapes and not observation.objects
 
 
 def test_an_object_moved_by_hand_is_reported_lost_and_then_found_under_its_id():
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=2))
     rng = np.random.default_rng(12)
     scenes = [hammer(FIRST)] * 3 + [[]] + [hammer([-0.12, 0.12, -1.0])] * 2
-    seen = [perception.observe(render(scene, rng=rng, stamp=0.1 * i)) for i, scene in enumerate(scenes)]
-    assert seen[2].objects[0].status is TrackStatus.TRACKED
-    assert seen[3].objects[0].status is TrackStatus.POOR_FIT and seen[3].objects[0].pose is None
-    assert "object o1" in seen[3].why_nothing()
-    assert [known.object_id for known in seen[5].objects] == ["o1"]
-    moved = compose(seen[5].objects[0].pose, inverse(seen[2].objects[0].pose))
+    observations = [perception.observe(render(scene, rng=rng, stamp=0.1 * i)) for i, scene in enumerate(scenes)]
+    assert observations[2].objects[0].status is TrackStatus.TRACKED
+    assert observations[3].objects[0].status is TrackStatus.POOR_FIT and observations[3].objects[0].pose is None
+    assert "object o1" in observations[3].why_no_pose()
+    assert [known.object_id for known in observations[5].objects] == ["o1"]
+    moved = compose(observations[5].objects[0].pose, inverse(observations[2].objects[0].pose))
     assert wrap_angle(moved[2]) == pytest.approx(-1.4, abs=0.01)
 
 
@@ -376,18 +376,20 @@ def test_poses_go_on_while_the_robot_covers_the_table():
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=1, occupancy_period=0.1))
     perception.observe(render(hammer(FIRST), rng=rng))
     covers = [Prism(rectangle(-0.5, y, 0.3, y + 0.35), 0.2, 0.15) for y in (-0.5, 0.12)]
-    seen = perception.observe(render([*hammer(FIRST), *covers, Prism(rectangle(0.12, -0.5, 0.4, 0.5), 0.2, 0.15)], rng=rng, stamp=0.1))
-    assert seen.counts["table_hidden"] == 1
-    assert seen.objects[0].status is TrackStatus.TRACKED
+    observation = perception.observe(
+        render([*hammer(FIRST), *covers, Prism(rectangle(0.12, -0.5, 0.4, 0.5), 0.2, 0.15)], rng=rng, stamp=0.1)
+    )
+    assert observation.counts["table_hidden"] == 1
+    assert observation.objects[0].status is TrackStatus.TRACKED
 
 
 def test_reasons_are_given_when_nothing_comes_out():
     rng = np.random.default_rng(14)
     perception = Perception(CAMERA)
-    assert "higher than min_object_height" in perception.observe(render([], rng=rng)).why_nothing()
+    assert "higher than min_object_height" in perception.observe(render([], rng=rng)).why_no_pose()
     with pytest.raises(PerceptionError, match="0 valid of 307200"):
         perception.observe(DepthFrame(1.0, np.full((480, 640), np.nan, np.float32), INTRINSICS))
-    with pytest.raises(PerceptionError, match="No object came out of 2 depth frames: nothing on the table"):
+    with pytest.raises(PerceptionError, match="No object was found in 2 depth frames: nothing on the table"):
         observe_offline([render([], rng=rng, stamp=0.1 * i) for i in range(2)], CAMERA)
 
 

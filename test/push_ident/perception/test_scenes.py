@@ -20,7 +20,7 @@ from push_ident.perception.labels import OBJECT, ROBOT, Cylinder, in_robot, labe
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import Sight, mean_depth, see_object
+from push_ident.perception.shape import SegmentedView, median_depth, trace_object
 from push_ident.perception.tracking import TrackStatus
 from push_ident.types import DepthFrame
 
@@ -49,7 +49,7 @@ def box(x, y, width, depth, height, yaw=0.0, bottom=0.0):
         ("a cup beside a box", [box(-0.03, -0.1, 0.12, 0.12, 0.05), Prism(circle(0.04), 0.12).at((-0.03, 0.0, 0.0))], 0),
     ],
 )
-def test_things_that_touch_are_told_apart_by_steps_and_folds(name, prisms, n_whole):
+def test_touching_objects_are_separated_by_steps_and_folds(name, prisms, n_whole):
     segments, counts = segments_of(prisms)
     assert counts["segments"] == 2, name
     # The one in the way of the other is whole; of the other some may be hidden.
@@ -65,7 +65,7 @@ def test_a_step_lower_than_min_step_is_part_of_one_object(yaw):
     assert counts["segments"] == 1
 
 
-def test_what_stands_behind_another_is_found_but_not_taken_in():
+def test_an_object_behind_another_is_found_but_not_registered():
     prisms = [box(-0.06, 0.0, 0.06, 0.24, 0.11), box(0.06, 0.0, 0.05, 0.1, 0.11)]
     segments, counts = segments_of(prisms, settings=replace(TALL, min_object_height=0.01))
     assert counts["behind_another"] == 1
@@ -76,8 +76,8 @@ def test_what_stands_behind_another_is_found_but_not_taken_in():
 # Several views
 
 
-def outline_error(seen, truth):
-    outline = transform_points(seen.pose, seen.shape.outline)
+def outline_error(traced, truth):
+    outline = transform_points(traced.pose, traced.shape.outline)
     share = np.linspace(0, 1, 40, endpoint=False)[:, None]
     edge = np.roll(outline, -1, axis=0) - outline
     points = (outline[:, None] + share * edge[:, None]).reshape(-1, 2)
@@ -87,21 +87,21 @@ def outline_error(seen, truth):
 
 def mean_frame(pose, camera, rng, n=4):
     frames = [render([prism.at(pose) for prism in HAMMER], camera, rng=rng) for _ in range(n)]
-    return DepthFrame(0.0, mean_depth(frames), INTRINSICS)
+    return DepthFrame(0.0, median_depth(frames), INTRINSICS)
 
 
 def first_sight(rng):
     frame = mean_frame(FIRST, CAMERA, rng)
     points = points_in_table(frame, CAMERA)
     segments, _ = find_segments(frame, points, label_pixels(points, (), PerceptionSettings()), PerceptionSettings())
-    seen = see_object([Sight(frame, CAMERA, segments[0], 0.0006)], min_height=0.008, cell_count=80)
-    return seen, View(frame, CAMERA, seen.pose)
+    traced = trace_object([SegmentedView(frame, CAMERA, segments[0], 0.0006)], min_height=0.008, cell_count=80)
+    return traced, View(frame, CAMERA, traced.pose)
 
 
 def test_a_second_camera_and_other_poses_make_the_outline_better():
     rng = np.random.default_rng(1)
     traced, first = first_sight(rng)
-    alone = fuse_views(traced, [first], pose_known=True)
+    single = fuse_views(traced, [first], pose_known=True)
     other_side = look_at((-0.35, 0.45, 0.8), (0.0, 0.0, 0.0))
     views = [first, View(mean_frame(FIRST, other_side, rng), other_side, traced.pose)]
     for change in ((0.05, 0.03, 0.9), (-0.06, 0.02, 2.0)):
@@ -109,7 +109,7 @@ def test_a_second_camera_and_other_poses_make_the_outline_better():
         near = compose(moved, compose(inverse(FIRST), traced.pose)) + rng.normal(size=3) * (0.003, 0.003, 0.03)
         views.append(View(mean_frame(moved, CAMERA, rng), CAMERA, near))
     together = fuse_views(traced, views, pose_known=True)
-    errors = [outline_error(seen, FIRST) for seen in (traced, alone, together)]
+    errors = [outline_error(found, FIRST) for found in (traced, single, together)]
     assert errors[1] < errors[0] and errors[2] < errors[0]
     assert errors[1] < 0.0005 and errors[2] < 0.0005
     assert len(together.shape.outline) <= 12
@@ -145,32 +145,32 @@ def from_side():
     return rest(SIDE, 0.4, 8)
 
 
-def taken_in(main, side, side_camera=SIDE, robot=()):
+def registered(main, side, side_camera=SIDE, robot=()):
     """Shape and pose of the hammer, and why the second camera was left out."""
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=N_REST))
     for frame in side:
-        perception.see_also("side", frame, side_camera, robot)
+        perception.add_further_view("side", frame, side_camera, robot)
     for frame in main:
-        seen = perception.observe(frame)
-    return SimpleNamespace(shape=seen.new_shapes["o1"], pose=perception.first_pose("o1")), seen.further_views
+        observation = perception.observe(frame)
+    return SimpleNamespace(shape=observation.new_shapes["o1"], pose=perception.first_pose("o1")), observation.further_views
 
 
 def test_a_further_camera_shows_what_a_taller_part_hides_from_the_main_one():
     errors = []
     for yaw in (0.0, 1.6, 3.2, 4.8):
         main, side = rest(CAMERA, yaw, 1), rest(SIDE, yaw, 2)
-        (alone, nothing), (both, left_out) = taken_in(main, []), taken_in(main, side)
+        (single, nothing), (both, left_out) = registered(main, []), registered(main, side)
         assert nothing == {} and left_out == {"side": ""}
-        errors.append([outline_error(seen, np.array([0.03, -0.02, yaw])) for seen in (alone, both)])
-    alone_m, both_m = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert both_m < 0.8 * alone_m and both_m < 0.0003, errors
+        errors.append([outline_error(traced, np.array([0.03, -0.02, yaw])) for traced in (single, both)])
+    single_m, both_m = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert both_m < 0.8 * single_m and both_m < 0.0003, errors
 
 
-def test_extrinsics_of_a_further_camera_may_be_off_by_millimetres(from_main, from_side):
-    off = np.array([0.003, -0.002, 0.008])
+def test_extrinsics_of_a_further_camera_may_have_errors_of_millimetres(from_main, from_side):
+    error = np.array([0.003, -0.002, 0.008])
     camera = SIDE.copy()
-    camera[:3, 3] += off
-    (both, left_out), (exact, _) = taken_in(from_main, from_side, camera), taken_in(from_main, from_side)
+    camera[:3, 3] += error
+    (both, left_out), (exact, _) = registered(from_main, from_side, camera), registered(from_main, from_side)
     assert left_out == {"side": ""}
     assert outline_error(both, FIRST) == pytest.approx(outline_error(exact, FIRST), abs=5e-5)
 
@@ -189,10 +189,10 @@ def another_focal_length(frame):
 @pytest.mark.parametrize(
     ("camera", "change", "robot", "why"),
     [
-        (moved((0.008, 0.0, 0.0)), None, (), "8.. mm and 0.. degrees from where the main camera has it"),
+        (moved((0.008, 0.0, 0.0)), None, (), "8.. mm and 0.. degrees from its pose in the main camera"),
         (moved((0.0, 0.1, 0.0)), None, (), "None of 1 segments lies where"),
         (moved(yaw=1.5), None, (), "None of 1 segments lies where"),
-        (moved((0.0, 0.0, 0.04)), None, (), "40 mm off the extrinsics"),
+        (moved((0.0, 0.0, 0.04)), None, (), "40 mm from its place in the extrinsics"),
         (SIDE, another_focal_length, (), "farthest edge of the object is"),
         (SIDE, lambda frame: replace(frame, stamp=frame.stamp - 3.0), (), "0 depth frames show .* the latest is from 3.00 s before"),
         (SIDE, lambda frame: replace(frame, depth=np.full_like(frame.depth, np.nan)), (), "0 valid"),
@@ -200,10 +200,10 @@ def another_focal_length(frame):
     ],
 )
 def test_a_further_camera_that_disagrees_is_left_out_and_says_why(from_main, from_side, camera, change, robot, why):
-    seen, left_out = taken_in(from_main, from_side if change is None else [change(frame) for frame in from_side], camera, robot)
+    traced, left_out = registered(from_main, from_side if change is None else [change(frame) for frame in from_side], camera, robot)
     assert re.search(why, left_out["side"]), left_out
-    alone, _ = taken_in(from_main, [])
-    np.testing.assert_array_equal(seen.shape.outline, alone.shape.outline)
+    single, _ = registered(from_main, [])
+    np.testing.assert_array_equal(traced.shape.outline, single.shape.outline)
 
 
 # The arm
@@ -267,8 +267,8 @@ def test_dropped_frames_and_a_passing_arm_do_not_lose_the_object():
         if i > 4 and i % 3 == 0:
             continue
         arm = [box(0.25 - 0.02 * i, 0.0, 0.06, 0.6, 0.1, bottom=0.2)] if i > 4 else []
-        seen = perception.observe(render([*(p.at(pose) for p in HAMMER), *arm], rng=rng, stamp=i / 30))
-        statuses += [known.status for known in seen.objects]
+        observation = perception.observe(render([*(p.at(pose) for p in HAMMER), *arm], rng=rng, stamp=i / 30))
+        statuses += [known.status for known in observation.objects]
     assert statuses.count(TrackStatus.TRACKED) == len(statuses) >= 8
 
 
@@ -277,12 +277,12 @@ def test_an_object_put_elsewhere_half_hidden_has_the_right_pose_or_none(along):
     rng = np.random.default_rng(6)
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=2, search_period=0.0))
     for i in range(3):
-        seen = perception.observe(render([p.at(FIRST) for p in HAMMER], rng=rng, stamp=0.1 * i))
-    assert seen.objects[0].pose is not None
-    offset = compose(inverse(FIRST), seen.objects[0].pose)
+        observation = perception.observe(render([p.at(FIRST) for p in HAMMER], rng=rng, stamp=0.1 * i))
+    assert observation.objects[0].pose is not None
+    offset = compose(inverse(FIRST), observation.objects[0].pose)
     moved = np.array([-0.05, 0.1, 2.2])
     shelf = Prism(rectangle(-0.09, -0.06, 0.09, 0.06) + compose(moved, (along, 0.0, 0.0))[:2] + (0.08, 0.0), 0.22, 0.2)
     for i in range(3, 6):
-        seen = perception.observe(render([*(p.at(moved) for p in HAMMER), shelf], rng=rng, stamp=0.1 * i))
-        pose = seen.objects[0].pose
+        observation = perception.observe(render([*(p.at(moved) for p in HAMMER), shelf], rng=rng, stamp=0.1 * i))
+        pose = observation.objects[0].pose
         assert pose is None or np.linalg.norm((pose - compose(moved, offset))[:2]) < 0.003

@@ -50,7 +50,7 @@ def test_small_contour_comes_back_as_a_polygon() -> None:
     assert len(straighten(traced(square, np.random.default_rng(1)))) >= 3
 
 
-def test_edge_that_is_seen_in_two_parts_at_an_angle_has_no_dent() -> None:
+def test_edge_traced_in_two_parts_at_an_angle_has_no_dent() -> None:
     # As a camera saw a side of the crimp.
     side = [[0.0, -6e-4], [0.038, 1e-3], [0.0437, -7e-4], [0.056, -4e-4]]
     plate = np.array([*side, [0.056, 0.03], [0.0, 0.03]])

@@ -9,6 +9,7 @@ from helpers.objects import hammer, hammer_shape, random_push, square, straight_
 from push_ident.errors import InputError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import (
     GRAVITY,
     BodyParameters,
@@ -72,7 +73,7 @@ def test_adjoint_equals_jacobian(mode: str, box: bool) -> None:
     for seed in range(6):
         model, pusher, pose = random_case(seed, box)
         body = body_of_cells(model.shape, model.mass, model.friction)
-        arguments = (model.shape, body, model.pusher_friction, pusher, pose, pusher.time[::7])
+        arguments = (model.shape, body, model.pusher_friction, PushScenario(pusher, pose, pusher.time[::7]))
         jacobian = simulate_body(*arguments, settings=SETTINGS[mode], jacobian=True).jacobian
         motion, pull_back = simulate_body_with_pullback(*arguments, settings=SETTINGS[mode])
         by_pose = np.random.default_rng(seed).normal(size=motion.pose.shape)
@@ -94,11 +95,14 @@ def test_every_derivative_equals_central_differences(mode: str, box: bool) -> No
 
         def poses(q: Float64Array, model=model, pusher=pusher, time=time) -> Float64Array:
             body = BodyParameters(q[3], q[4:6], q[6], q[8:])
-            return simulate_body(model.shape, body, q[7], pusher, q[:3], time, settings=SETTINGS[mode]).pose
+            return simulate_body(model.shape, body, q[7], PushScenario(pusher, q[:3], time), settings=SETTINGS[mode]).pose
 
-        exact = simulate_body(
-            model.shape, body, model.pusher_friction, pusher, pose, time, settings=SETTINGS[mode], jacobian=True
-        ).jacobian * scale  # fmt: skip
+        exact = (
+            simulate_body(
+                model.shape, body, model.pusher_friction, PushScenario(pusher, pose, time), settings=SETTINGS[mode], jacobian=True
+            ).jacobian
+            * scale
+        )
         for column in [*range(8), 8, 31, 60, 77]:
             long, short = (
                 (
@@ -119,15 +123,15 @@ def test_every_derivative_equals_central_differences(mode: str, box: bool) -> No
 def test_gradient_reaches_the_cells() -> None:
     model, pusher, pose = random_case(3, False)
     time = pusher.time[::9]
-    target = simulate(hammer(8), pusher, pose, time).pose
+    target = simulate(hammer(8), PushScenario(pusher, pose, time)).pose
 
     def loss(poses: Float64Array) -> tuple[float, Float64Array]:
         return 0.5 * float(np.sum((poses - target) ** 2)), poses - target
 
     def value(mass: Float64Array, friction: Float64Array) -> float:
-        return loss(simulate(ObjectModel(model.shape, mass, friction, model.pusher_friction), pusher, pose, time).pose)[0]
+        return loss(simulate(ObjectModel(model.shape, mass, friction, model.pusher_friction), PushScenario(pusher, pose, time)).pose)[0]
 
-    gradient = loss_gradient(model, pusher, pose, time, loss)
+    gradient = loss_gradient(model, PushScenario(pusher, pose, time), loss)
     assert gradient.loss == value(model.mass, model.friction)
     for cell in (0, 20, 44, 69):
         for kind, exact in (("mass", gradient.mass), ("friction", gradient.friction)):
@@ -145,7 +149,7 @@ def test_gradient_reaches_the_cells() -> None:
 def test_pusher_and_object_never_overlap(seed: int, box: bool) -> None:
     model, pusher, pose = random_case(1000 + seed, box)
     time = np.arange(pusher.time[0], pusher.time[-1], 1 / 120)
-    motion = simulate(model, pusher, pose, time)
+    motion = simulate(model, PushScenario(pusher, pose, time))
     assert motion.status is SolveStatus.CONVERGED
     assert depth(model, pusher, time, motion.pose).min() > -1e-4
 
@@ -154,7 +158,7 @@ def test_pusher_and_object_never_overlap(seed: int, box: bool) -> None:
 def test_object_does_not_drift_before_and_after_a_push(mode: str) -> None:
     model, pusher, pose = random_case(5, False)
     time = np.array([0.0, 0.02, pusher.time[-1] - 0.2, pusher.time[-1]])
-    first, before, after, last = simulate(model, pusher, pose, time, settings=SETTINGS[mode]).pose
+    first, before, after, last = simulate(model, PushScenario(pusher, pose, time), settings=SETTINGS[mode]).pose
     assert np.array_equal(first, before)
     assert np.array_equal(after, last)
 
@@ -166,7 +170,9 @@ def test_quasi_static_push_is_the_limit_of_slow_pushes() -> None:
         pusher = straight_push((0.05, -0.09), np.pi / 2, speed=speed, travel=0.09)
         settings = {"step": 0.1 / 240 / speed, "smoothing_speed": 1e-4 * speed}
         dynamic, limit = (
-            simulate(model, pusher, np.zeros(3), pusher.time[-1:], settings=SimulationSettings(quasi_static=q, **settings)).pose
+            simulate(
+                model, PushScenario(pusher, np.zeros(3), pusher.time[-1:]), settings=SimulationSettings(quasi_static=q, **settings)
+            ).pose
             for q in (False, True)
         )
         differences.append(np.abs(dynamic - limit).max())
@@ -181,7 +187,7 @@ def test_quasi_static_path_does_not_depend_on_the_speed() -> None:
         pusher = straight_push((0.05, -0.09), np.pi / 2, speed=speed, rest=0.04 / speed, rate=600 * speed)
         # Steps of the same length in space; the smoothing is a speed too.
         settings = SimulationSettings(step=0.1 / 240 / speed, smoothing_speed=1e-3 * speed, quasi_static=True)
-        ends.append(simulate(model, pusher, np.zeros(3), pusher.time[-1:], settings=settings).pose)
+        ends.append(simulate(model, PushScenario(pusher, np.zeros(3), pusher.time[-1:]), settings=settings).pose)
     assert ends[0] == pytest.approx(ends[1], abs=1e-8)
 
 
@@ -190,7 +196,10 @@ def test_quasi_static_motion_ignores_the_mass() -> None:
     body = body_of_cells(model.shape, model.mass, model.friction)
     heavy = BodyParameters(5 * body.mass, body.centre, 3 * body.inertia, body.limit)
     pusher = straight_push((0.05, -0.09), np.pi / 2)
-    a, b = (simulate_body(model.shape, x, 0.3, pusher, np.zeros(3), pusher.time, settings=SETTINGS["quasi-static"]) for x in (body, heavy))
+    a, b = (
+        simulate_body(model.shape, x, 0.3, PushScenario(pusher, np.zeros(3), pusher.time), settings=SETTINGS["quasi-static"])
+        for x in (body, heavy)
+    )
     assert a.pose == pytest.approx(b.pose, abs=1e-9)
 
 
@@ -206,7 +215,7 @@ def test_bar_on_two_feet_turns_about_the_far_one() -> None:
     dt = 1e-3
     pusher = PusherPath(np.array([0.0, dt]), np.array([start, start + np.array([0.0, speed * dt])]), 0.0)
     settings = SimulationSettings(step=dt, smoothing_speed=1e-8, quasi_static=True)
-    motion = simulate_body(shape, body, 0.0, pusher, np.zeros(3), np.array([dt]), settings=settings)
+    motion = simulate_body(shape, body, 0.0, PushScenario(pusher, np.zeros(3), np.array([dt])), settings=settings)
     assert motion.pose[0, 2] / dt == pytest.approx(speed / (a + p), rel=1e-6)
     assert motion.pose[0, 1] / dt == pytest.approx(speed / (a + p) * a, rel=1e-6)
     assert motion.force[0, 1] == pytest.approx(2 * a * f / (a + p), rel=1e-6)
@@ -217,7 +226,7 @@ def test_small_polygon_pushes_as_the_disc_it_rounds() -> None:
     angle = np.arange(6) * np.pi / 3
     core = 1e-7 * np.column_stack([np.cos(angle), np.sin(angle)])
     rounded = PusherPath(pusher.time, pusher.position, pusher.radius, core)
-    disc, polygon = (simulate(model, p, pose, pusher.time).pose for p in (pusher, rounded))
+    disc, polygon = (simulate(model, PushScenario(p, pose, pusher.time)).pose for p in (pusher, rounded))
     assert polygon == pytest.approx(disc, abs=1e-5)
 
 
@@ -227,8 +236,8 @@ def test_flat_face_carries_an_object_off_its_middle_without_turning_it() -> None
     box = np.array([[-0.008, -0.02], [0.008, -0.02], [0.008, 0.02], [-0.008, 0.02]])
     face = PusherPath(disc.time, disc.position, 0.0, box)
     time = disc.time
-    turned = simulate(model, disc, np.zeros(3), time).pose[-1, 2]
-    motion = simulate(model, face, np.zeros(3), time)
+    turned = simulate(model, PushScenario(disc, np.zeros(3), time)).pose[-1, 2]
+    motion = simulate(model, PushScenario(face, np.zeros(3), time))
     assert abs(turned) > 0.1
     assert np.abs(motion.pose[:, 1:]).max() < 1e-6
     assert depth(model, face, time, motion.pose).min() > -1e-6
@@ -244,7 +253,7 @@ def test_line_contact_slides_by_the_friction_of_both_ends() -> None:
     box = np.array([[-0.02, -0.01], [0.02, -0.01], [0.02, 0.01], [-0.02, 0.01]])
     start = np.array([0.003, -0.045 - 0.01])
     pusher = PusherPath(np.array([0.0, dt]), np.array([start, start + dt * speed]), 0.0, box)
-    motion = simulate_body(shape, body, mu, pusher, np.zeros(3), np.array([dt]), jacobian=True)
+    motion = simulate_body(shape, body, mu, PushScenario(pusher, np.zeros(3), np.array([dt])), jacobian=True)
     assert motion.pose[0] / dt == pytest.approx([mu * speed[1], speed[1], 0.0], rel=1e-9, abs=1e-9)
     assert motion.jacobian[0, :, 7] / dt == pytest.approx([speed[1], 0.0, 0.0], rel=1e-9, abs=1e-9)
 
@@ -255,7 +264,9 @@ def test_turning_face_turns_the_object_with_it() -> None:
     disc = straight_push((-0.09, 0.0), 0.0, travel=0.08)
     box = np.array([[-0.008, -0.04], [0.008, -0.04], [0.008, 0.04], [-0.008, 0.04]])
     yaw = np.interp(disc.time, [disc.time[-1] - 0.6, disc.time[-1] - 0.4], [0.0, 0.1])
-    motion = simulate(model, PusherPath(disc.time, disc.position, 0.0, box, yaw), np.zeros(3), np.array([disc.time[-1] - 0.4]))
+    motion = simulate(
+        model, PushScenario(PusherPath(disc.time, disc.position, 0.0, box, yaw), np.zeros(3), np.array([disc.time[-1] - 0.4]))
+    )
     assert motion.pose[0, 2] == pytest.approx(0.1, abs=1e-3)
 
 
@@ -299,4 +310,4 @@ def test_outline_without_area_or_away_from_the_cells_is_refused() -> None:
     model = ObjectModel(elsewhere, np.full(n, 0.01), np.full(n, 0.3), 0.3)
     pusher = straight_push((0.5, 0.5), 0.0)
     with pytest.raises(InputError, match="inside the outline"):
-        simulate(model, pusher, np.zeros(3), pusher.time)
+        simulate(model, PushScenario(pusher, np.zeros(3), pusher.time))

@@ -11,6 +11,7 @@ from helpers.random_pushes import DT, examples
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, NO_MODE
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, SimulationSettings, body_of_cells, cell_gradient, simulate_body
 from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.support import support_friction
@@ -54,7 +55,7 @@ def test_sliding_block_loses_mu_times_its_load(cone: str) -> None:
     assert body.centre == pytest.approx([0.0, 0.0], abs=1e-15)
     path = np.array([[-0.058, 0.0], [-0.058 + speed * DT, 0.0], [-0.1, 0.0]])
     pusher = PusherPath(DT * np.arange(3), path, 0.008)
-    motion = simulate_body(shape, body, 0.3, pusher, np.zeros(3), pusher.time, settings=SHARP[cone], jacobian=True)
+    motion = simulate_body(shape, body, 0.3, PushScenario(pusher, np.zeros(3), pusher.time), settings=SHARP[cone], jacobian=True)
     load = float(body.limit.sum())
     slower = speed - DT * load / body.mass
     assert motion.pose[:, 0] == pytest.approx([0.0, DT * speed, DT * (speed + slower)], rel=1e-9)
@@ -83,7 +84,7 @@ def test_pusher_that_slips_carries_along_at_mu_times_its_normal_speed(
     velocity = np.array([sign * (mu + excess) * normal_speed, normal_speed])
     start = np.array([-0.01 * sign, -0.058])
     pusher = PusherPath(DT * np.arange(2), np.array([start, start + DT * velocity]), 0.008)
-    motion = simulate_body(shape, body, mu, pusher, np.zeros(3), pusher.time, settings=SHARP["circle"], jacobian=True)
+    motion = simulate_body(shape, body, mu, PushScenario(pusher, np.zeros(3), pusher.time), settings=SHARP["circle"], jacobian=True)
     left = motion.pose[-1, :2] / DT
     along = np.array([sign * mu, 1.0])
     assert left == pytest.approx(normal_speed * along, rel=1e-9, abs=1e-12)
@@ -214,7 +215,7 @@ def test_pusher_begins_to_slip_at_the_edge_of_its_motion_cone(mu: float, edge_of
     for beyond in (-0.05, -1e-2, -1e-4, 1e-4, 1e-2, 0.05):
         heading = limit_heading - edge_of_cone * beyond
         shape, body, pusher, velocity = ring_pushed_at_its_side(y, tilt, heading)
-        motion = simulate_body(shape, body, mu, pusher, np.zeros(3), pusher.time, settings=how)
+        motion = simulate_body(shape, body, mu, PushScenario(pusher, np.zeros(3), pusher.time), settings=how)
         assert motion.status is SolveStatus.CONVERGED
         twist = motion.pose[-1] / DT
         contact = twist[:2] + twist[2] * np.array([-y, -radius])

@@ -10,6 +10,7 @@ from hypothesis import given, target
 
 from helpers.differences import ridders
 from helpers.random_pushes import CLASSES, ENGINES, Case, Step, cases, examples, fixed_seeds, random_case, steps_of
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, simulate_body, simulate_body_with_pullback
 from push_ident.types import Float64Array, SolveStatus
 
@@ -46,7 +47,7 @@ def compare(case: Case, mode: str) -> tuple[set[str], Float64Array, Float64Array
             q = point.copy()
             q[column] += h * scale[column]
             body = BodyParameters(q[3], q[4:6], q[6], q[8:])
-            moved = simulate_body(case.model.shape, body, q[7], case.pusher, q[:3], case.pusher.time, settings=ENGINES[mode])
+            moved = simulate_body(case.model.shape, body, q[7], PushScenario(case.pusher, q[:3], case.pusher.time), settings=ENGINES[mode])
             if column < 3 and abs(h) == first:
                 moved_case = Case(case.model, case.pusher, q[:3])
                 switched = switched or [step.signature for step in steps_of(moved_case, moved)] != signature
@@ -92,7 +93,8 @@ def test_every_column_of_the_jacobian_equals_differences_to_six_digits(mode: str
 @given(case=cases(48))
 def test_adjoint_is_the_transpose_of_the_jacobian(mode: str, case: Case) -> None:
     body = case.body
-    arguments = (case.model.shape, body, case.model.pusher_friction, case.pusher, case.pose, case.pusher.time[::5])
+    scenario = PushScenario(case.pusher, case.pose, case.pusher.time[::5])
+    arguments = (case.model.shape, body, case.model.pusher_friction, scenario)
     jacobian = simulate_body(*arguments, settings=ENGINES[mode], jacobian=True).jacobian
     motion, pull_back = simulate_body_with_pullback(*arguments, settings=ENGINES[mode])
     by_pose = np.random.default_rng(len(body.limit)).normal(size=motion.pose.shape)

@@ -28,6 +28,7 @@ from helpers.random_pushes import (
 )
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.contact import RECOVERY_SPEED
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate_body, simulate_body_with_pullback
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
@@ -225,7 +226,7 @@ def test_nothing_drifts_in_a_minute(mode: str, polygon: bool) -> None:
         pusher = replace(case.pusher, time=time, position=position, yaw=yaw)
         at = time[-1] - np.array([60.0, 30.0, 0.0])
         motion = simulate_body(
-            case.model.shape, case.body, case.model.pusher_friction, pusher, case.pose, np.r_[0.0, at], settings=ENGINES[mode]
+            case.model.shape, case.body, case.model.pusher_friction, PushScenario(pusher, case.pose, np.r_[0.0, at]), settings=ENGINES[mode]
         )
         assert np.linalg.norm(motion.pose[1, :2] - case.pose[:2]) > 1e-3
         assert np.array_equal(motion.pose[1], motion.pose[2])
@@ -255,7 +256,7 @@ def test_disc_in_a_pocket_rests_on_both_of_its_corners() -> None:
     pusher = PusherPath(np.array([0.0, 0.05, 0.5]), path, radius)
     time = np.arange(0.0, 0.5, DT)
     motion = simulate_body(
-        shape, Case(model, pusher, np.zeros(3)).body, 0.0, pusher, np.zeros(3), time, settings=SimulationSettings(step=DT)
+        shape, Case(model, pusher, np.zeros(3)).body, 0.0, PushScenario(pusher, np.zeros(3), time), settings=SimulationSettings(step=DT)
     )
     sampled = replace(pusher, time=time, position=np.column_stack([np.interp(time, pusher.time, path[:, i]) for i in (0, 1)]))
     assert clearances(Case(model, sampled, np.zeros(3)), motion.pose).min() > -1e-4
@@ -272,6 +273,6 @@ def test_push_without_a_unique_motion_is_reported_as_failed_and_gives_no_numbers
     assert np.all(np.isnan(motion.pose))
     assert np.all(np.isnan(motion.jacobian))
     _, pull_back = simulate_body_with_pullback(
-        case.model.shape, case.body, 0.3, case.pusher, case.pose, case.pusher.time, settings=ENGINES["quasi-static"]
+        case.model.shape, case.body, 0.3, PushScenario(case.pusher, case.pose, case.pusher.time), settings=ENGINES["quasi-static"]
     )
     assert np.all(np.isnan(pull_back(np.ones_like(motion.pose))))

@@ -11,6 +11,7 @@ from push_ident.errors import InputError
 from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_SLIDE_MINUS, MODE_SLIDE_PLUS, MODE_STICK, NO_MODE
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.reference import ReferenceModel, reference_rollout
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, body_of_cells, cell_gradient, simulate, simulate_body
 from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.support import support_friction
@@ -129,7 +130,7 @@ def test_pyramid_and_circle_agree_on_a_push_along_an_axis() -> None:
     model = uniform(square())
     pusher = straight_push((-0.07, 0.0), 0.0, speed=0.13)
     fine = SimulationSettings(smoothing_speed=1e-8)
-    circle, pyramid = (simulate(model, pusher, np.zeros(3), pusher.time, settings=s).pose for s in (fine, PYRAMID))
+    circle, pyramid = (simulate(model, PushScenario(pusher, np.zeros(3), pusher.time), settings=s).pose for s in (fine, PYRAMID))
     assert pyramid == pytest.approx(circle, abs=1e-7)
 
 
@@ -148,7 +149,7 @@ def test_pyramid_equals_the_reference_engine_with_its_derivatives(seed: int) -> 
     time = pusher.time[::5]
     settings = SimulationSettings(step=1 / 120, friction_cone="pyramid")
     body = body_of_cells(keep, model.mass, model.friction)
-    fast = simulate_body(keep, body, model.pusher_friction, pusher, pose, time, settings=settings, jacobian=True)
+    fast = simulate_body(keep, body, model.pusher_friction, PushScenario(pusher, pose, time), settings=settings, jacobian=True)
     by_mass, by_friction = cell_gradient(keep, model.mass, model.friction, fast.jacobian[-1])
 
     mass, friction, mu = (
@@ -171,7 +172,7 @@ def test_resting_object_does_not_creep() -> None:
     model = uniform(square())
     pusher = straight_push((-0.07, 0.01), 0.3, speed=0.13, rest=0.6)
     late = np.array([pusher.time[-1] - 0.3, pusher.time[-1]])
-    first, last = simulate(model, pusher, np.zeros(3), late, settings=PYRAMID).pose
+    first, last = simulate(model, PushScenario(pusher, np.zeros(3), late), settings=PYRAMID).pose
     assert np.array_equal(first, last)
 
 
@@ -181,7 +182,7 @@ def test_random_push_with_the_pyramid_converges(seed: int) -> None:
     model = hammer(seed, pusher_friction=rng.uniform(0.05, 0.8))
     pose = np.array([0.02, -0.03, rng.uniform(-3, 3)])
     pusher = random_push(model.shape, pose, rng)
-    assert simulate(model, pusher, pose, pusher.time, settings=PYRAMID).status is SolveStatus.CONVERGED
+    assert simulate(model, PushScenario(pusher, pose, pusher.time), settings=PYRAMID).status is SolveStatus.CONVERGED
 
 
 def test_quasi_static_pyramid_is_refused() -> None:

@@ -15,6 +15,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.lcp import LcpStatus, solve_lcp
 from push_ident.physics.reference import ReferenceModel, StepProblem, StepResult, reference_lcp, reference_rollout, reference_step
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, SimulationSettings, simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
@@ -278,7 +279,7 @@ def test_translation_along_an_axis_equals_the_compiled_engine() -> None:
     pusher = straight_push((-0.055, 0.0), 0.0, speed=0.13, travel=0.03, rest=0.05)
     time = pusher.time[::3]
     motion = reference_rollout(model.shape, ReferenceModel.of(model), [pusher], torch.zeros(1, 3).double(), [time])
-    fast = simulate(model, pusher, np.zeros(3), time, settings=SimulationSettings(smoothing_speed=1e-7))
+    fast = simulate(model, PushScenario(pusher, np.zeros(3), time), settings=SimulationSettings(smoothing_speed=1e-7))
     assert motion.status == (SolveStatus.CONVERGED,)
     assert fast.pose[-1, 0] > 0.02
     assert motion.poses[0].numpy() == pytest.approx(fast.pose, abs=1e-7)

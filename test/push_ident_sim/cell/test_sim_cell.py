@@ -17,6 +17,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se3 import pose_of_quaternion
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
@@ -231,7 +232,7 @@ def test_push_ends_where_the_planar_model_says() -> None:
     model = ObjectModel(
         ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline), thing.mass, thing.friction, thing.pusher_friction
     )
-    predicted = simulate(model, PusherPath(rows[:, 0], rows[:, 3:5], PUSHER_RADIUS), np.zeros(3), rows[-1:, 0]).pose[0]
+    predicted = simulate(model, PushScenario(PusherPath(rows[:, 0], rows[:, 3:5], PUSHER_RADIUS), np.zeros(3), rows[-1:, 0])).pose[0]
     assert np.linalg.norm(rows[-1, 5:7]) > 0.04 and abs(rows[-1, 7]) > 0.1
     np.testing.assert_allclose(rows[-1, 5:7], predicted[:2], atol=1e-3)
     assert rows[-1, 7] == pytest.approx(predicted[2], abs=0.01)

@@ -10,6 +10,7 @@ import pytest
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.effect_values import EffectValues
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
@@ -96,7 +97,7 @@ def test_both_engines_agree_to_half_a_millimetre_where_the_loads_are_the_same(na
     errors = []
     for motion in make_pushes(thing, [3, 1], FEW, engine=world):
         path = PusherPath(motion.time, motion.pusher, RADIUS)
-        end = simulate(model, path, motion.pose[0], motion.time[-1:]).pose[-1]
+        end = simulate(model, PushScenario(path, motion.pose[0], motion.time[-1:])).pose[-1]
         errors.append(cell_error(model.shape.cells, end, motion.pose[-1]))
     assert 1e-6 < np.median(errors) < 5e-4
 
@@ -178,7 +179,7 @@ def test_law_of_an_effect_moves_objects_as_the_other_engine_moves_them(name: str
         for motion in make_pushes(thing, [seed, 6], FEW, engine=plain):
             path, first, end = PusherPath(motion.time, motion.pusher, RADIUS), motion.pose[0], motion.time[-1:]
             by_engine = changed.push(first, path).pose[-1] - motion.pose[-1]
-            ends = [simulate(model, path, first, end, effects=own).pose[-1] for own in (None, law)]
+            ends = [simulate(model, PushScenario(path, first, end), effects=own).pose[-1] for own in (None, law)]
             cells, place = model.shape.cells, motion.pose[-1]
             moved = cell_error(cells, place, place + by_engine)
             wrong.append(cell_error(cells, place + by_engine, place + ends[1] - ends[0]) / max(moved, 1e-5))

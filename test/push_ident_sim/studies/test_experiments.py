@@ -15,6 +15,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath
 from push_ident_sim.code_digest import code_digest, files_behind
@@ -47,7 +48,7 @@ def test_planar_model_with_the_true_maps_predicts_the_pushes_to_a_millimetre(nam
         way = np.abs(motion.pose[-1] - motion.pose[0])
         assert np.hypot(way[0], way[1]) >= 0.01 or way[2] >= 0.1
         path = PusherPath(motion.time, motion.pusher, FEW.pushes.pusher_radius)
-        end = simulate(model, path, motion.pose[0], motion.time[-1:]).pose[-1]
+        end = simulate(model, PushScenario(path, motion.pose[0], motion.time[-1:])).pose[-1]
         errors.append(cell_error(model.shape.cells, end, motion.pose[-1]))
     # Not each of them: a pusher that slips off a corner may do so a moment earlier in one engine than in the other.
     assert np.median(errors) < 5e-4
@@ -134,7 +135,7 @@ def test_force_sensor_measures_the_sliding_friction_of_a_push(folder: Path) -> N
     model = true_model(thing)
     for record in train:
         assert record.wrench is not None
-        motion = simulate(model, record.pusher, record.poses.pose[0], record.pusher.time[-1:])
+        motion = simulate(model, PushScenario(record.pusher, record.poses.pose[0], record.pusher.time[-1:]))
         impulse = np.trapezoid(record.wrench.force, record.wrench.time, axis=0)
         expected = np.trapezoid(motion.force, motion.force_time, axis=0)
         np.testing.assert_allclose(impulse, expected, atol=0.05 * np.linalg.norm(expected))

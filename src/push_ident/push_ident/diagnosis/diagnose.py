@@ -35,8 +35,6 @@ __all__ = ["diagnose"]
 
 Progress = Callable[[str], None]
 
-_SAME = ({"tool_offset", "camera_translation"},)
-"""Effects that no push can tell apart."""
 _ENOUGH_PAIRS = 80
 """Pairs of neighbouring frames at rest from which the correlation of their errors is known to a tenth."""
 _CHANCE = 0.005
@@ -266,10 +264,9 @@ def _doubts(selection: Selection, thresholds: Thresholds) -> dict[str, tuple[str
     doubts: dict[str, tuple[str, ...]] = {}
     for rival in selection.open_rivals(thresholds):
         doubts[rival.of] = (*doubts.get(rival.of, ()), rival.name)
-    for same in _SAME:
-        for name in (n for n in selection.found if n in same):
-            if twins := [twin for twin in sorted(same) if twin not in (*selection.found, *doubts.get(name, ()))]:
-                doubts[name] = (*doubts.get(name, ()), *twins)
+    for name in selection.found:
+        if twins := [twin for twin in EFFECTS[name].exact_twins if twin not in (*selection.found, *doubts.get(name, ()))]:
+            doubts[name] = (*doubts.get(name, ()), *twins)
     return doubts
 
 
@@ -278,7 +275,7 @@ def _explanations(selection: Selection, thresholds: Thresholds) -> dict[str, Eff
     if not selection.found:
         first = selection.steps[0] if selection.steps else None
         return {NO_EFFECT: selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
-    rivals = [rival for rival in selection.open_rivals(thresholds) if {rival.of, rival.name} not in _SAME]
+    rivals = [rival for rival in selection.open_rivals(thresholds) if rival.name not in EFFECTS[rival.of].exact_twins]
     if rivals:
         return {rivals[0].of: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.of == rivals[0].of}}
     # Where nothing is open, the push that would show the last effect most clearly confirms it.

@@ -15,6 +15,8 @@ from push_ident.identification.next_push import PlannedPush, PoseSensor, candida
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import Mechanics
 from push_ident.physics.effect_values import seen_poses, true_pose
+from push_ident.physics.effects import EFFECTS
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
 from push_ident.types import Float64Array, PoseTrack, SolveStatus
@@ -34,29 +36,6 @@ _TELLS = 1.0
 """Squared distance from which a push is worth making: two explanations that no push sets further apart are the same to this cell."""
 _SETTLES = 9.0
 """Squared distance of predictions, in units of what would be seen, that is rarely mistaken."""
-
-_CHECKS = {
-    "table_tilt": "Put a spirit level on the table.",
-    "tether": "Disconnect every cable and hose of the object and push again.",
-    "moving_contents": "Shake the object and listen; wait ten seconds and repeat a push.",
-    "push_height": "Repeat a push with the tool 20 mm lower.",
-    "pusher_friction": "See that the tip of the pusher does not turn; tape over it with something of known friction.",
-    "tool_offset": "Touch a mark of known position with the tool.",
-    "camera_translation": "Look at a mark of known position with the camera.",
-    "camera_rotation": "Look at two marks of known positions with the camera.",
-    "camera_scale": "Look at two marks of known distance with the camera.",
-    "outline_error": "Measure the object with a calliper.",
-    "pusher_lag": "Compare the commanded with the measured path of the tool in a fast move in free air.",
-    "pusher_speed_scale": "Measure the length of a long move of the tool with a ruler.",
-    "pose_latency": "Tap the object with the tool and compare the stamps of the tool and of the first moved pose.",
-    "table_anisotropy": "Turn the object by 90 degrees and repeat a push; or lay a sheet of glass on the table.",
-    "base_anisotropy": "Look at the underside of the object for a grain.",
-    "position_dependent_friction": "Clean the table and repeat two pushes at places far apart.",
-    "speed_dependent_friction": "See that there is no film of oil; repeat a push at a quarter of its speed.",
-    "stribeck_friction": "Repeat a push at 10 mm/s.",
-    "restitution": "Film an impact at a high frame rate.",
-    "wear": "Repeat the first push last.",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +71,7 @@ def without(name: str) -> str:
 
 def check_without_a_push(names: Sequence[str]) -> str:
     """What somebody at the cell can do to settle it without a push; empty where nothing is known."""
-    return next((_CHECKS[name] for name in names if name in _CHECKS), "")
+    return next((EFFECTS[name].check for name in names if EFFECTS[name].check), "")
 
 
 def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: PushSettings) -> SeparatingPush | None:
@@ -180,7 +159,7 @@ def _outcome(model: _Predictor, push: PlannedPush, seen: Observation) -> _Outcom
     mechanics = model.mechanics
     # The object lies where it is reported: with a camera that is off, elsewhere.
     start = true_pose(mechanics.effects, push.pose_object_in_table)
-    motion = mechanics.simulate(push.pusher, start, seen.time, settings=model.settings, order=model.order, jacobian=True)
+    motion = mechanics.simulate(PushScenario(push.pusher, start, seen.time, model.order), settings=model.settings, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
     _, by_pose, by_value = seen_poses(mechanics.effects, start[None])

@@ -17,6 +17,7 @@ import numpy as np
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observation import Observation
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Frames", "Group", "correlation_in_motion", "group_frames", "left_over"]
@@ -107,7 +108,7 @@ def left_over(fit: EffectFit) -> Frames:
     parts, nulls = [], []
     for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(
-            record.pusher, problem.first_pose(fit.x, push), seen.time, settings=problem.settings, order=record.order
+            PushScenario(record.pusher, problem.first_pose(fit.x, push), seen.time, record.order), settings=problem.settings
         )
         off = seen.pose - motion.pose
         velocity = np.gradient(motion.pose[:, :2], np.maximum.accumulate(seen.time + 1e-9 * np.arange(len(seen.time))), axis=0)

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.identification.parameters import MapParameters
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.types import Float64Array
 
 __all__ = ["EffectScore", "Information", "information_beside", "score_effects"]
 
-_CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_remainder)
 _MAX_START = 2.0
 """A guess is not taken further than so many prior deviations."""
 
@@ -64,7 +63,7 @@ def information_beside(fit: EffectFit, names: Sequence[str] = ()) -> Information
     Returns:
         None where the pushes cannot be simulated.
     """
-    absent = [name for name in names or _CAUSES if name not in fit.names]
+    absent = [name for name in names or CAUSES if name not in fit.names]
     before = fit.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
     problem = fit.problem.of(parameters)

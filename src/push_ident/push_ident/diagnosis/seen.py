@@ -11,18 +11,21 @@ from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.residuals import Frames
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.observation import NoiseModel
+from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 
 __all__ = ["SEEN_OUTLINE", "as_seen", "is_off", "odd_pushes", "with_camera_in_question"]
 
-SEEN_OUTLINE: Final = "outline_error"
+SEEN_OUTLINE: Final = next(name for name in CAMERA_ERRORS if EFFECTS[name].moves_outline)
 """Effect that belongs to the base model where a camera traced the outline."""
-_CAMERA: Final = ("camera_translation", "camera_rotation", "camera_scale")
+_CAMERA: Final = tuple(name for name in CAMERA_ERRORS if not EFFECTS[name].moves_outline)
 """Effects that belong to the base model within the accuracy of a camera, whose error changes with place and view."""
-_OUTLINE_STD: Final = 4e-4
-"""Of a traced outline [m]; the perception of this suite is off by 0.32 mm root mean square."""
-_CAMERA_SHARE: Final = 0.25
-"""Accuracy of a calibrated camera as a share of the prior of its effects: 0.5 mm, 2.5 mrad, 0.5 %. Over the 0.1 m that an object is pushed
-about, the perception of this suite was off by 0.3 mm and 3.5 mrad."""
+_OUTLINE_STD, *_CAMERA_SHARES = (
+    (p.camera_std if EFFECTS[name].moves_outline else p.camera_std / p.scale)
+    for name in CAMERA_ERRORS
+    for p in EFFECTS[name].parameters
+    if p.camera_std is not None
+)
+"""Accuracy of a traced outline [m]; that of a calibrated camera as a share of the prior of each of its effects."""
 _POSE_STD: Final = (7e-4, 6e-3)
 """Of a pose of such an object, shared by all frames of a rest [m, rad]."""
 _GROWTH: Final = (0.012, 0.12)
@@ -47,8 +50,8 @@ _OFF: Final = 2.5
 
 def as_seen(settings: DiagnosisSettings) -> DiagnosisSettings:
     """Settings for poses and outlines that a camera told: its errors belong to the base model."""
-    prior = replace(settings.prior, outline_std=_OUTLINE_STD, camera_share=_CAMERA_SHARE)
-    own = [name for name in (SEEN_OUTLINE, *_CAMERA) if name not in settings.base_effects]
+    prior = replace(settings.prior, outline_std=_OUTLINE_STD, camera_share=_CAMERA_SHARES[0])
+    own = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
     asked = settings.thresholds
     thresholds = replace(
         asked,

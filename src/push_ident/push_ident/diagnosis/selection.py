@@ -12,19 +12,10 @@ from push_ident.diagnosis.fits import EffectFit, fit_effects, polished, with_ano
 from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.scores import EffectScore, Information, information_beside, score_effects
 from push_ident.diagnosis.settings import Thresholds
+from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 
 __all__ = ["Candidate", "Rival", "Selection", "Step", "select_effects"]
-
-_TOGETHER = (
-    frozenset({"pusher_lag", "pose_latency", "pusher_speed_scale"}),
-    frozenset({"table_tilt", "tether"}),
-    frozenset({"push_height", "moving_contents", "position_dependent_friction"}),
-)
-"""Effects whose scores mislead about one another: where one of them is refitted, all are."""
-
-_NESTED = {"tether": "table_tilt"}
-"""Effects that hold another as a special case: the simpler one is preferred unless the larger gains much more."""
 
 _RIVAL = 0.5
 """Share of the best one's gain from which another effect may yet take its place."""
@@ -131,7 +122,7 @@ class Selection:
             return ()
         step, last = list(self.added.values())[-1]
         own = [Rival(c.name, last.name, c.fit, last.gain - c.gain) for c in step.candidates if c is not last]
-        return tuple(r for r in (*own, *self.swaps) if r.name not in self.found and _NESTED.get(r.name) != r.of)
+        return tuple(r for r in (*own, *self.swaps) if r.name not in self.found and r.name not in EFFECTS[r.of].special_case_of)
 
     def open_rivals(self, thresholds: Thresholds) -> tuple[Rival, ...]:
         """Those that explain the pushes nearly as well: a law that holds as it stands lacks nothing if it is there, a law of friction or
@@ -142,7 +133,7 @@ class Selection:
             gain = gains[rival.of]
             if gain < thresholds.sure:
                 return gain - 1.0
-            return thresholds.apart if EFFECTS[rival.name].is_geometric else max(thresholds.apart, thresholds.apart_share * gain)
+            return thresholds.apart if EFFECTS[rival.name].law is Law.EXACT else max(thresholds.apart, thresholds.apart_share * gain)
 
         return tuple(rival for rival in self.rivals if rival.behind < apart(rival))
 
@@ -152,7 +143,7 @@ class Selection:
             name: other.name
             for name, (step, candidate) in self.added.items()
             for other in step.candidates
-            if _NESTED.get(other.name) == name and other.gain > candidate.gain - apart
+            if other.name in EFFECTS[name].special_case_of and other.gain > candidate.gain - apart
         }
 
 
@@ -201,14 +192,14 @@ def _is_trifle(candidate: Candidate, thresholds: Thresholds) -> bool:
     """Whether an effect is smaller than cells are known."""
     effect, fit = EFFECTS[candidate.name], candidate.fit
     values = fit.effects.values[fit.effects.slice_of(candidate.name)]
-    return effect.is_geometric and float(np.linalg.norm(values)) < thresholds.trifles.get(effect.parameters[0].unit, 0.0)
+    return effect.law is Law.EXACT and float(np.linalg.norm(values)) < thresholds.trifles.get(effect.parameters[0].unit, 0.0)
 
 
 def _needed(selection: Selection, thresholds: Thresholds) -> float:
     """Gain of log evidence from which one more effect counts [nat]."""
     if not selection.found:
         return thresholds.seen
-    nearly = sum(candidate.gain for name, (_, candidate) in selection.added.items() if not EFFECTS[name].is_geometric)
+    nearly = sum(candidate.gain for name, (_, candidate) in selection.added.items() if EFFECTS[name].law is not Law.EXACT)
     return max(thresholds.also, thresholds.also_share * nearly)
 
 
@@ -217,8 +208,9 @@ def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds, *,
         return []
     enough = max(_PROMISING[0] + _OUTSHONE * scores[0].gain, _PROMISING[not is_first])
     chosen = {score.name for score in scores[: thresholds.n_refits] if score.gain > enough}
-    for group in _TOGETHER:
-        if chosen & group and any(s.gain > 0 for s in scores if s.name in group):
+    for name in sorted(chosen):
+        group = {name, *EFFECTS[name].refit_with}
+        if any(s.gain > 0 for s in scores if s.name in group):
             chosen |= group
     return [score for score in scores if score.name in chosen]
 
@@ -226,10 +218,9 @@ def _worth_refitting(scores: tuple[EffectScore, ...], thresholds: Thresholds, *,
 def _ranked(candidates: list[Candidate], apart: float) -> list[Candidate]:
     """The best first; a special case before what holds it, unless that gains much more."""
     ranked = sorted(candidates, key=lambda c: -c.gain)
-    if ranked and (simpler := _NESTED.get(ranked[0].name)):
-        for place, candidate in enumerate(ranked):
-            if candidate.name == simpler and candidate.gain > ranked[0].gain - apart:
-                return [candidate, *ranked[:place], *ranked[place + 1 :]]
+    for place, candidate in enumerate(ranked):
+        if ranked[0].name in EFFECTS[candidate.name].special_case_of and candidate.gain > ranked[0].gain - apart:
+            return [candidate, *ranked[:place], *ranked[place + 1 :]]
     return ranked
 
 

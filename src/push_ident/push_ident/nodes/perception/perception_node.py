@@ -299,7 +299,7 @@ class PerceptionNode(Node):
             self._tell_calibration(name, camera)
         self._counter[f"{name}_frames"] += 1
         if self._perception is not None:
-            self._perception.see_also(name, frame, camera.pose, self._robot_at(frame.stamp))
+            self._perception.add_further_view(name, frame, camera.pose, self._robot_at(frame.stamp))
 
     def _leave_out(self, name: str, kind: str, why: str) -> None:
         """Tell what is wrong with a further camera; perception goes on without it."""
@@ -480,7 +480,7 @@ class PerceptionNode(Node):
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_seen is None:
             return self._last_error or "no depth frame has been taken in yet"
-        return self._last_seen.why_nothing()
+        return self._last_seen.why_no_pose()
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic

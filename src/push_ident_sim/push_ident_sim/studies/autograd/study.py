@@ -11,6 +11,7 @@ import numpy as np
 
 from push_ident.errors import PushIdentError
 from push_ident.identification.prediction import cell_error
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings, Target
@@ -61,7 +62,7 @@ def _compare(cells_along: int, n_pushes: int, rounds: int, seed: int) -> Json:
 
 
 def _compare_push(model: ObjectModel, other: ObjectModel, push: PusherPath, rounds: int) -> Json:
-    target = simulate(other, push, _AT_REST, FRAMES, settings=SimulationSettings(step=_STEP)).pose
+    target = simulate(other, PushScenario(push, _AT_REST, FRAMES), settings=SimulationSettings(step=_STEP)).pose
     compiled: dict[str, SimulationSettings] = {name: SimulationSettings(step=_STEP, friction_cone=name) for name in _COMPILED}
     calls: dict[str, Callable[[], _Outcome]] = {
         _REFERENCE: partial(_by_reference, model, push, target),
@@ -72,7 +73,7 @@ def _compare_push(model: ObjectModel, other: ObjectModel, push: PusherPath, roun
 
 
 def _by_compiled(model: ObjectModel, push: PusherPath, target: Float64Array, settings: SimulationSettings) -> _Outcome:
-    result = loss_gradient(model, push, _AT_REST, FRAMES, distance_to(target), settings=settings)
+    result = loss_gradient(model, PushScenario(push, _AT_REST, FRAMES), distance_to(target), settings=settings)
     return result.loss, np.concatenate([result.mass * model.mass, result.friction * model.friction]), result.motion.pose[-1]
 
 

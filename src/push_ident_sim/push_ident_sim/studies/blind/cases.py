@@ -34,7 +34,7 @@ __all__ = ["CATALOGUE", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth",
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
-CATALOGUE = tuple(name for name, effect in NAMED.items() if not effect.is_remainder)
+CATALOGUE = tuple(name for name, effect in NAMED.items() if not effect.is_unknown_cause)
 """Effects that a diagnosis can name."""
 _SIZES = (0.15, 0.5, 1.2, 3.0)
 """Times the typical size."""

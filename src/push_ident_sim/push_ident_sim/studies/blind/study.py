@@ -15,6 +15,7 @@ from push_ident.errors import InputError
 from push_ident.identification.files import finite
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import cell_error
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath, PushRecord
 from push_ident_sim.engines.planar import PlanarWorld
@@ -69,7 +70,7 @@ def _compare_engines(case: Case) -> Json:
     for motion in make_pushes(thing, [case.model, OBJECT_NAMES.index(case.object_name), 6], settings):
         path = PusherPath(motion.time, motion.pusher, radius)
         other = planar.push(motion.pose[0], path).pose[-1]
-        own, own_loads = (simulate(m, path, motion.pose[0], motion.time[-1:]).pose[-1] for m in (model, loaded))
+        own, own_loads = (simulate(m, PushScenario(path, motion.pose[0], motion.time[-1:])).pose[-1] for m in (model, loaded))
         ends = {
             "model_bullet": (own, motion.pose[-1]),
             "model_planar": (own, other),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.identification.prediction import cell_error
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings
@@ -44,12 +45,12 @@ def _compare(cells_along: int, push: PusherPath, n_cells: int, rounds: int, seed
 
     model = plate(cells_along, seed)
     world = PushWorld(plate_in_bullet(model), push.radius)
-    loss = distance_to(simulate(plate(cells_along, seed + 1), push, _AT_REST, FRAMES).pose)
+    loss = distance_to(simulate(plate(cells_along, seed + 1), PushScenario(push, _AT_REST, FRAMES)).pose)
     times, _ = interleaved(
         {
             "bullet": lambda: world.push(_AT_REST, push, longest_rest=0.0),
-            "rollout": lambda: simulate(model, push, _AT_REST, FRAMES),
-            "gradient": lambda: loss_gradient(model, push, _AT_REST, FRAMES, loss),
+            "rollout": lambda: simulate(model, PushScenario(push, _AT_REST, FRAMES)),
+            "gradient": lambda: loss_gradient(model, PushScenario(push, _AT_REST, FRAMES), loss),
         },
         rounds,
         {"rollout": _REPEATS, "gradient": _REPEATS},
@@ -57,7 +58,7 @@ def _compare(cells_along: int, push: PusherPath, n_cells: int, rounds: int, seed
     world.close()
 
     cells = np.random.default_rng(cell_seed).choice(cells_along**2, n_cells, replace=False)
-    result = loss_gradient(model, push, _AT_REST, FRAMES, loss)
+    result = loss_gradient(model, PushScenario(push, _AT_REST, FRAMES), loss)
     exact = np.concatenate([(result.mass * model.mass)[cells], (result.friction * model.friction)[cells]])
     rollouts: dict[str, _Rollout] = {"bullet": partial(_bullet_poses, push), "compiled": partial(_compiled_poses, push)}
     quotients = {name: [_differences(rollout, model, cells, loss, step) for step in _STEPS] for name, rollout in rollouts.items()}
@@ -72,7 +73,7 @@ def _compare(cells_along: int, push: PusherPath, n_cells: int, rounds: int, seed
 
 
 def _compiled_poses(push: PusherPath, model: ObjectModel) -> Float64Array:
-    return simulate(model, push, _AT_REST, FRAMES).pose
+    return simulate(model, PushScenario(push, _AT_REST, FRAMES)).pose
 
 
 def _bullet_poses(push: PusherPath, model: ObjectModel) -> Float64Array:

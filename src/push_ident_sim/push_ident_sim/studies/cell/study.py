@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import ObjectModel, PusherPath
 from push_ident_sim.engines.true_motion import TrueMotion
@@ -135,7 +136,7 @@ def _pushed(thing: SimObject, motion: TrueMotion, settings: TruthSettings) -> Tr
 
 def _end(model: ObjectModel, motion: TrueMotion, settings: TruthSettings) -> FloatArray:
     """Last pose that the planar model predicts for the pusher's true path."""
-    return np.asarray(simulate(model, _path(motion, settings), motion.pose[0], motion.time[-1:]).pose[-1])
+    return np.asarray(simulate(model, PushScenario(_path(motion, settings), motion.pose[0], motion.time[-1:])).pose[-1])
 
 
 def _path(motion: TrueMotion, settings: TruthSettings) -> PusherPath:

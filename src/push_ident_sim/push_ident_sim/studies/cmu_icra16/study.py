@@ -20,6 +20,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, held_out_errors
 from push_ident.offline.loading import load_pushes
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, body_of_cells, simulate_body
 from push_ident.types import CellGrid, ObjectShape, PushRecord
 
@@ -38,7 +39,7 @@ def known_support_errors(report: ImportReport, records: list[PushRecord]) -> np.
     errors = []
     for record in records:
         seen = observe_push(record)
-        end = simulate_body(standing, body, PUSHER_FRICTION, record.pusher, seen.pose[0], seen.time[-1:]).pose[-1]
+        end = simulate_body(standing, body, PUSHER_FRICTION, PushScenario(record.pusher, seen.pose[0], seen.time[-1:])).pose[-1]
         errors.append(cell_error(shape.cells, end, seen.pose[-1]))
     return np.array(errors)
 

@@ -174,7 +174,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
         kind["hidden"].append(round(float(np.mean(covered[on_object] < depth[on_object] - _RAISED)), 4))
         _note(kind, seen, compose(view.pose, offset))
     if shape is None or occupancy is None:
-        raise PerceptionError(f"{object_name} {seed} was not taken in: {seen.why_nothing()}.")
+        raise PerceptionError(f"{object_name} {seed} was not taken in: {seen.why_no_pose()}.")
     truth = transform_points(inverse(offset), thing.outline)
     distance = signed_distance(_dense(shape.outline), truth)
     area = _cells_of(transform_points(at_first, thing.outline), occupancy.origin, occupancy.resolution, occupancy.occupancy.shape)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.identification.prediction import cell_error
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, compile_kernels, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings, Target
@@ -52,21 +53,21 @@ def _pieces(settings: Settings) -> list[Piece]:
 def _calls(model: ObjectModel, pushes: Sequence[PusherPath], settings: SimulationSettings) -> dict[str, Callable[[], object]]:
     """What is timed: all pushes, one after the other."""
     even = replace(model, mass=np.full(len(model.mass), model.total_mass / len(model.mass)), friction=np.full(len(model.mass), 0.3))
-    losses = [distance_to(simulate(even, push, _AT_REST, FRAMES, settings=settings).pose) for push in pushes]
+    losses = [distance_to(simulate(even, PushScenario(push, _AT_REST, FRAMES), settings=settings).pose) for push in pushes]
 
     def rollout(jacobian: bool) -> None:
         for push in pushes:
-            simulate(model, push, _AT_REST, FRAMES, settings=settings, jacobian=jacobian)
+            simulate(model, PushScenario(push, _AT_REST, FRAMES), settings=settings, jacobian=jacobian)
 
     def gradient() -> None:
         for push, loss in zip(pushes, losses, strict=True):
-            loss_gradient(model, push, _AT_REST, FRAMES, loss, settings=settings)
+            loss_gradient(model, PushScenario(push, _AT_REST, FRAMES), loss, settings=settings)
 
     return {"rollout": partial(rollout, False), "gradient": gradient, "jacobian": partial(rollout, True)}
 
 
 def _ends(model: ObjectModel, pushes: Sequence[PusherPath], settings: SimulationSettings) -> list[Float64Array]:
-    return [simulate(model, push, _AT_REST, FRAMES[-1:], settings=settings).pose[-1] for push in pushes]
+    return [simulate(model, PushScenario(push, _AT_REST, FRAMES[-1:]), settings=settings).pose[-1] for push in pushes]
 
 
 def _apart(model: ObjectModel, ends: Sequence[Float64Array], others: Sequence[Float64Array]) -> float:
@@ -107,13 +108,15 @@ def _gradient_error(model: ObjectModel, pushes: Sequence[PusherPath], settings: 
 
     errors = []
     for push in pushes:
-        loss = distance_to(simulate(changed(0.5), push, _AT_REST, FRAMES, settings=settings).pose)
+        loss = distance_to(simulate(changed(0.5), PushScenario(push, _AT_REST, FRAMES), settings=settings).pose)
 
         def slope(h: float, push: PusherPath = push, loss: Callable[[Float64Array], tuple[float, Float64Array]] = loss) -> float:
-            ahead, behind = (loss(simulate(changed(s * h), push, _AT_REST, FRAMES, settings=settings).pose)[0] for s in (1, -1))
+            ahead, behind = (
+                loss(simulate(changed(s * h), PushScenario(push, _AT_REST, FRAMES), settings=settings).pose)[0] for s in (1, -1)
+            )
             return (ahead - behind) / (2 * h)
 
-        found = loss_gradient(model, push, _AT_REST, FRAMES, loss, settings=settings)
+        found = loss_gradient(model, PushScenario(push, _AT_REST, FRAMES), loss, settings=settings)
         exact = found.mass @ (model.mass * d_mass) + found.friction @ (model.friction * d_friction)
         # Richardson's extrapolation removes the error of the differences in h².
         errors.append(abs((4 * slope(1e-4) - slope(2e-4)) / 3 - exact) / abs(exact))
@@ -137,10 +140,10 @@ def _memory(cells_along: int, seed: int) -> Json:
     """How far the peak of the memory rises over what a process holds that has loaded everything."""
     model, push = plate(cells_along, seed), plate_pushes(1, seed)[0]
     compile_kernels()
-    target = distance_to(simulate(plate(4, seed + 1), push, _AT_REST, FRAMES).pose)
+    target = distance_to(simulate(plate(4, seed + 1), PushScenario(push, _AT_REST, FRAMES)).pose)
     before = _peak_after(lambda: None)
-    gradient = _peak_after(lambda: loss_gradient(model, push, _AT_REST, FRAMES, target))
-    jacobian = _peak_after(lambda: simulate(model, push, _AT_REST, FRAMES, jacobian=True))
+    gradient = _peak_after(lambda: loss_gradient(model, PushScenario(push, _AT_REST, FRAMES), target))
+    jacobian = _peak_after(lambda: simulate(model, PushScenario(push, _AT_REST, FRAMES), jacobian=True))
     return {"memory": {"cells": cells_along**2, "before_b": before, "gradient_b": gradient - before, "jacobian_b": jacobian - before}}
 
 
