@@ -68,7 +68,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         asked: list[Json] = []
         while not _is_settled(reports[-1]) and reports[-1].has_next_push and len(asked) < _MOST:
             result = _make(client, _goal_of(reports[-1], object_id))
-            asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_distance2})
+            asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_mahalanobis2})
             made += result.error_code == PushCode.NONE
             client.wait_for_map(object_id, made)
             reports.append(_diagnose(client, object_id))
