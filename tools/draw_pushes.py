@@ -24,11 +24,11 @@ from push_ident.identification.prediction import cell_error, predict
 from push_ident.offline.loading import load_pushes
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 
-FRAMES = 9
+FRAMES = 15
 """Pictures of one push."""
-SECONDS = 0.12
+SECONDS = 0.09
 """Each of them."""
-REST = 0.9
+REST = 1.2
 """After a push, while its result stands [s]."""
 PREDICTED, OBSERVED, EQUAL = "#d1495b", "#22313f", "#9aa5b1"
 
@@ -43,6 +43,8 @@ class Shot:
     time: Float64Array
     predicted: Float64Array
     """Poses, shape (n_frames, 3)."""
+    equal: Float64Array
+    """The same by equal cells with nominal values."""
     error: float
     equal_error: float
 
@@ -60,7 +62,7 @@ def shots_of(records: list[PushRecord]) -> list[Shot]:
         errors = [cell_error(record.shape.cells, pose[-1], last) for pose in (poses, equal)]
         model = None if known is None else known.posterior.model
         load = None if model is None else model.mass * model.friction
-        found.append(Shot(record, None if load is None else load / load.mean(), time, poses, *errors))
+        found.append(Shot(record, None if load is None else load / load.mean(), time, poses, equal, *errors))
     return found
 
 
@@ -84,15 +86,17 @@ def picture(shots: list[Shot], number: int, frame: int, truth: Float64Array, top
     poses, time = shot.record.poses, shot.time[frame]
     pose = np.array([np.interp(time, poses.time, poses.pose[:, axis]) for axis in range(3)])
     pusher = [float(np.interp(time, shot.record.pusher.time, shot.record.pusher.position[:, axis])) for axis in range(2)]
-    table.add_patch(Polygon(outline_at(pose, shape), facecolor="#dfe6ec", edgecolor=OBSERVED, linewidth=1.6, label="observed"))
+    table.add_patch(Polygon(outline_at(pose, shape), facecolor="#dfe6ec", edgecolor=OBSERVED, linewidth=1.6))
+    table.add_patch(Polygon(outline_at(shot.equal[frame], shape), fill=False, edgecolor=EQUAL, linewidth=1.4, linestyle=":"))
     table.add_patch(Polygon(outline_at(shot.predicted[frame], shape), fill=False, edgecolor=PREDICTED, linewidth=1.6, linestyle="--"))
     table.add_patch(Circle((pusher[0], pusher[1]), shot.record.pusher.radius, facecolor="#f2a541", edgecolor="black", linewidth=0.8))
-    points = np.vstack([outline_at(p, shape) for s in shots for p in (s.record.poses.pose[0], s.record.poses.pose[-1])])
-    middle, half = points.mean(axis=0), 0.5 * float(np.ptp(points, axis=0).max()) + 0.03
+    points = np.vstack([outline_at(p, shape) for p in (poses.pose[0], poses.pose[-1], shot.predicted[-1], shot.equal[-1])])
+    middle, half = 0.5 * (points.min(axis=0) + points.max(axis=0)), 0.16
     table.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half), xticks=[], yticks=[], aspect="equal")
     table.set_title(f"push {number + 1}, predicted from {number or 'no'} push{'' if number == 1 else 'es'}", fontsize=10)
     table.plot([], [], color=OBSERVED, label="observed")
-    table.plot([], [], color=PREDICTED, linestyle="--", label="predicted before the push")
+    table.plot([], [], color=EQUAL, linestyle=":", label="predicted with equal cells")
+    table.plot([], [], color=PREDICTED, linestyle="--", label="predicted with the identified maps")
     table.legend(loc="lower left", fontsize=7, frameon=False)
     values = np.ones(len(shape.cells)) if shot.share is None else shot.share
     for axes, what, title in ((known, values, "friction force of each cell, identified"), (true, truth, "the truth (never shown to the fit)")):
