@@ -35,7 +35,7 @@ SIMULATED: dict[str, tuple[str, ...]] = {
     "lag-and-anisotropy": ("--object", "crimp", "--effect", "pusher_lag=0.06", "--effect", "table_anisotropy=0.25,0.1", "--seed", "5"),
     "offset": ("--object", "book", "--effect", "tool_offset=0.003,-0.002", "--seed", "6"),
     "small-latency": ("--effect", "pose_latency=0.0015", "--position-noise", "0.00005", "--yaw-noise", "0.0005", "--seed", "7"),
-    "height": ("--object", "toolbox", "--effect", "push_height=0.04", "--seed", "8"),
+    "height": ("--object", "toolbox", "--effect", "push_height=0.015318128510417509", "--seed", "8"),
     "contents": ("--object", "toolbox", "--effect", "moving_contents=0.03", "--seed", "9"),
     "outside-film": ("--object", "wrench", "--effect", "viscous_film=2.0", "--seed", "10"),
     "outside-wobble": ("--object", "hammer", "--effect", "pusher_wobble=0.003", "--seed", "11"),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from push_ident.physics.reference import ReferenceModel
 
-__all__ = ["autograd"]
+__all__ = ["autograd", "reference_cost"]
 
 _STEP = 0.01
 """Time step of the reference engine [s], as large as its authors' kind of engine is run."""
@@ -28,7 +28,7 @@ def autograd(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) ->
     graph: dict[str, torch.Tensor] = {}
 
     def cost(x: Float64Array) -> float:
-        graph["x"], graph["cost"] = _reference_cost(problem, x)
+        graph["x"], graph["cost"] = reference_cost(problem, x)
         return float(graph["cost"].detach())
 
     def gradient(x: Float64Array, cost_at_x: float) -> Float64Array | None:
@@ -40,7 +40,7 @@ def autograd(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) ->
     return descend(problem, x0, cost, gradient)
 
 
-def _reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, torch.Tensor]:
+def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, torch.Tensor]:
     """Unknowns that record what is done with them, and the cost of the problem at them."""
     import torch
 

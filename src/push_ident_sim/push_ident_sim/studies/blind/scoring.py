@@ -19,9 +19,8 @@ from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.experiment import Json
@@ -50,22 +49,18 @@ _TUNED = "pusher_friction"
 """The one existing parameter that the base model takes as given."""
 
 
-def true_values(effects: Effects, name: str, thing: SimObject, first_centre: FloatArray) -> FloatArray:
-    """An injected effect in the parameters in which a diagnosis states it, shape (n_parameters,).
+def true_values(effects: InjectedEffects, name: str, put_down: FloatArray) -> FloatArray:
+    """An injected effect with all its parameters, shape (n_parameters,).
 
     Args:
         effects: that were injected.
         name: of one of them.
-        thing: that was pushed.
-        first_centre: of mass, where the object was put down first [m], shape (2,).
+        put_down: the centre of mass where the object was put down first [m], shape (2,); the anchor of a tether that states none.
     """
-    values = np.array(effects[name])
-    if name == "push_height":
-        weight = thing.mass * GRAVITY
-        return np.array([values[0] * float(thing.friction @ weight / weight.sum())])
-    if name == "tether":
-        return np.array([values[0], *(values[0] * first_centre)])
-    return values
+    given = effects[name]
+    if len(given) < len(EFFECTS[name].parameters):
+        return np.array([given[0], *(given[0] * put_down)])
+    return np.array(given)
 
 
 def score_case(
@@ -102,7 +97,7 @@ def score_case(
         first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
         # What belongs to the base, as small errors of a camera do, is nothing to be found.
         names = [name for name in truth.names if name not in base.names]
-        wanted = {name: true_values(truth.effects, name, thing, first) for name in names}
+        wanted = {name: true_values(truth.effects, name, first) for name in names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         if wanted:
             values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
