@@ -1,7 +1,7 @@
 """An animated picture of a bag: each push is predicted from those before it, made, and learned from.
 
-    push-ident simulate --object hammer --pushes 7 --seed 3 --out out/pushes --truth out/pushes.json
-    .venv/bin/python tools/draw_pushes.py out/pushes out/pushes.json docs/images/pushes.gif
+push-ident simulate --object hammer --pushes 7 --seed 3 --out out/pushes --truth out/pushes.json
+.venv/bin/python tools/draw_pushes.py out/pushes out/pushes.json docs/images/pushes.gif
 """
 
 from __future__ import annotations
@@ -99,7 +99,10 @@ def picture(shots: list[Shot], number: int, frame: int, truth: Float64Array, top
     table.plot([], [], color=PREDICTED, linestyle="--", label="predicted with the identified maps")
     table.legend(loc="lower left", fontsize=7, frameon=False)
     values = np.ones(len(shape.cells)) if shot.share is None else shot.share
-    for axes, what, title in ((known, values, "friction force of each cell, identified"), (true, truth, "the truth (never shown to the fit)")):
+    for axes, what, title in (
+        (known, values, "friction force of each cell, identified"),
+        (true, truth, "the truth (never shown to the fit)"),
+    ):
         draw_cells(axes, shape, what, "viridis", (0.0, top))
         axes.set(xticks=[], yticks=[], xlabel="")
         axes.set_title(title, fontsize=8)
@@ -121,6 +124,16 @@ def picture(shots: list[Shot], number: int, frame: int, truth: Float64Array, top
     return Image.open(buffer).convert("RGB")
 
 
+def palette_of(pictures: list[Image.Image]) -> Image.Image:
+    """Colours of the ends of all pushes, in which everything is drawn."""
+    width, height = pictures[0].size
+    ends = pictures[FRAMES - 1 :: FRAMES]
+    sheet = Image.new("RGB", (width, height * len(ends)))
+    for place, one in enumerate(ends):
+        sheet.paste(one, (0, place * height))
+    return sheet.quantize(128, method=Image.Quantize.FASTOCTREE)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("bag", "truth", "out"):
@@ -131,7 +144,7 @@ def main() -> None:
     load = np.array(true["mass_kg"]) * np.array(true["friction"])
     truth = load / load.mean()
     pictures = [picture(shots, number, frame, truth, float(truth.max())) for number in range(len(shots)) for frame in range(FRAMES)]
-    palette = pictures[-1].quantize(64)
+    palette = palette_of(pictures)
     frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
     durations = [int(1e3 * (REST if frame == FRAMES - 1 else SECONDS)) for _ in shots for frame in range(FRAMES)]
     frames[0].save(options.out, save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=True)
