@@ -35,8 +35,8 @@ from push_ident.diagnosis.wording import (
 )  # fmt: skip
 from push_ident.errors import InputError
 from push_ident.identification.budget import Meter
+from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
-from push_ident.identification.solvers.gauss_newton import minimise
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
@@ -429,13 +429,13 @@ def test_no_clock_decides_how_far_a_diagnosis_is_fitted(monkeypatch: pytest.Monk
 
 def test_fit_without_hope_ends_early() -> None:
     problem = fit_base(_pushes(4, 1), DiagnosisSettings()).problem
-    _, full, status = minimise(problem.of(problem.parameters), np.zeros(problem.size))
-    hopeless = problem.of(problem.parameters)
+    _, full, status = minimise(problem.of(problem.unknowns), np.zeros(problem.size))
+    hopeless = problem.of(problem.unknowns)
     _, early, given_up = minimise(hopeless, np.zeros(problem.size), worth=full.cost - 1e3)
     assert (status, given_up) == (SolveStatus.CONVERGED, SolveStatus.BUDGET_SPENT)
     assert early.cost > full.cost
     # What the full solve reaches is within hope at every step.
-    assert minimise(problem.of(problem.parameters), np.zeros(problem.size), worth=full.cost + 1.0)[1].cost == full.cost
+    assert minimise(problem.of(problem.unknowns), np.zeros(problem.size), worth=full.cost + 1.0)[1].cost == full.cost
 
 
 def test_sentences_say_what_is_missing_in_units_of_everyday() -> None:
@@ -482,7 +482,7 @@ def test_noise_that_lasts_is_drawn_as_large_as_its_whitening_leaves_it() -> None
 
 def test_what_a_model_of_pushing_is_off_by_is_drawn_once_a_push_and_grows_with_the_way() -> None:
     (record,) = _pushes(1, 1)
-    seen = observe_push(record, NoiseModel(discrepancy_position=0.5, discrepancy_yaw=0.0))
+    seen = observe_push(record, NoiseModel(model_discrepancy_position=0.5, model_discrepancy_yaw=0.0))
     deviation, _, of_yaw = seen.discrepancy[-1]
     assert deviation == pytest.approx(0.5 * np.linalg.norm(seen.pose[-1, :2] - seen.pose[0, :2]), rel=0.3)
     assert of_yaw == 0.0 and not seen.discrepancy[0].any()

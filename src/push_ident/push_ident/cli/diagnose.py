@@ -17,7 +17,7 @@ from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.identification.model_file import save_model
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import EFFECTS
 

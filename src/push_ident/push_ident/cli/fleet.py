@@ -13,7 +13,7 @@ from push_ident.cli.identify import ObjectOption
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.solvers import SOLVERS
 
 __all__ = ["fleet_command"]

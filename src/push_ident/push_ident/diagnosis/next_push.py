@@ -13,7 +13,7 @@ from push_ident.diagnosis.parallel import side_by_side
 from push_ident.errors import PlanningError
 from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import Mechanics
+from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.effect_values import seen_poses, true_pose
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario

@@ -19,13 +19,6 @@ SEEN_OUTLINE: Final = next(name for name in CAMERA_ERRORS if EFFECTS[name].moves
 """Effect that belongs to the base model where a camera traced the outline."""
 _CAMERA: Final = tuple(name for name in CAMERA_ERRORS if not EFFECTS[name].moves_outline)
 """Effects that belong to the base model within the accuracy of a camera, whose error changes with place and view."""
-_OUTLINE_STD, *_CAMERA_SHARES = (
-    (p.camera_std if EFFECTS[name].moves_outline else p.camera_std / p.scale)
-    for name in CAMERA_ERRORS
-    for p in EFFECTS[name].parameters
-    if p.camera_std is not None
-)
-"""Accuracy of a traced outline [m]; that of a calibrated camera as a share of the prior of each of its effects."""
 _POSE_STD: Final = (7e-4, 6e-3)
 """Of a pose of such an object, shared by all frames of a rest [m, rad]."""
 _GROWTH: Final = (0.012, 0.12)
@@ -50,7 +43,7 @@ _OFF: Final = 2.5
 
 def as_seen(settings: DiagnosisSettings) -> DiagnosisSettings:
     """Settings for poses and outlines that a camera told: its errors belong to the base model."""
-    prior = replace(settings.prior, outline_std=_OUTLINE_STD, camera_share=_CAMERA_SHARES[0])
+    accuracy = {name: tuple(p.camera_std or p.scale for p in EFFECTS[name].parameters) for name in CAMERA_ERRORS}
     own = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
     asked = settings.thresholds
     thresholds = replace(
@@ -61,7 +54,9 @@ def as_seen(settings: DiagnosisSettings) -> DiagnosisSettings:
         apart=max(asked.apart, _APART),
     )
     base = (*settings.base_effects, *own)
-    return replace(settings, base_effects=base, prior=prior, noise=_noise(settings.noise), thresholds=thresholds)
+    return replace(
+        settings, base_effects=base, effect_std=settings.effect_std | accuracy, noise=_noise(settings.noise), thresholds=thresholds
+    )
 
 
 def is_off(fit: EffectFit, asked: DiagnosisSettings) -> bool:
@@ -93,7 +88,8 @@ def odd_pushes(frames: Frames) -> tuple[int, ...]:
 def with_camera_in_question(settings: DiagnosisSettings, asked: DiagnosisSettings) -> DiagnosisSettings:
     """The same settings with the errors of the camera as effects that may be found; `asked` as in `is_off`."""
     kept = tuple(name for name in settings.base_effects if name not in _CAMERA or name in asked.base_effects)
-    return replace(settings, base_effects=kept, prior=replace(settings.prior, camera_share=asked.prior.camera_share))
+    effect_std = {name: std for name, std in settings.effect_std.items() if name not in _CAMERA or name in asked.effect_std}
+    return replace(settings, base_effects=kept, effect_std=effect_std)
 
 
 def _noise(noise: NoiseModel) -> NoiseModel:
@@ -102,7 +98,7 @@ def _noise(noise: NoiseModel) -> NoiseModel:
         noise,
         floor_position=max(noise.floor_position, _POSE_STD[0]),
         floor_yaw=max(noise.floor_yaw, _POSE_STD[1]),
-        growth_position=max(noise.growth_position, _GROWTH[0]),
-        growth_yaw=max(noise.growth_yaw, _GROWTH[1]),
+        fit_discrepancy_position=max(noise.fit_discrepancy_position, _GROWTH[0]),
+        fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, _GROWTH[1]),
         max_moving_frames=min(noise.max_moving_frames, _MOVING_FRAMES),
     )

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from push_ident.identification.observation import NoiseModel
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 
 __all__ = ["DiagnosisSettings", "Thresholds"]
 
-_FIXED = 1e-3
-"""Deviation of the logarithm of a pusher friction that counts as given."""
 _N_MODES = 16
 """Of each map: more absorb effects and predict no better."""
 
@@ -61,11 +59,15 @@ class DiagnosisSettings:
     """How a diagnosis is made. The base model has the nominal friction of the pusher: if it is not that, this is an effect too."""
 
     prior: Prior = field(default_factory=Prior)
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(growth_position=0.008, growth_yaw=0.08, max_moving_frames=30))
+    noise: NoiseModel = field(
+        default_factory=lambda: NoiseModel(fit_discrepancy_position=0.008, fit_discrepancy_yaw=0.08, max_moving_frames=30)
+    )
     numerics: SimulationSettings = field(default_factory=SimulationSettings)
     thresholds: Thresholds = field(default_factory=Thresholds)
     base_effects: tuple[str, ...] = ()
     """Effects that belong to the base model."""
+    effect_std: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Prior standard deviations of the parameters of effects, by name, where they are not those of the catalogue."""
     outline_is_seen: bool = False
     """Whether a camera traced the outline, even where the shape does not say so: how far the surface is from it is then fitted with the
     base model."""
@@ -73,4 +75,4 @@ class DiagnosisSettings:
     @property
     def base_prior(self) -> Prior:
         """Smooth maps, and the friction of the pusher given."""
-        return replace(self.prior, pusher_friction_std=_FIXED, max_modes=min(self.prior.max_modes, _N_MODES))
+        return replace(self.prior, max_modes=min(self.prior.max_modes, _N_MODES)).with_pusher_friction_frozen()

@@ -188,8 +188,10 @@ def _information_of_held(fit: EffectFit, parts: Sequence[Part]) -> Information:
     held = np.array([first + number for number in range(n) if number not in _numbers(parts)])
     # Without what holds them.
     n_poses = fit.problem.size - fit.parameters.size
-    hessian = fit.end.hessian - np.pad(fit.problem.past.hessian, (0, n_poses))
-    gradient = fit.end.gradient - np.pad(fit.problem.past.slope(fit.z), (0, n_poses))
+    hessian, gradient = fit.end.hessian, fit.end.gradient
+    if (frozen := fit.unknowns.frozen_cost) is not None:
+        hessian = hessian - np.pad(frozen.hessian, (0, n_poses))
+        gradient = gradient - np.pad(frozen.slope(fit.z), (0, n_poses))
     onto = np.linalg.solve(hessian[np.ix_(fitted, fitted)], hessian[np.ix_(fitted, held)]).T
     precision, slope = np.eye(n), np.zeros(n)
     own = held - first

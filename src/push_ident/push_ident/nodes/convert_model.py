@@ -41,6 +41,7 @@ _STATUS = {
     SolveStatus.CONVERGED: MassFrictionMap.STATUS_OK,
     SolveStatus.MAX_ITERATIONS: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.BUDGET_SPENT: MassFrictionMap.STATUS_NOT_CONVERGED,
+    SolveStatus.OUT_OF_REACH: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.STALLED: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.POOR_FIT: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.SIMULATION_FAILED: MassFrictionMap.STATUS_FAILED,
