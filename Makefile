@@ -24,7 +24,7 @@ demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
 	$(VENV)/push-ident demo
 
 docs: setup  ## the documentation site, in out/site; open out/site/index.html
-	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build
 	@echo "written: out/site/index.html"
 
 bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/results/benchmarks.md

@@ -19,7 +19,8 @@ PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "*
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site, built in strict mode: a broken link, anchor, reference or equation fails."""
     target = tmp_path_factory.mktemp("site")
-    call = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(target)]
+    # Not --quiet: it drops the warnings before strict mode counts them.
+    call = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(target)]
     environ = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(call, cwd=ROOT, env=environ, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
