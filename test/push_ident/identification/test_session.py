@@ -13,7 +13,10 @@ from push_ident.errors import InputError
 from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.state_file import load_state, save_state
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import simulate
 from push_ident.pushing.push import PushSettings
+from push_ident.pushing.sampling import check_push
 from push_ident.types import CellGrid, ObjectShape, PoseTrack, PusherPath, PushRecord
 
 TRUTH = hammer(3)
@@ -62,7 +65,7 @@ def test_looped_bag_counts_once() -> None:
 
 
 def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("push_ident.identification.session._KNOWN", 2)
+    monkeypatch.setattr("push_ident.identification.session.REMEMBERED_PUSHES", 2)
     session = _session()
     for record in RECORDS[:3]:
         session.finish(record)
@@ -110,7 +113,13 @@ def test_next_push_is_suggested_with_its_prediction() -> None:
     assert suggestion is not None
     push, prediction = suggestion
     assert push.plan is not None
-    assert np.all(np.isfinite(prediction.pose))
+    check_push(push.plan, session.shape.outline, PushSettings(pusher_radius=0.015))
+    np.testing.assert_array_equal(push.pose_object_in_table, np.zeros(3))
+    assert prediction.time[0] == push.pusher.time[0] and prediction.time[-1] == push.pusher.time[-1]
+    # The push that is expected to teach most moves the object, and its prediction says how.
+    end = simulate(session.posterior.model, PushScenario(push.pusher, np.zeros(3), push.pusher.time[-1:])).pose[-1]
+    np.testing.assert_allclose(prediction.pose[-1], end, atol=1e-9)
+    assert np.linalg.norm(end[:2]) > 0.01 or abs(end[2]) > 0.1
 
 
 def test_model_of_another_object_is_refused() -> None:

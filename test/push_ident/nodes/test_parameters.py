@@ -13,8 +13,6 @@ from rclpy.parameter import Parameter as RosParameter
 from push_ident.errors import InputError
 from push_ident.nodes.parameters import Parameter, Parameters
 
-pytestmark = pytest.mark.alone
-
 TABLE = (
     Parameter("speed", 0.05, "speed of the push [m/s]", 0.001, 0.5),
     Parameter("count", 10, "frames at rest", 1, 100),

@@ -227,7 +227,7 @@ def test_force_that_is_not_measured_any_more_is_held(cell: Cell) -> None:
 @pytest.mark.parametrize("fault", ["not seen", "outside"])
 def test_object_lost_during_a_push_stops_it_and_the_arm_leaves_on_a_checked_path(cell: Cell, fault: str) -> None:
     call = begin_push(cell, distance=0.12, speed=0.1)
-    before, n_pusher = cell.box.copy(), len(cell.pusher)
+    before = cell.box.copy()
     if fault == "not seen":
         cell.sees_box = False
     else:
@@ -245,7 +245,6 @@ def test_object_lost_during_a_push_stops_it_and_the_arm_leaves_on_a_checked_path
     wait_for(lambda: cell.records)
     record = cell.records[0]
     assert record.error_code == PushCode.OBJECT_LOST and stamp_from_msg(record.start) < stamp_from_msg(record.end)
-    assert n_pusher > 0
     time.sleep(0.3)
     assert len(cell.commands) == 3
 

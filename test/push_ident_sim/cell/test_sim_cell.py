@@ -27,8 +27,6 @@ from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
 
-pytestmark = pytest.mark.alone
-
 G = 9.81
 CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
 
@@ -402,6 +400,7 @@ def test_camera_pose_is_the_same_from_a_target_and_from_a_quaternion() -> None:
 # --- node ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.alone
 def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its_speed() -> None:
     rclpy = pytest.importorskip("rclpy")
     from diagnostic_msgs.msg import DiagnosticArray
@@ -466,6 +465,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
         node.communicate()
 
 
+@pytest.mark.alone
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
     pytest.importorskip("rclpy")
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", "-p", "object:=toolbox"]

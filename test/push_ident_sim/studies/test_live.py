@@ -17,8 +17,6 @@ from push_ident_sim.studies.live import study as live
 from push_ident_sim.studies.live.film import delays
 from push_ident_sim.studies.live.replay import difference, differing, growth
 
-pytestmark = pytest.mark.alone
-
 
 def test_growth_is_that_after_the_warm_up_and_one_outlier_changes_nothing() -> None:
     time = np.linspace(0.0, 3600.0, 200)

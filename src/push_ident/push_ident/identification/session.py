@@ -29,7 +29,7 @@ _LATEST = 0.1
 _N_REFERENCES = 12
 _SOURCES = 200
 """Latest pushes that a model names as what it rests on."""
-_KNOWN = 10_000
+REMEMBERED_PUSHES = 10_000
 """Latest pushes that are known when they come again: memory must not grow for as long as pushes come in."""
 
 
@@ -229,14 +229,14 @@ class _KnownPushes:
     """
 
     def __init__(self, keys: Sequence[tuple[float, float, float]] = ()) -> None:
-        self._ring = np.full((_KNOWN, 3), np.nan)
+        self._ring = np.full((REMEMBERED_PUSHES, 3), np.nan)
         self._n = 0
         for key in keys:
             self.add(key)
 
     def add(self, key: tuple[float, float, float]) -> None:
         """One more; for it, the oldest is forgotten where there are too many."""
-        self._ring[self._n % _KNOWN] = key
+        self._ring[self._n % REMEMBERED_PUSHES] = key
         self._n += 1
 
     def __contains__(self, key: tuple[float, float, float]) -> bool:
@@ -245,7 +245,7 @@ class _KnownPushes:
     @property
     def keys(self) -> list[tuple[float, float, float]]:
         """In the order they came."""
-        order = np.arange(max(0, self._n - _KNOWN), self._n) % _KNOWN
+        order = np.arange(max(0, self._n - REMEMBERED_PUSHES), self._n) % REMEMBERED_PUSHES
         return [(time, x, y) for time, x, y in self._ring[order].tolist()]
 
 
