@@ -50,6 +50,7 @@ EQUATION_SIZE = 20
 
 ziamath.config.svg2 = False  # outlines in place of symbols, whose names would meet on a page
 
+_INCLUDE = re.compile(r"<!-- include: (\S+) -->")
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)(#[^)]*)?\)")
 
 
@@ -67,7 +68,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links of the pages to documents at the root (`../README.md`) become links to the pages made of them."""
+    """Links to documents at the root (`../README.md`) become links to their pages; `<!-- include: FILE -->` becomes the file."""
 
     def resolve(match: re.Match[str]) -> str:
         head, target, anchor = match[1], match[2], match[3] or ""
@@ -78,7 +79,10 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
             return match[0]
         return f"{head}{posixpath.relpath(ROOT_DOCUMENTS[path], posixpath.dirname(page.file.src_uri) or '.')}{anchor})"
 
-    return _LINK.sub(resolve, markdown)
+    def included(match: re.Match[str]) -> str:
+        return f"\n```python\n{(ROOT / match[1]).read_text(encoding='utf-8')}```"
+
+    return _INCLUDE.sub(included, _LINK.sub(resolve, markdown))
 
 
 def on_page_content(content: str, **_: Any) -> str:
