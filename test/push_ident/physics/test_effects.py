@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +11,6 @@ import pytest
 
 from helpers.differences import ridders
 from helpers.objects import straight_push
-from helpers.paths import ROOT
 from helpers.random_pushes import ENGINES, Case, random_case, steps_of
 from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells
@@ -442,8 +439,3 @@ def test_effects_that_cannot_be_are_refused(effects: dict[str, object], settings
     model, pusher = plate(), straight_push((-0.07, 0.02), 0.2)
     with pytest.raises(InputError, match=message):
         simulate(model, PushScenario(pusher, np.zeros(3), pusher.time), settings=SimulationSettings(**settings), effects=effects)
-
-
-def test_page_of_the_catalogue_is_current() -> None:
-    done = subprocess.run([sys.executable, ROOT / "tools" / "document_effects.py", "--check"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr

@@ -121,7 +121,7 @@ BENCHMARK = Benchmark(
     question=(
         "Two objects in PyBullet, seen as above. Times are of the solve alone, by the wall clock, two solves side by side, each with one "
         "thread. The error is tested at up to 30 of the better points on the way and at the end; better is what fits the training pushes "
-        "better, which need not predict others better. One ground truth an object: `docs/experiments.md` has the averages over many."
+        "better, which need not predict others better. One ground truth an object: [Experiments](experiments.md) has averages over many."
     ),
     pieces=_pieces,
     summarise=_summarise,
