@@ -190,7 +190,7 @@ def test_every_public_name_has_a_docstring(package: Path) -> None:
     assert sorted(set(missing) - UNDOCUMENTED) == []
 
 
-def test_effects_are_named_in_their_own_files_alone() -> None:
+def test_effects_are_named_only_in_their_own_files() -> None:
     """Everything else asks an effect for what it needs to know. `pusher_friction` is a quantity of every model as well."""
     names = {path.stem for path in EFFECTS.glob("*.py")} - {"__init__", "pusher_friction"}
     assert "table_tilt" in names

@@ -90,7 +90,7 @@ def test_refused_settings_leave_the_old_value(make, name, value):
     assert parameters.as_dict() == before
 
 
-def test_accepted_settings_are_told_and_kept(make):
+def test_accepted_settings_are_reported_and_kept(make):
     told = []
     node, parameters = make(on_change=told.append)
     assert node.set_parameters([RosParameter("speed", value=0.3)])[0].successful

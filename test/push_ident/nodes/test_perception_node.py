@@ -193,7 +193,7 @@ def test_default_extrinsics_are_those_of_the_camera_of_the_tests():
     np.testing.assert_allclose(pose_of_quaternion([0.55, 0.0, 0.85], [0.67815377, 0.67815377, -0.20026847, -0.20026847]), CAMERA, atol=1e-7)
 
 
-def test_without_images_the_node_says_on_which_topic_it_waits(camera, node):
+def test_without_images_the_node_names_the_topic_it_waits_for(camera, node):
     wait_for(lambda: camera.values().get("why_nothing", "").startswith("no depth image on /depth/image_rect"))
     assert camera.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
 
