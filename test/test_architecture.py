@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).resolve().parents[1] / "src"
+from helpers.paths import SOURCE
+
 CORE = SOURCE / "push_ident" / "push_ident"
 SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
 ORDER = [

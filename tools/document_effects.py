@@ -1,14 +1,13 @@
-"""Write docs/effects.md from the catalogue: `.venv/bin/python tools/document_effects.py`; `--check` only compares."""
+"""The page of the effects, from `physics/effects/`, one file for each: `.venv/bin/python tools/document_effects.py`."""
 
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 from push_ident.physics.effect import (
     Effect,
     EffectParameter,
+    Law,
     OnContact,
     OnPoses,
     OnPusherFriction,
@@ -18,7 +17,6 @@ from push_ident.physics.effect import (
 )
 from push_ident.physics.effects import EFFECTS
 
-TARGET = Path(__file__).resolve().parent.parent / "docs" / "effects.md"
 PLACES = {
     OnTable: "between table and cells; evaluated at the start of a step and held during it",
     OnContact: "between pusher and outline",
@@ -27,14 +25,22 @@ PLACES = {
     OnTimes: "on the times of measured poses",
     OnPoses: "on measured poses",
 }
+LAWS = {
+    Law.EXACT: "exact, it holds as it stands where the effect is present",
+    Law.APPROXIMATE: "approximate, as a law of friction or loads is; its error grows with the size of the effect",
+}
 HEAD = """# Effects
 
-Written by `tools/document_effects.py` from `physics/effects/`, one file an effect.
+Made from `physics/effects/`, one file for each effect.
 
-What the base model leaves out. Give them to `simulate(..., effects={"table_tilt": {"x": 0.01}})`; at their nominal values they change
-nothing, and derivatives with respect to their values are exact. `scale` is the standard deviation of the prior, `typical` a size that
-is met in practice; both are judgements, not measurements. Units are SI, axes those of the table frame unless said. A *shape* only
-shapes what the other parameters switch on: a test for the effect's absence holds it.
+An effect is a physical or measurement law that the base model leaves out. Give effects to
+`simulate(..., effects={"table_tilt": {"x": 0.01}})`. At their nominal values they change nothing, and derivatives with respect to their
+values are exact. `scale` is the standard deviation of the prior, `typical` a size that is met in practice; both are judgements, not
+measurements. Units are SI, axes those of the table frame unless stated otherwise. A *shape* parameter only shapes what the other
+parameters switch on; a test for the effect's absence holds it fixed.
+
+To add an effect, add one file to `physics/effects/`; or put the file into a folder of your own and name that folder in the environment
+variable `PUSH_IDENT_EFFECTS` (several are separated as in `PATH`) of every process.
 """
 
 
@@ -43,29 +49,51 @@ def range_of(parameter: EffectParameter) -> str:
     return "" if math.isinf(low) and math.isinf(high) else f"{low:g} … {high:g}"
 
 
+def notes_of(effect: Effect) -> list[str]:
+    """What the fields of an effect state besides its equation and its parameters."""
+    notes = [
+        f"Acts {PLACES[type(effect.acts)]}",
+        f"Law: {LAWS[effect.law]}",
+        f"Signature: {effect.signature}",
+    ]
+    if effect.rivals:
+        notes.append("Rivals: " + "; ".join(f"{rival.name} ({rival.separated_by.rstrip('.')})" for rival in effect.rivals))
+    if effect.exact_twins:
+        notes.append(f"No push distinguishes it from {', '.join(effect.exact_twins)}")
+    if effect.special_case_of:
+        notes.append(f"Special case of {', '.join(effect.special_case_of)}")
+    if effect.check:
+        notes.append(f"Check without a push: {effect.check}")
+    if effect.export is not None:
+        notes.append(f"Exported descriptions carry it as {effect.export.name.lower().replace('_', ' ')}, where the format has it")
+    if effect.is_camera_error:
+        sizes = ", ".join(f"{p.name} {p.camera_std:g} {p.unit}".rstrip() for p in effect.parameters if p.camera_std is not None)
+        notes.append(f"Part of the base model where a camera traced the outline, with standard deviation {sizes}")
+    if effect.needs_inertia:
+        notes.append("Absent in quasi-static pushes")
+    return [*notes, f"Source: {effect.source}"]
+
+
 def section_of(effect: Effect) -> str:
-    lines = [f"## {effect.name}", "", effect.what, "", f"    {effect.equation}", ""]
-    lines += ["| parameter | unit | nominal | range | scale | typical | what |", "|---|---|---|---|---|---|---|"]
+    lines = [f"## {effect.name}", "", effect.what, ""]
+    if effect.is_unknown_cause:
+        lines += ["It is not a cause: it measures what no effect of the catalogue explains, and a verdict never names it.", ""]
+    lines += [
+        f"    {effect.equation}",
+        "",
+        "| parameter | unit | nominal | range | scale | typical | meaning |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for p in effect.parameters:
         name = f"`{p.name}`" + (" (shape)" if p.shape else "")
         lines.append(f"| {name} | {p.unit} | {p.nominal:g} | {range_of(p)} | {p.scale:g} | {p.typical:g} | {p.what} |")
-    if effect.is_remainder:
-        lines.insert(2, "Not a cause: it measures what no cause explains, and is never named.\n")
-    notes = [f"Acts {PLACES[type(effect.acts)]}", f"Signature: {effect.signature}", f"Rivals: {effect.rivals}", f"Source: {effect.source}"]
-    if effect.needs_inertia:
-        notes.append("Not in quasi-static pushes")
-    return "\n".join([*lines, "", *(f"- {note.rstrip('.')}." for note in notes), ""])
+    return "\n".join([*lines, "", *(f"- {note.rstrip('.')}." for note in notes_of(effect)), ""])
 
 
 def document() -> str:
+    """The page in Markdown."""
     return "\n".join([HEAD, *(section_of(effect) for effect in EFFECTS.values())])
 
 
-def main() -> None:
-    if "--check" in sys.argv:
-        sys.exit(0 if TARGET.is_file() and TARGET.read_text(encoding="utf-8") == document() else f"{TARGET} is out of date; run {__file__}")
-    TARGET.write_text(document(), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    print(document())

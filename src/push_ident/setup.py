@@ -27,13 +27,13 @@ setup(
     entry_points={
         "console_scripts": [
             "push-ident = push_ident.cli.main:main",
-            "perception_node = push_ident.nodes.perception_node:main",
-            "push_executor_node = push_ident.nodes.push_executor_node:main",
-            "identification_node = push_ident.nodes.identification_node:main",
-            "bag_player_node = push_ident.nodes.bag_player_node:main",
-            "bag_recorder_node = push_ident.nodes.bag_recorder_node:main",
-            "gap_diagnosis_node = push_ident.nodes.gap_diagnosis_node:main",
-            "viewer_node = push_ident.nodes.viewer_node:main",
+            "perception_node = push_ident.nodes.executables:main",
+            "push_executor_node = push_ident.nodes.executables:main",
+            "identification_node = push_ident.nodes.executables:main",
+            "bag_player_node = push_ident.nodes.executables:main",
+            "bag_recorder_node = push_ident.nodes.executables:main",
+            "gap_diagnosis_node = push_ident.nodes.executables:main",
+            "viewer_node = push_ident.nodes.executables:main",
         ],
     },
 )

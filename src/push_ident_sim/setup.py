@@ -8,7 +8,7 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, f"{package}.*"]),
-    package_data={package: ["py.typed", "urdf/**/*"]},
+    package_data={package: ["py.typed", "cell/urdf/**/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
@@ -26,8 +26,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "sim_cell_node = push_ident_sim.sim_cell_node:main",
-            "sim_hand_node = push_ident_sim.sim_hand_node:main",
+            "sim_cell_node = push_ident_sim.executables:main",
+            "sim_hand_node = push_ident_sim.executables:main",
         ]
     },
 )

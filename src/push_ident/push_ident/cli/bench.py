@@ -32,9 +32,9 @@ def bench_command(
     truth: Annotated[Path, typer.Option(metavar="DIR", help="Of ground-truth pushes, shared with the experiments.")] = _TRUTH,
 ) -> None:
     """Measure time and error of the engine, of its rivals and of identification; about six minutes."""
-    known = _module("push_ident_sim.benchmarks").BENCHMARKS
-    running = _module("push_ident_sim.benchmarks.running")
-    settings = _module("push_ident_sim.benchmarks.benchmark").Settings(truth, quick, seed)
+    known = _module("push_ident_sim.studies").BENCHMARKS
+    running = _module("push_ident_sim.studies.common.bench_runner")
+    settings = _module("push_ident_sim.studies.common.benchmark").Settings(truth, quick, seed)
     if unknown := [name for name in names or () if name not in known]:
         raise InputError(f"There is no benchmark `{unknown[0]}`; choose some of {', '.join(known)}.")
     with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console) as progress:

@@ -124,6 +124,7 @@ def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -
     from push_ident.identification.identify import uniform_model
     from push_ident.identification.prediction import cell_error
     from push_ident.nodes.convert_model import pusher_path_from_msg
+    from push_ident.physics.scenario import PushScenario
     from push_ident.physics.simulation import simulate
     from push_ident_msgs.action import ExecutePush
 
@@ -144,7 +145,7 @@ def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -
         before = client.pose_at_rest(object_id, after=-np.inf)
         prediction = client.predict(object_id, planned.tool_path)
         path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
-        uniform = simulate(uniform_model(shape), path, before, path.time[-1:]).pose[-1]
+        uniform = simulate(uniform_model(shape), PushScenario(path, before, path.time[-1:])).pose[-1]
         show(f"unseen push {done + 1}: predicted, now made", 0)
         goal = ExecutePush.Goal(
             mode=ExecutePush.Goal.MODE_CONTACT,

@@ -43,14 +43,14 @@ def experiment_command(
     page: Annotated[Path, typer.Option(metavar="FILE", help="Of `report`; reads the JSON files in the folder of the same name.")] = _PAGE,
 ) -> None:
     """Run one of the paper's experiments on simulated ground truth, or write the page of all results."""
-    known = sim_module("push_ident_sim.experiments").EXPERIMENTS
+    known = sim_module("push_ident_sim.studies").EXPERIMENTS
     if name == _REPORT:
-        written = sim_module("push_ident_sim.experiments.report").write_report(known, page, "push-ident experiment report")
+        written = sim_module("push_ident_sim.studies.common.report").write_report(known, page, "push-ident experiment report")
         console.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
         return
     if name not in known:
         raise InputError(f"There is no experiment `{name}`; choose one of {', '.join(known)}, or {_REPORT}.")
-    running = sim_module("push_ident_sim.experiments.running")
+    running = sim_module("push_ident_sim.studies.common.runner")
     options = running.RunOptions(
         folder=out,
         truth_folder=truth or out / "truth",

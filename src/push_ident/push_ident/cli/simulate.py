@@ -36,7 +36,7 @@ def simulate_command(
     effects: Annotated[bool, typer.Option("--effects", help="List the effects and end.")] = False,
 ) -> None:
     """Push an object in the simulated cell and write what is seen of it as a bag."""
-    catalogue = sim_module("push_ident_sim.effects")
+    catalogue = sim_module("push_ident_sim.injected")
     if effects:
         for entry in catalogue.EFFECTS.values():
             sizes = ", ".join(f"{p.name} [{p.unit}] {p.lowest:g} to {p.highest:g}, typical {p.typical:g}" for p in entry.parameters)
@@ -44,7 +44,7 @@ def simulate_command(
         return
     if out is None:
         raise InputError("--out is missing; name the new bag, such as --out out/tilted.")
-    recording, pushing = sim_module("push_ident_sim.recording"), sim_module("push_ident_sim.truth")
+    recording, pushing = sim_module("push_ident_sim.recordings.recording"), sim_module("push_ident_sim.recordings.truth")
     settings = recording.RecordingSettings(
         object_name=object_name,
         model=model,

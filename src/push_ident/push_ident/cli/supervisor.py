@@ -35,16 +35,8 @@ _TERMINATE_AFTER: Final = 2.0
 _KILL_AFTER: Final = 1.0
 """[s] from SIGTERM to SIGKILL."""
 
-_MODULES: Final = {
-    "sim_cell_node": "push_ident_sim.sim_cell_node",
-    "perception_node": "push_ident.nodes.perception_node",
-    "push_executor_node": "push_ident.nodes.push_executor_node",
-    "identification_node": "push_ident.nodes.identification_node",
-    "gap_diagnosis_node": "push_ident.nodes.gap_diagnosis_node",
-    "bag_player_node": "push_ident.nodes.bag_player_node",
-    "bag_recorder_node": "push_ident.nodes.bag_recorder_node",
-    "viewer_node": "push_ident.nodes.viewer_node",
-}
+_SIM_NODES: Final = ("sim_cell_node",)
+"""Nodes of the package push_ident_sim; the others are of push_ident."""
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
     "replay": ("perception_node", "identification_node", "bag_player_node"),
@@ -399,11 +391,14 @@ def node_commands(
 
     commands = []
     for name in names:
-        package, file = ("push_ident_sim", "sim.yaml") if name == "sim_cell_node" else ("push_ident", "push_ident.yaml")
+        simulated = name in _SIM_NODES
+        package, file, program = (
+            ("push_ident_sim", "sim.yaml", "push_ident_sim") if simulated else ("push_ident", "push_ident.yaml", "push_ident.nodes")
+        )
         arguments = ["--params-file", str(files.get(package) or config_file(package, file))]
         # JSON is YAML: text stays text, however much it looks like a number.
         arguments += [part for key, value in own.get(name, {}).items() for part in ("-p", f"{key}:={json.dumps(value)}")]
         arguments += [*ros, "--log-level", log_level]
-        argv = (sys.executable, "-m", _MODULES[name], "--ros-args", *arguments)
+        argv = (sys.executable, "-m", program, name, "--ros-args", *arguments)
         commands.append(NodeCommand(name, argv, may_end=name == "bag_player_node"))
     return commands

@@ -8,6 +8,7 @@ itself is then in question.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -17,37 +18,23 @@ from push_ident.diagnosis.residuals import FrameResiduals, standardized_residual
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.identification.observation import NoiseModel
-from push_ident.physics.effect import OnContact, OnPoses
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 
 __all__ = [
-    "camera_is_in_question", "camera_settings", "is_in_question", "outlier_pushes", "outline_effects", "pose_effects", "question_camera",
+    "OUTLINE_ERRORS", "POSE_ERRORS", "camera_is_in_question", "camera_settings", "is_in_question", "outlier_pushes", "question_camera",
     "set_outliers_aside",
 ]  # fmt: skip
 
 
-def outline_effects() -> tuple[str, ...]:
-    """Camera errors that displace the outline."""
-    return _camera_errors(OnContact)
-
-
-def pose_effects() -> tuple[str, ...]:
-    """Camera errors of the measured poses."""
-    return _camera_errors(OnPoses)
-
-
-def _camera_errors(acts_on: type) -> tuple[str, ...]:
-    """In the order in which they become unknowns of the base model: the smallest accuracy first."""
-
-    def accuracy(name: str) -> float:
-        return min(p.camera_std for p in EFFECTS[name].parameters if p.camera_std is not None)
-
-    return tuple(sorted((n for n, e in EFFECTS.items() if e.is_camera_error and isinstance(e.acts, acts_on)), key=accuracy))
+OUTLINE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if EFFECTS[name].moves_outline)
+"""Camera errors that displace the outline."""
+POSE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if not EFFECTS[name].moves_outline)
+"""Camera errors of the measured poses."""
 
 
 def camera_settings(settings: DiagnosisSettings) -> DiagnosisSettings:
     """Settings for poses and outlines from a camera: its errors belong to the base model, noise and margins are larger."""
-    own = [name for name in (*outline_effects(), *pose_effects()) if name not in settings.base_effects]
+    own = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
     return replace(
         settings,
         base_effects=(*settings.base_effects, *own),
@@ -65,7 +52,7 @@ def is_in_question(fit: EffectFit, requested: DiagnosisSettings) -> bool:
         requested: the settings before: what these have in the base model stays there.
     """
     z = fit.z[fit.parameters.effect_slice]
-    own = [name for name in pose_effects() if name in fit.names and name not in requested.base_effects]
+    own = [name for name in POSE_ERRORS if name in fit.names and name not in requested.base_effects]
     limit = requested.policy.camera.max_deviations
     return any(bool(np.any(np.abs(z[fit.effects.slice_of(name)]) > limit)) for name in own)
 
@@ -78,7 +65,7 @@ def camera_is_in_question(state: DiagnosisState) -> bool:
 def question_camera(state: DiagnosisState) -> DiagnosisState:
     """The state with the camera's errors of the poses among the effects that may be found."""
     settings, requested = state.settings, state.requested
-    kept = tuple(name for name in settings.base_effects if name not in pose_effects() or name in requested.base_effects)
+    kept = tuple(name for name in settings.base_effects if name not in POSE_ERRORS or name in requested.base_effects)
     return replace(state, settings=replace(settings, base_effects=kept, prior=replace(settings.prior, camera_share=requested.prior.camera_share)))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from push_ident.diagnosis.parallel import side_by_side
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import Evaluation, FitProblem
@@ -104,7 +104,7 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Effe
         prior = replace(full, mass_map_std=amplitude * full.mass_map_std, friction_map_std=amplitude * full.friction_map_std)
         return _fit(records, settings, prior, modes, settings.base_effects)
 
-    return max(side_by_side(fit, _AMPLITUDES), key=lambda fit: fit.log_evidence)
+    return max(map_in_threads(fit, _AMPLITUDES), key=lambda fit: fit.log_evidence)
 
 
 def fit_effects(

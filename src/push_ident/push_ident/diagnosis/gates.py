@@ -121,7 +121,7 @@ def check_outline(fit: EffectFit, names: Sequence[str], policy: GatePolicy) -> l
 
     Args:
         fit: with the effects that were found.
-        names: of the effects of the base model that displace the outline, see `camera.outline_effects`.
+        names: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
         policy: limits.
     """
     offsets = [float(value) for name in names if name in fit.names for value in fit.effects.values[fit.effects.slice_of(name)]]

@@ -11,6 +11,7 @@ from push_ident.diagnosis.fits import EffectFit, without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.prediction import cell_error, held_out_errors
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
 __all__ = ["Gap", "measure_gap"]
@@ -160,7 +161,9 @@ def _noise_errors(fit: EffectFit, n_draws: int) -> Float64Array:
     errors = []
     for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(
-            record.pusher, problem.first_pose(fit.x, push), seen.time[-1:], settings=problem.settings, order=record.order, jacobian=True
+            PushScenario(record.pusher, problem.first_pose(fit.x, push), seen.time[-1:], record.order),
+            settings=problem.settings,
+            jacobian=True,
         )
         by_first = motion.jacobian[-1, :, :3]
         first_root = np.linalg.cholesky(seen.first_covariance)

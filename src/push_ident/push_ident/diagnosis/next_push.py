@@ -18,6 +18,7 @@ from push_ident.identification.observation import NoiseModel, Observation, obser
 from push_ident.identification.parameters import Mechanics
 from push_ident.physics.effect_values import seen_poses, true_pose
 from push_ident.physics.effects import EFFECTS
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, SolveStatus
@@ -171,7 +172,7 @@ def _outcome(model: _Predictor, push: PlannedPush, seen: Observation, first_vari
     mechanics = model.mechanics
     # The reported pose is given; with an error of the camera, the object lies elsewhere.
     start = true_pose(mechanics.effects, push.pose_object_in_table)
-    motion = mechanics.simulate(push.pusher, start, seen.time, settings=model.settings, order=model.order, jacobian=True)
+    motion = mechanics.simulate(PushScenario(push.pusher, start, seen.time, model.order), settings=model.settings, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
     _, by_pose, by_value = seen_poses(mechanics.effects, start[None])

@@ -18,6 +18,7 @@ from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observation import Observation
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
 from push_ident.types import BoolArray, Float64Array
 
@@ -87,9 +88,8 @@ def standardized_residuals(fit: EffectFit, policy: ResidualPolicy) -> FrameResid
     drawn = iter(_refitted_noise(fit, policy.draws, np.random.default_rng(0)))
     parts, draws = [], []
     for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
-        motion = mechanics.simulate(
-            record.pusher, problem.first_pose(fit.x, push), observation.time, settings=problem.settings, order=record.order
-        )
+        scenario = PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time, record.order)
+        motion = mechanics.simulate(scenario, settings=problem.settings)
         columns, to_motion_frame = _push_residuals(motion, observation, push, policy)
         parts.append(columns[1:])
         draws.append(np.einsum("fij,dfj->dfi", to_motion_frame, next(drawn))[:, 1:])

@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.identification.parameters import MapParameters
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.types import Float64Array
 
 __all__ = ["EffectInformation", "EffectScore", "clipped_start", "effect_information", "score_effects"]
-
-_CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_unknown_cause)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,7 @@ def effect_information(fit: EffectFit, names: Sequence[str] = ()) -> EffectInfor
     Returns:
         None where the pushes cannot be simulated.
     """
-    absent = [name for name in names or _CAUSES if name not in fit.names]
+    absent = [name for name in names or CAUSES if name not in fit.names]
     before = fit.parameters
     parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
     problem = fit.problem.of(parameters)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from push_ident.diagnosis.camera import outline_effects
+from push_ident.diagnosis.camera import OUTLINE_ERRORS
 from push_ident.diagnosis.fits import EffectFit, fit_effects, polished, with_another
 from push_ident.diagnosis.gates import check_outline
 from push_ident.diagnosis.policy import SelectionPolicy
@@ -30,7 +30,7 @@ def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         return state
     policy = state.settings.policy
     selection = select_effects(state.base, policy.selection, on_progress)
-    outline = [name for name in outline_effects() if name in state.base.names]
+    outline = [name for name in OUTLINE_ERRORS if name in state.base.names]
     selected = replace(state, fit_gates=(*state.fit_gates, *check_outline(selection.fit, outline, policy.gates)))
     return selected if selected.abstains else replace(selected, selection=selection)
 

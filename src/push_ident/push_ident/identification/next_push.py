@@ -30,6 +30,7 @@ from push_ident.identification.observation import NoiseModel, Observation, obser
 from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.rollout import PARAM_MASS
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
@@ -226,7 +227,7 @@ def imagine_push(
     pusher, sensor = push.pusher, sensor or PoseSensor()
     time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
     time = time if len(time) > 1 else pusher.time[[0, -1]]  # slow sensors see both ends
-    motion = mechanics.simulate(pusher, push.pose_object_in_table if first is None else first, time, settings=settings, order=order)
+    motion = mechanics.simulate(PushScenario(pusher, push.pose_object_in_table if first is None else first, time, order), settings=settings)
     if motion.status is not SolveStatus.CONVERGED:
         return None, motion.status
     poses = PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3)))
@@ -279,7 +280,7 @@ def _sensitivity(
 ) -> Float64Array:
     """Rows G with H = G' G: how whitened frames depend on z beyond what another first pose would explain, shape (n_rows, n_unknowns)."""
     mechanics = parameters.mechanics(z)
-    motion = mechanics.simulate(push.pusher, push.pose_object_in_table, seen.time, settings=settings, jacobian=True)
+    motion = mechanics.simulate(PushScenario(push.pusher, push.pose_object_in_table, seen.time), settings=settings, jacobian=True)
     nothing = np.zeros((0, len(z)))
     if motion.status is SolveStatus.SIMULATION_FAILED:
         return nothing
@@ -301,7 +302,9 @@ def _reference_rows(
     cells = parameters.shape.cells
     rows = []
     for push in reference:
-        motion = mechanics.simulate(push.pusher, push.pose_object_in_table, push.pusher.time[-1:], settings=settings, jacobian=True)
+        motion = mechanics.simulate(
+            PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:]), settings=settings, jacobian=True
+        )
         if motion.status is not SolveStatus.CONVERGED:
             continue
         by_body = _displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]

@@ -26,14 +26,11 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
-from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
+from push_ident.types import Float64Array, ObjectModel, ObjectShape
 
 __all__ = ["MapParameters", "Mechanics", "Prior"]
-
-_OUTLINE = "outline_error"
-_CAMERA = "camera_"
-"""Effect whose size the prior knows better than the catalogue where a camera traced the outline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,28 +99,10 @@ class Mechanics:
         """The rows of the cells' friction limits, shape (n_cells, size)."""
         return self.derivative[PARAM_LIMIT : PARAM_LIMIT + len(self.shape.cells)]
 
-    def simulate(
-        self,
-        pusher: PusherPath,
-        pose_object_in_table: Float64Array,
-        time: Float64Array,
-        *,
-        settings: SimulationSettings | None = None,
-        order: float = 0.0,
-        jacobian: bool = False,
-    ) -> Motion:
+    def simulate(self, scenario: PushScenario, *, settings: SimulationSettings | None = None, jacobian: bool = False) -> Motion:
         """As `simulate_body`."""
         return simulate_body(
-            self.shape,
-            self.body,
-            self.pusher_friction,
-            pusher,
-            pose_object_in_table,
-            time,
-            settings=settings,
-            effects=self.effects,
-            order=order,
-            jacobian=jacobian,
+            self.shape, self.body, self.pusher_friction, scenario, settings=settings, effects=self.effects, jacobian=jacobian
         )
 
 
@@ -173,11 +152,9 @@ class MapParameters:
     def effect_scale(self) -> Float64Array:
         """Deviation of each value of the effects by the prior, shape (n_values,)."""
         scale = np.array([parameter.scale for parameter in self.effects.parameters])
-        if _OUTLINE in self.effects.names:
-            scale[self.effects.slice_of(_OUTLINE)] = self.prior.outline_std
-        for name in self.effects.names:
-            if name.startswith(_CAMERA):
-                scale[self.effects.slice_of(name)] *= self.prior.camera_share
+        for effect in (effect for effect in self.effects.effects if effect.is_camera_error):
+            own = self.effects.slice_of(effect.name)
+            scale[own] = self.prior.outline_std if effect.moves_outline else scale[own] * self.prior.camera_share
         return scale
 
     def effects_at(self, z: Float64Array) -> EffectValues:

@@ -11,6 +11,7 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.effect_values import EffectsLike, true_pose
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PusherPath, PushRecord, SolveStatus
 
@@ -84,11 +85,11 @@ def predict(
     for draw in draws:
         drawn = parameters.mechanics(posterior.z + z_root @ draw[:-3])
         start = true_pose(drawn.effects, first + first_root @ draw[-3:])
-        motion = drawn.simulate(pusher, start, time, settings=settings, order=order)
+        motion = drawn.simulate(PushScenario(pusher, start, time, order), settings=settings)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
             poses.append(motion.pose)
     mean = parameters.mechanics(posterior.z)
-    centre = mean.simulate(pusher, true_pose(mean.effects, first), time, settings=settings, order=order)
+    centre = mean.simulate(PushScenario(pusher, true_pose(mean.effects, first), time, order), settings=settings)
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
         unknown = np.full((len(centre.time), 3, 3), np.nan)
         return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
@@ -141,7 +142,10 @@ def held_out_errors(
     for record in records:
         seen = observe_push(record, noise)
         motion = simulate(
-            model, record.pusher, true_pose(effects, seen.pose[0]), seen.time[-1:], settings=settings, effects=effects, order=record.order
+            model,
+            PushScenario(record.pusher, true_pose(effects, seen.pose[0]), seen.time[-1:], record.order),
+            settings=settings,
+            effects=effects,
         )
         errors.append(cell_error(record.shape.cells, motion.pose[-1], seen.pose[-1]))
     return np.array(errors)

@@ -26,6 +26,7 @@ from push_ident.identification.observation import NoiseModel, Observation, obser
 from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.rollout import PARAM_MASS
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
@@ -144,11 +145,8 @@ class FitProblem:
         record = self.records[push]
         self.meter.count(1)
         return mechanics.simulate(
-            record.pusher,
-            self.first_pose(x, push),
-            self.observations[push].time,
+            PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order),
             settings=self.settings,
-            order=record.order,
             jacobian=jacobian,
         )
 

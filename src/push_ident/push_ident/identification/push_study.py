@@ -16,6 +16,7 @@ from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.result import ModelPosterior
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, PoseTrack, PushRecord
@@ -77,7 +78,7 @@ class SimulatedObject:
 
     def execute(self, push: PlannedPush) -> PushRecord:
         time = np.arange(push.pusher.time[0], push.pusher.time[-1], 1.0 / self._sensor.rate)
-        motion = simulate(self.model, push.pusher, self._pose, time, settings=self._settings)
+        motion = simulate(self.model, PushScenario(push.pusher, self._pose, time), settings=self._settings)
         seen = motion.pose + self._rng.standard_normal(motion.pose.shape) @ self._noise_root.T
         covariance = np.broadcast_to(self._sensor.covariance, (len(time), 3, 3))
         return PushRecord("o1", self.shape, PoseTrack(time, seen, covariance), push.pusher)

@@ -11,6 +11,7 @@ from push_ident.identification.identify import uniform_model
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.prediction import NINETY, cell_error, predict
 from push_ident.identification.result import ModelPosterior
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
@@ -114,7 +115,9 @@ def score_push(
         settings=settings,
         order=record.order,
     )
-    plain = simulate(uniform_model(record.shape, before.prior), record.pusher, seen.pose[0], seen.time[-1:], settings=settings)
+    plain = simulate(
+        uniform_model(record.shape, before.prior), PushScenario(record.pusher, seen.pose[0], seen.time[-1:]), settings=settings
+    )
     cells = record.shape.cells
     error = distance2 = np.nan
     if prediction.status is not SolveStatus.SIMULATION_FAILED:

@@ -14,6 +14,7 @@ import numpy as np
 from push_ident.identification.parameters import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
@@ -90,12 +91,9 @@ def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push:
         return None
     motion = simulate(
         model,
-        record.pusher,
-        problem.first_pose(x, push),
-        record.pusher.time[-1:],
+        PushScenario(record.pusher, problem.first_pose(x, push), record.pusher.time[-1:], record.order),
         settings=problem.settings,
         effects=problem.parameters.effects_at(x[: problem.parameters.size]),
-        order=record.order,
     )
     if motion.status is not SolveStatus.CONVERGED:
         return None

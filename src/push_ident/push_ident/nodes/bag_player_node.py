@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import signal
-import sys
 import threading
 import time
 from pathlib import Path
@@ -179,10 +178,6 @@ def _message_class(msgtype: str) -> Any | None:
         return None
 
 
-def main() -> None:
-    """Entry point."""
-    sys.exit(run_node(BagPlayerNode))
-
-
-if __name__ == "__main__":
-    main()
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(BagPlayerNode)

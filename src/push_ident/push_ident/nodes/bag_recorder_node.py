@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import shutil
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Final
@@ -155,10 +154,6 @@ class BagRecorderNode(Node):
         self._diagnostics.publish(msg)
 
 
-def main() -> None:
-    """Entry point."""
-    sys.exit(run_node(BagRecorderNode))
-
-
-if __name__ == "__main__":
-    main()
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(BagRecorderNode)

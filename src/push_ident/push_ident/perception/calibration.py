@@ -1,9 +1,9 @@
-"""Extrinsics of the camera from what it sees: the plane of the table and a mark of known shape that lies at a known place on it.
+"""Extrinsics of the camera from the table plane and a mark of known shape that lies at a known pose on the table.
 
-The plane gives tilt and height of the camera, three of its six coordinates, as well as thousands of pixels can. The mark gives the other
-three, place and heading on the table. It is a flat-topped block, 20 mm high or more, whose outline looks different in every heading, such
-as a right triangle or an L: a depth camera sees its edges in every light, needs no colour image that is aligned with the depth, and its
-height is known as well, which tells an error of scale. A printed mark would need all that.
+The plane determines tilt and height of the camera, three of its six coordinates, with the precision of thousands of pixels. The mark
+determines the other three, position and heading on the table. It is a flat-topped block, 20 mm high or more, whose outline differs in every
+heading, such as a right triangle or an L. Its advantages over a printed mark: a depth camera measures its edges in any light, no colour
+image has to be aligned with the depth, and its known height reveals an error of scale.
 """
 
 from __future__ import annotations
@@ -22,29 +22,31 @@ from push_ident.perception.depth import points_in_table
 from push_ident.perception.labels import label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SeenObject, Sight, mean_depth, see_object
-from push_ident.perception.tracking import PoseFit, Template, TrackStatus, relocate
+from push_ident.perception.shape import SegmentedView, TracedObject, median_depth, trace_object
+from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Calibration", "Mark", "calibrate", "camera_over_table", "table_extent"]
 
 _STRIDE: Final = 4
+"""Every fourth pixel of every fourth row is used for the plane."""
 _HYPOTHESES: Final = 300
+"""Random planes tried."""
 _MIN_SHARE: Final = 0.15
-"""Of all points that must lie on the plane of the table."""
+"""Least fraction of all points that must lie on the plane of the table."""
 _DIFFERENT: Final = 0.004
-"""Mean distance by which a turned mark must differ from itself [m]: below, its heading is open."""
+"""Least mean distance between the outlines of the mark and of a turned copy [m]: below it the heading is ambiguous."""
 _AREA: Final = (0.6, 1.6)
-"""Range of the area of a segment, in areas of the mark, that may be the mark."""
+"""Range of the area of a segment that may be the mark, relative to the area of the mark."""
 _MAX_RESIDUAL: Final = 0.003
-"""Larger distances between seen and known outline mean that something else was taken for the mark [m]."""
+"""A larger distance between measured and known outline means that something else was taken for the mark [m]."""
 _MAX_HEIGHT_ERROR: Final = 0.006
-"""[m]"""
+"""A larger difference between measured and known height means the same [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """The block: its outline in its own frame, its height, and where it lies."""
+    """The calibration block: its outline in its own frame, its height, and its pose on the table."""
 
     outline: Float64Array
     """Corners [m], shape (n, 2), frame of the mark."""
@@ -58,7 +60,7 @@ class Mark:
         if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3 or not np.isfinite(outline).all():
             raise InputError(f"The outline of the mark has shape {outline.shape}, expected at least three finite corners (n, 2) in metres.")
         if not self.height >= 0.02:
-            raise InputError(f"The mark is {self.height} m high, expected 0.02 m or more: lower edges drown in the noise of the camera.")
+            raise InputError(f"The mark is {self.height} m high, expected 0.02 m or more: noise hides the edges of a lower mark.")
         outline = outline if polygon_area(outline) > 0 else outline[::-1]
         middle = outline.mean(axis=0)
         edge = _dense(outline, 200) - middle
@@ -67,8 +69,8 @@ class Mark:
         ]
         if min(different) < _DIFFERENT:
             raise InputError(
-                f"The mark looks the same within {min(different) * 1e3:.1f} mm when it is turned, so its heading stays open; "
-                "take an outline without symmetry, such as a right triangle or an L."
+                f"The mark differs from a turned copy by only {min(different) * 1e3:.1f} mm, so its heading is ambiguous; "
+                "use an outline without symmetry, such as a right triangle or an L."
             )
         outline.setflags(write=False)
         object.__setattr__(self, "outline", outline)
@@ -76,40 +78,41 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Extrinsics, and how well they explain what was seen."""
+    """Extrinsics, and how well they explain the images."""
 
     camera_in_table: Float64Array
     """Optical frame in the table frame, homogeneous, shape (4, 4)."""
     plane_noise: float
     """Standard deviation of the table about its plane, in the mean of the frames [m]."""
     outline_residual: float
-    """Root mean square distance of the mark's outline as seen from its known outline [m]."""
+    """Root mean square distance of the measured outline of the mark from the known one [m]."""
     height_error: float
-    """Seen minus known height of the mark [m]: an error of scale, or of the plane."""
+    """Measured minus known height of the mark [m]: an error of scale, or of the plane."""
     covariance: Float64Array
-    """Of (x, y, yaw) of the mark, shape (3, 3)."""
+    """Covariance of (x, y, yaw) of the mark, shape (3, 3)."""
     n_frames: int
+    """Number of frames used."""
 
 
 def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -> tuple[Float64Array, float, float]:
-    """Camera pose over the largest plane in view, with nothing known before: z is up, the origin lies under the middle of that plane.
+    """Camera pose over the largest plane in view, without prior knowledge: z points up, the origin is the middle of that plane.
 
     Args:
-        frame: Best the mean of several.
-        tilt_limit: Largest angle between the line of sight and the plane's normal [rad]; leaves out walls.
+        frame: Preferably the `median_depth` of several frames.
+        tilt_limit: Largest angle between the optical axis and the plane's normal [rad]; excludes walls.
 
     Returns:
-        Optical frame in a frame of the plane, shape (4, 4); noise about the plane [m]; share of the points on it.
+        Optical frame in a frame of the plane, shape (4, 4); noise about the plane [m]; fraction of the points on it.
 
     Raises:
-        PerceptionError: Nothing valid, or no plane that holds enough of it.
+        PerceptionError: Too few valid pixels, or no plane with enough of them.
     """
     points = points_in_table(frame, np.eye(4))[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points[:, 2])]
     if len(points) < 200:
         raise PerceptionError(f"Depth image has {len(points) * _STRIDE**2} valid of {frame.depth.size} pixels; check the camera.")
     normal, offset = _largest_plane(points, np.cos(tilt_limit))
-    # Noise grows with the square of the depth, so near points weigh more.
+    # Noise grows with the square of the depth, so near points get more weight.
     weight = 1.0 / points[:, 2] ** 2
     noise, inliers = 0.01, np.abs(points @ normal - offset) < 0.02
     for _ in range(6):
@@ -138,7 +141,7 @@ def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -
 
 
 def table_extent(frame: DepthFrame, camera_in_table: Float64Array, noise: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Low and high corner [m] of the box that holds all but the outermost hundredth of the plane's points."""
+    """Low and high corner [m] of the box that holds 99 % of the plane's points along each axis."""
     points = points_in_table(frame, camera_in_table)[::_STRIDE, ::_STRIDE].reshape(-1, 3)
     with np.errstate(invalid="ignore"):
         flat = points[np.abs(points[:, 2]) < 4.0 * noise, :2].astype(np.float64)
@@ -147,14 +150,14 @@ def table_extent(frame: DepthFrame, camera_in_table: Float64Array, noise: float)
 
 
 def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
-    """Extrinsics from frames at rest in which the mark lies on the table in full view; other things may lie there as well.
+    """Extrinsics from frames at rest in which all of the mark is visible on the table; other objects may lie there as well.
 
     Raises:
         PerceptionError: No table, no segment of the mark's size, or a fit whose residual is too large; the text gives the counts.
     """
     if not frames:
         raise PerceptionError("There are no depth frames to calibrate from; start the camera.")
-    depth = mean_depth(frames)
+    depth = median_depth(frames)
     frame = DepthFrame(frames[-1].stamp, depth, frames[-1].intrinsics, frames[-1].frame_id)
     camera, noise, _ = camera_over_table(frame)
     low, high = table_extent(frame, camera, noise)
@@ -171,14 +174,14 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
             f"(they have {', '.join(f'{s.area * 1e4:.0f}' for s in segments[:5]) or 'none'}); show all of the mark."
         )
     centroid = transform_points(inverse([*mark.outline.mean(axis=0), 0.0]), mark.outline)
-    template = Template(_as_seen(centroid, mark.height))
+    template = Template(_as_object(centroid, mark.height))
     fitted = [_fit(template, frame, camera, segment, noise) for segment in similar]
     fit, residual, height = min(fitted, key=lambda found: (found[0].status is not TrackStatus.TRACKED, found[1]))
     if fit.status is not TrackStatus.TRACKED or residual > _MAX_RESIDUAL or abs(height - mark.height) > _MAX_HEIGHT_ERROR:
         raise PerceptionError(
-            f"What looks most like the mark differs from it by {residual * 1e3:.1f} mm in outline and "
+            f"The segment most similar to the mark differs from it by {residual * 1e3:.1f} mm in outline and "
             f"{(height - mark.height) * 1e3:.1f} mm in height ({fit.status.value}), expected at most {_MAX_RESIDUAL * 1e3:.0f} and "
-            f"{_MAX_HEIGHT_ERROR * 1e3:.0f} mm; check its measures."
+            f"{_MAX_HEIGHT_ERROR * 1e3:.0f} mm; check its dimensions."
         )
     pose_mark_in_plane = compose(fit.pose, inverse([*mark.outline.mean(axis=0), 0.0]))
     x, y, yaw = compose(mark.pose_mark_in_table, inverse(pose_mark_in_plane))
@@ -189,7 +192,7 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
 
 
 def _largest_plane(points: Float64Array, least_cosine: float) -> tuple[Float64Array, float]:
-    """Normal and offset of the plane through three points that has most others within 1 % of their depth."""
+    """Normal and offset of the plane through three points with the most points within 1 % of their depth."""
     rng = np.random.default_rng(0)
     scored = points[rng.integers(len(points), size=min(len(points), 3000))]
     best, best_count = (np.array([0.0, 0.0, -1.0]), -1.0), -1
@@ -206,20 +209,20 @@ def _largest_plane(points: Float64Array, least_cosine: float) -> tuple[Float64Ar
     return best
 
 
-def _as_seen(outline: Float64Array, height: float) -> SeenObject:
-    """The mark as an object of even height, for the tracker."""
+def _as_object(outline: Float64Array, height: float) -> TracedObject:
+    """The mark as a traced object of constant height, for the tracker."""
     shape = ObjectShape(cells_in_outline(outline, float(np.sqrt(polygon_area(outline) / 50))), outline)
-    return SeenObject(shape, np.zeros(3), np.full((1, 1), height, dtype=np.float32), np.zeros(2), 1.0)
+    return TracedObject(shape, np.zeros(3), np.full((1, 1), height, dtype=np.float32), np.zeros(2), 1.0)
 
 
 def _fit(template: Template, frame: DepthFrame, camera: Float64Array, segment: Segment, noise: float) -> tuple[PoseFit, float, float]:
-    """Pose of the mark at the segment, the residual of its outline [m], and the height seen [m]."""
-    fit = relocate(template, frame, camera, segment.centre)
+    """Pose of the mark at the segment, the residual of its outline [m], and its measured height [m]."""
+    fit = relocate(template, Scene(frame, camera), segment.centre)
     if fit.status is not TrackStatus.TRACKED:
         return fit, np.inf, np.inf
     outline = transform_points(fit.pose, template.outline)
-    seen = see_object([Sight(frame, camera, segment, noise)], min_height=0.008, cell_count=50)
-    edge = _dense(seen.shape.outline + seen.pose[:2], 30)
+    traced = trace_object([SegmentedView(frame, camera, segment, noise)], min_height=0.008, cell_count=50)
+    edge = _dense(traced.shape.outline + traced.pose[:2], 30)
     residual = float(np.sqrt(np.mean(np.square(signed_distance(edge, outline)))))
     points = points_in_table(frame, camera)[segment.rows, segment.columns][segment.mask]
     top: NDArray[np.float32] = points[points_in_polygon(points[:, :2], outline), 2]
@@ -228,5 +231,5 @@ def _fit(template: Template, frame: DepthFrame, camera: Float64Array, segment: S
 
 def _dense(polygon: Float64Array, n_per_edge: int) -> Float64Array:
     """Points along the edges, shape (n_edges * n_per_edge, 2)."""
-    share = np.linspace(0.0, 1.0, n_per_edge, endpoint=False)[:, None]
-    return (polygon[:, None] + share * (np.roll(polygon, -1, axis=0) - polygon)[:, None]).reshape(-1, 2)
+    part = np.linspace(0.0, 1.0, n_per_edge, endpoint=False)[:, None]
+    return (polygon[:, None] + part * (np.roll(polygon, -1, axis=0) - polygon)[:, None]).reshape(-1, 2)

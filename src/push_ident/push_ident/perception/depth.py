@@ -23,7 +23,7 @@ ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
     "16UC1": (np.dtype(np.uint16), 1e-3),
     "32FC1": (np.dtype(np.float32), 1.0),
 }
-"""Encoding -> (type of a pixel, metres per unit), as REP 118 has them."""
+"""Encoding -> (type of a pixel, metres per unit), as in REP 118."""
 
 _MAX_SIDE: Final = 16384
 
@@ -63,7 +63,7 @@ def depth_from_buffer(
 
 
 def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
-    """Refuse a camera matrix that no pinhole camera has.
+    """Reject a camera matrix that no pinhole camera has.
 
     Raises:
         FrameError: Focal length not positive, or a value not finite.
@@ -74,18 +74,19 @@ def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
 
 
 def check_size(frame: DepthFrame) -> None:
-    """Refuse an image of another size than its camera info, which the compiled loops over its pixels would overrun.
+    """Reject an image whose size differs from its camera info: the compiled loops over its pixels would read out of bounds.
 
     Raises:
-        FrameError: It is of another size.
+        FrameError: The sizes differ.
     """
     expected = (frame.intrinsics.height, frame.intrinsics.width)
     if frame.depth.shape != expected:
-        raise FrameError(f"Depth image has shape {frame.depth.shape}, camera info says {expected}; they belong to different cameras.")
+        raise FrameError(f"Depth image has shape {frame.depth.shape}, its camera info {expected}; they belong to different cameras.")
 
 
 @lru_cache(maxsize=8)
 def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
+    """Direction of each line of sight per metre of depth, optical frame, shape (height, width, 3)."""
     check_intrinsics(intrinsics)
     u, v = np.meshgrid(np.arange(intrinsics.width, dtype=np.float64), np.arange(intrinsics.height, dtype=np.float64))
     rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones_like(u)], axis=-1).astype(np.float32)
@@ -104,7 +105,7 @@ def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Floa
 
 
 def rays_in_table(intrinsics: CameraIntrinsics, camera_in_table: ArrayLike) -> tuple[Float64Array, NDArray[np.float32]]:
-    """Line of sight of every pixel; computed once for a camera that stands still.
+    """Line of sight of every pixel; cached for a camera that does not move.
 
     Args:
         intrinsics: The camera.
@@ -123,10 +124,10 @@ def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np
     """Point of every pixel.
 
     Returns:
-        [m], shape (height, width, 3), table frame; NaN where nothing was seen.
+        [m], shape (height, width, 3), table frame; NaN where nothing was measured.
 
     Raises:
-        FrameError: The image has another size than its camera info.
+        FrameError: The size of the image differs from its camera info.
     """
     check_size(frame)
     centre, rays = rays_in_table(frame.intrinsics, camera_in_table)

@@ -1,46 +1,60 @@
 """Loops over pixels and over lines of sight, compiled.
 
-Each kernel names the types it takes, so that it is compiled, or read from numba's cache, when this module is imported: a node that
-listens never waits for the compiler. All kernels stay in this file, because the cache notices changes of a kernel's own file alone.
-A grid is (values, origin, step): values[row, column] belongs to the place origin + step * (column, row) [m].
+Each kernel declares its argument types. Numba therefore compiles it, or reads it from its cache, when this module is imported: a node
+that subscribes never waits for the compiler. All kernels stay in this file, because numba's cache detects changes of a kernel's own file
+only. The loops stay whole: numba compiles each kernel for one set of types, and splitting the loops would cost speed.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit, types
 
+from push_ident.types import Float64Array
+
 __all__ = [
-    "compare",
-    "deciding_places",
-    "distances",
-    "in_rods",
+    "Grid",
+    "compare_lines",
+    "innermost_points",
+    "interpolate",
+    "intersect_object",
     "label_heights",
-    "meet_object",
     "nearest_values",
     "place_points",
+    "points_in_rods",
     "project_down",
 ]
 
 
+class Grid(NamedTuple):
+    """Values at the nodes of a square grid. The kernels expect arrays that are writable and in C order."""
+
+    values: Float64Array
+    """Shape (rows, columns)."""
+    origin: Float64Array
+    """Place of the first node [m], shape (2,): node (row, column) lies at origin + step * (column, row)."""
+    step: float
+    """Distance between nodes [m]."""
+
+
 def _array(element: Any, n_axes: int, layout: str = "C") -> Any:
-    """One that the kernel only reads."""
+    """Type of an array that the kernel only reads."""
     return types.Array(element, n_axes, layout, readonly=True)
 
 
 _REAL: Final = types.float64
 _REALS: Final = _array(types.float64, 1)
 _ROWS: Final = _array(types.float64, 2)
-_GRID: Final = (_ROWS, _REALS, _REAL)
+_GRID: Final = types.NamedTuple((types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C"), types.float64), Grid)
 _IMAGE: Final = _array(types.float32, 2, "A")
 _POINTS: Final = _array(types.float32, 3)
 
 
 def _kernel(*arguments: Any) -> Any:
-    """Division by zero gives infinity, as in numpy."""
+    """Compile for these argument types; division by zero gives infinity, as in numpy."""
     return njit([arguments], cache=True, error_model="numpy")
 
 
@@ -48,19 +62,20 @@ _inline = njit(inline="always", error_model="numpy")
 
 
 @_inline
-def _nearest(values: Any, origin: Any, step: Any, x: Any, y: Any) -> Any:
-    """Value of the nearest node; outside, and for NaN, of one on the border."""
-    row, column = (y - origin[1]) / step, (x - origin[0]) / step
-    last_row, last_column = values.shape[0] - 1, values.shape[1] - 1
+def _nearest(grid: Any, x: Any, y: Any) -> Any:
+    """Value of the nearest node; outside the grid, and for NaN, of a node on the border."""
+    row, column = (y - grid.origin[1]) / grid.step, (x - grid.origin[0]) / grid.step
+    last_row, last_column = grid.values.shape[0] - 1, grid.values.shape[1] - 1
     i = 0 if not row > 0.0 else last_row if row >= last_row else int(row + 0.5)
     j = 0 if not column > 0.0 else last_column if column >= last_column else int(column + 0.5)
-    return values[i, j]
+    return grid.values[i, j]
 
 
 @_inline
-def _between(values: Any, origin: Any, step: Any, x: Any, y: Any) -> Any:
-    """Bilinear value and its gradient; outside, those at the border."""
-    row, column = (y - origin[1]) / step, (x - origin[0]) / step
+def _bilinear(grid: Any, x: Any, y: Any) -> Any:
+    """Bilinear value and its gradient; outside the grid, those at the border."""
+    values, step = grid.values, grid.step
+    row, column = (y - grid.origin[1]) / step, (x - grid.origin[0]) / step
     row = 0.0 if not row > 0.0 else min(row, values.shape[0] - 1.001)
     column = 0.0 if not column > 0.0 else min(column, values.shape[1] - 1.001)
     i, j = int(row), int(column)
@@ -71,131 +86,123 @@ def _between(values: Any, origin: Any, step: Any, x: Any, y: Any) -> Any:
 
 
 @_inline
-def _deciding(field: Any, origin: Any, step: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any) -> Any:
-    """Whichever end of a line is further inside, object frame."""
-    x, y = upper[0] - pose[0], upper[1] - pose[1]
-    upper_x, upper_y = cos * x + sin * y, cos * y - sin * x
-    x, y = lower[0] - pose[0], lower[1] - pose[1]
-    lower_x, lower_y = cos * x + sin * y, cos * y - sin * x
-    if _nearest(field, origin, step, upper_x, upper_y) < _nearest(field, origin, step, lower_x, lower_y):
+def _to_object(x: Any, y: Any, pose: Any, cos: Any, sin: Any) -> Any:
+    """A point of the table frame in the object frame that `pose` places."""
+    x, y = x - pose[0], y - pose[1]
+    return cos * x + sin * y, cos * y - sin * x
+
+
+@_inline
+def _innermost(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any) -> Any:
+    """The end of a line segment that lies further inside, object frame."""
+    upper_x, upper_y = _to_object(upper[0], upper[1], pose, cos, sin)
+    lower_x, lower_y = _to_object(lower[0], lower[1], pose, cos, sin)
+    if _nearest(field, upper_x, upper_y) < _nearest(field, lower_x, lower_y):
         return upper_x, upper_y
     return lower_x, lower_y
 
 
-@_kernel(*_GRID, _ROWS)
-def nearest_values(values: Any, origin: Any, step: Any, points: Any) -> Any:
+@_kernel(_GRID, _ROWS)
+def nearest_values(grid: Any, points: Any) -> Any:
     """Values, shape (n,), of the nodes nearest to points (n, 2)."""
     result = np.empty(len(points))
     for i in range(len(points)):
-        result[i] = _nearest(values, origin, step, points[i, 0], points[i, 1])
+        result[i] = _nearest(grid, points[i, 0], points[i, 1])
     return result
 
 
-@_kernel(*_GRID, _ROWS)
-def distances(field: Any, origin: Any, step: Any, points: Any) -> Any:
+@_kernel(_GRID, _ROWS)
+def interpolate(grid: Any, points: Any) -> Any:
     """Bilinear values, shape (n,), and gradients, shape (n, 2), at points (n, 2)."""
     value, gradient = np.empty(len(points)), np.empty((len(points), 2))
     for i in range(len(points)):
-        value[i], gradient[i, 0], gradient[i, 1] = _between(field, origin, step, points[i, 0], points[i, 1])
+        value[i], gradient[i, 0], gradient[i, 1] = _bilinear(grid, points[i, 0], points[i, 1])
     return value, gradient
 
 
-@_kernel(*_GRID, _ROWS, _ROWS, _REALS)
-def deciding_places(field: Any, origin: Any, step: Any, upper: Any, lower: Any, pose: Any) -> Any:
-    """Of each line the end that is further inside at `pose`, object frame, shape (n, 2)."""
+@_kernel(_GRID, _ROWS, _ROWS, _REALS)
+def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
+    """For each line the end that lies further inside the outline at `pose`, object frame, shape (n, 2)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     result = np.empty((len(upper), 2))
     for i in range(len(upper)):
-        result[i, 0], result[i, 1] = _deciding(field, origin, step, upper[i], lower[i], pose, cos, sin)
+        result[i, 0], result[i, 1] = _innermost(field, upper[i], lower[i], pose, cos, sin)
     return result
 
 
-@_kernel(*_GRID, *_GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
-def meet_object(
-    field: Any,
-    origin: Any,
-    step: Any,
-    tops: Any,
-    tops_origin: Any,
-    tops_step: Any,
-    depth: Any,
-    rays: Any,
-    centre: Any,
-    pose: Any,
-    box: Any,
-    limits: Any,
-) -> Any:
-    """Where the lines of sight of the pixels in `box` meet the heights of the object at `pose`.
+@_kernel(_GRID, _GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
+def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, pose: Any, box: Any, limits: Any) -> Any:
+    """Intersect the lines of sight of the pixels in `box` with the heights of the object at `pose`.
 
     Args:
-        field, origin, step: Signed distance of the outline [m].
-        tops, tops_origin, tops_step: Height of the upper side [m].
-        depth, rays, centre: As `rays_in_table` has them.
+        field: Signed distance to the outline [m].
+        tops: Height of the upper side [m].
+        depth, rays, centre: As `rays_in_table` returns them.
         box: First and end row, first and end column, stride.
-        limits: Mean height of the top; farthest distance from the outline at that height; how far below the top a line counts as
-            stopped; how far above it something else is in front [m].
+        limits: Mean height of the top; largest distance from the outline at that height; how far below the top a line counts as
+            stopped; how far above the top a point belongs to something in front [m].
 
     Returns:
-        Of each line within the distance: where it passes the top and a little below, shapes (n, 2), what it sees, shape (n, 3), whether
-        that is of the object, and whether that is of the object or below it, so that the line says something, shapes (n,).
+        Per line within that distance: where it passes the top and a little below, shapes (n, 2); the point that it measured, shape
+        (n, 3); whether that point is on the object; and whether it is on the object or below it, so that the line carries information,
+        shapes (n,).
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     level, reach, depth_of_stop, in_front = limits
     first_row, end_row, first_column, end_column, stride = box
-    most = max(0, (end_row - first_row + stride - 1) // stride) * max(0, (end_column - first_column + stride - 1) // stride)
-    upper, lower, seen = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 3), dtype=np.float32)
-    stopped, speaks = np.empty(most), np.empty(most, dtype=np.bool_)
+    size = max(0, (end_row - first_row + stride - 1) // stride) * max(0, (end_column - first_column + stride - 1) // stride)
+    upper, lower, point = np.empty((size, 2)), np.empty((size, 2)), np.empty((size, 3), dtype=np.float32)
+    stopped, informative = np.empty(size), np.empty(size, dtype=np.bool_)
     n = 0
     for row in range(first_row, end_row, stride):
         for column in range(first_column, end_column, stride):
             ray_x, ray_y, ray_z = float(rays[row, column, 0]), float(rays[row, column, 1]), float(rays[row, column, 2])
-            way = (level - centre[2]) / ray_z
-            if not 0.0 < way < math.inf:
+            length = (level - centre[2]) / ray_z
+            if not 0.0 < length < math.inf:
                 continue
-            x, y = centre[0] + ray_x * way - pose[0], centre[1] + ray_y * way - pose[1]
-            x, y = cos * x + sin * y, cos * y - sin * x
-            if not abs(_nearest(field, origin, step, x, y)) < reach:
+            x, y = _to_object(centre[0] + ray_x * length, centre[1] + ray_y * length, pose, cos, sin)
+            if not abs(_nearest(field, x, y)) < reach:
                 continue
-            # The top beside a line is looked up where the line passes the mean level, then twice more where it passes that top.
-            top = _nearest(tops, tops_origin, tops_step, x, y)
+            # Height of the top beside the line: looked up where the line passes the mean level, then twice where it passes that top.
+            top = _nearest(tops, x, y)
             for _ in range(2):
-                way = (top - centre[2]) / ray_z
-                upper[n, 0], upper[n, 1] = centre[0] + ray_x * way, centre[1] + ray_y * way
-                x, y = upper[n, 0] - pose[0], upper[n, 1] - pose[1]
-                top = _nearest(tops, tops_origin, tops_step, cos * x + sin * y, cos * y - sin * x)
+                length = (top - centre[2]) / ray_z
+                upper[n, 0], upper[n, 1] = centre[0] + ray_x * length, centre[1] + ray_y * length
+                x, y = _to_object(upper[n, 0], upper[n, 1], pose, cos, sin)
+                top = _nearest(tops, x, y)
             threshold = max(top - depth_of_stop, 0.5 * top)
-            way = (threshold - centre[2]) / ray_z
-            lower[n, 0], lower[n, 1] = centre[0] + ray_x * way, centre[1] + ray_y * way
+            length = (threshold - centre[2]) / ray_z
+            lower[n, 0], lower[n, 1] = centre[0] + ray_x * length, centre[1] + ray_y * length
             measured = float(depth[row, column])
             z = centre[2] + ray_z * measured
-            seen[n, 0], seen[n, 1], seen[n, 2] = centre[0] + ray_x * measured, centre[1] + ray_y * measured, z
+            point[n, 0], point[n, 1], point[n, 2] = centre[0] + ray_x * measured, centre[1] + ray_y * measured, z
             stopped[n] = 1.0 if z > threshold else 0.0
-            speaks[n] = math.isfinite(measured) and z < top + in_front
+            informative[n] = math.isfinite(measured) and z < top + in_front
             n += 1
-    return upper[:n], lower[:n], seen[:n], stopped[:n], speaks[:n]
+    return upper[:n], lower[:n], point[:n], stopped[:n], informative[:n]
 
 
-@_kernel(*_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
-def compare(field: Any, origin: Any, step: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any) -> Any:
-    """Compare the seen with the expected at `pose`.
+@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
+def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any) -> Any:
+    """Compare the observed lines of sight with those expected at `pose`.
 
     Args:
-        upper, lower, stopped: As `LinesOfSight` has them.
-        widths: Width s of the expected; distance from the outline within which residuals tell the noise; distance beyond which a line
-            that says the opposite contradicts [m].
+        upper, lower, stopped: As in `LinesOfSight`.
+        widths: Width s of the expected step; distance from the outline within which residuals estimate the noise; distance beyond which
+            a line with the opposite result contradicts the pose [m].
 
     Returns:
-        J'J, shape (3, 3), and J'r, shape (3,), of the expected by the pose; mean square of all residuals and of those at the edge (1
-        without any); share of the lines off the edge that contradict (1 without any).
+        J'J, shape (3, 3), and J'r, shape (3,), with J the derivative of the expected by the pose; mean square of all residuals and of
+        those at the edge (1 without any); fraction of the lines away from the edge that contradict the pose (1 without any).
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     width, at_edge, off_edge = widths
-    normal, pull, slope = np.zeros((3, 3)), np.zeros(3), np.empty(3)
+    normal, gradient, slope = np.zeros((3, 3)), np.zeros(3), np.empty(3)
     square, square_at_edge = 0.0, 0.0
-    n_at_edge, n_off_edge, n_wrong = 0, 0, 0
+    n_at_edge, n_off_edge, n_contradicting = 0, 0, 0
     for i in range(len(upper)):
-        x, y = _deciding(field, origin, step, upper[i], lower[i], pose, cos, sin)
-        distance, along_x, along_y = _between(field, origin, step, x, y)
+        x, y = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        distance, along_x, along_y = _bilinear(field, x, y)
         expected = 1.0 / (1.0 + math.exp(distance / width))
         residual = stopped[i] - expected
         square += residual**2
@@ -204,13 +211,13 @@ def compare(field: Any, origin: Any, step: Any, upper: Any, lower: Any, stopped:
             square_at_edge += residual**2
         if abs(distance) > off_edge:
             n_off_edge += 1
-            n_wrong += (distance < 0.0) != (stopped[i] > 0.5)
+            n_contradicting += (distance < 0.0) != (stopped[i] > 0.5)
         steepness = expected * (1.0 - expected) / width
         slope[0] = steepness * (cos * along_x - sin * along_y)
         slope[1] = steepness * (sin * along_x + cos * along_y)
         slope[2] = -steepness * (along_x * y - along_y * x)
         for row in range(3):
-            pull[row] += slope[row] * residual
+            gradient[row] += slope[row] * residual
             for column in range(row + 1):
                 normal[row, column] += slope[row] * slope[column]
     for row in range(3):
@@ -218,10 +225,10 @@ def compare(field: Any, origin: Any, step: Any, upper: Any, lower: Any, stopped:
             normal[column, row] = normal[row, column]
     return (
         normal,
-        pull,
+        gradient,
         square / max(len(upper), 1),
         square_at_edge / n_at_edge if n_at_edge else 1.0,
-        n_wrong / n_off_edge if n_off_edge else 1.0,
+        n_contradicting / n_off_edge if n_off_edge else 1.0,
     )
 
 
@@ -244,18 +251,18 @@ def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes:
     """Label every pixel by its height.
 
     Args:
-        points: Shape (height, width, 3); not finite where nothing was seen.
+        points: Shape (height, width, 3); not finite where notarget was measured.
         smooth: Heights without outliers, shape (height, width).
         workspace: Smallest and largest x, smallest and largest y.
-        heights: Lowest of the table, of raised things, of objects, and of the robot.
-        codes: For what was not seen, table, object and robot.
+        heights: Lowest height of the table, of anything raised, of objects, and of the robot [m].
+        codes: For unknown, table, object and robot.
 
     Returns:
-        The codes and which pixels show something raised that is not above every object, shapes (height, width).
+        The codes, and which pixels show something raised that is not above every object, shapes (height, width).
     """
     low_x, high_x, low_y, high_y = workspace
     lowest, least_raised, least_object, least_robot = heights
-    unknown, table, thing, robot = codes
+    unknown, table, target, robot = codes
     labels, raised = np.empty(smooth.shape, dtype=np.int8), np.zeros(smooth.shape, dtype=np.bool_)
     for v in range(smooth.shape[0]):
         for u in range(smooth.shape[1]):
@@ -267,14 +274,14 @@ def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes:
             else:
                 raised[v, u] = height > least_raised
                 if height > least_object and low_x <= x <= high_x and low_y <= y <= high_y:
-                    labels[v, u] = thing
+                    labels[v, u] = target
                 else:
                     labels[v, u] = table if z > lowest else unknown
     return labels, raised
 
 
 @_kernel(_array(types.float32, 2), _ROWS, _REAL)
-def in_rods(points: Any, rods: Any, margin: Any) -> Any:
+def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     """Which points (n, 3) lie in a rod grown by `margin` [m]; each rod is a row of start, unit direction, length and radius."""
     inside = np.zeros(len(points), dtype=np.bool_)
     for i in range(len(points)):
@@ -289,28 +296,32 @@ def in_rods(points: Any, rods: Any, margin: Any) -> Any:
 
 
 @_kernel(_POINTS, _array(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
-def project_down(points: Any, labels: Any, table: Any, thing: Any, low: Any, size: Any, rows: Any, columns: Any) -> Any:
-    """Which cells of `size` from `low` on hold points labelled `table` and `thing`, and the height of the highest thing in each, else of
-    the table; -infinity in cells without points. Shapes (rows, columns)."""
-    has_table, has_thing = np.zeros((rows, columns), dtype=np.bool_), np.zeros((rows, columns), dtype=np.bool_)
+def project_down(points: Any, labels: Any, table: Any, target: Any, low: Any, size: Any, rows: Any, columns: Any) -> Any:
+    """Project labelled points onto cells of edge `size` [m], the first of which has its low corner at `low`.
+
+    Returns:
+        Which cells hold points labelled `table`, and which `target`; and per cell the height of the highest target point, else of the
+        table, -infinity in cells without points [m]. Shapes (rows, columns).
+    """
+    has_table, has_target = np.zeros((rows, columns), dtype=np.bool_), np.zeros((rows, columns), dtype=np.bool_)
     height = np.full((rows, columns), np.float32(-np.inf))
     edge = np.float32(size)
     low_x, low_y = np.float32(low[0]), np.float32(low[1])
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
             label = labels[v, u]
-            if label != table and label != thing:
+            if label != table and label != target:
                 continue
             row, column = (points[v, u, 1] - low_y) / edge, (points[v, u, 0] - low_x) / edge
             if not (0.0 <= row < rows and 0.0 <= column < columns):
                 continue
             i, j = int(row), int(column)
-            if label == thing:
-                height[i, j] = max(height[i, j], points[v, u, 2]) if has_thing[i, j] else points[v, u, 2]
-                has_thing[i, j] = True
+            if label == target:
+                height[i, j] = max(height[i, j], points[v, u, 2]) if has_target[i, j] else points[v, u, 2]
+                has_target[i, j] = True
             else:
-                # All of the table is of one height: any of its points will do.
-                if not has_thing[i, j]:
+                # The table has one height: any of its points will do.
+                if not has_target[i, j]:
                     height[i, j] = points[v, u, 2]
                 has_table[i, j] = True
-    return has_table, has_thing, height
+    return has_table, has_target, height

@@ -1,4 +1,4 @@
-"""What every pixel shows: table, object, robot, or nothing known."""
+"""Label of every pixel: table, object, robot or unknown."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.arm_shape import Rod
-from push_ident.perception.kernels import in_rods, label_heights
+from push_ident.perception.kernels import label_heights, points_in_rods
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray
 
@@ -24,22 +24,22 @@ OBJECT: Final = 1
 ROBOT: Final = 2
 
 _BELOW: Final = -0.02
-"""Lower points are beside the table [m]."""
+"""Points below this height are beside the table [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """A vertical cylinder of the robot, open upwards [m], table frame."""
+    """A vertical cylinder of the robot without upper end [m], table frame."""
 
     x: float
     y: float
     radius: float
     z_min: float = -1.0
-    """Where it begins."""
+    """Height of its lower end."""
 
 
 RobotPart = Cylinder | Rod
-"""Tool and hand as the node knows them from the pose of the tool, links of the arm from its joint states."""
+"""Tool and hand, placed by the pose of the tool, or links of the arm, placed by its joint states."""
 
 
 def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: float) -> BoolArray:
@@ -47,7 +47,7 @@ def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: fl
     if not robot:
         return np.zeros(points.shape[:-1], dtype=bool)
     flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3)
-    inside = in_rods(flat, np.array([_as_row(part) for part in robot]), margin)
+    inside = points_in_rods(flat, np.array([_as_row(part) for part in robot]), margin)
     return np.asarray(inside.reshape(points.shape[:-1]))
 
 
@@ -63,20 +63,19 @@ def _as_row(part: RobotPart) -> tuple[float, ...]:
 def label_pixels(points: NDArray[np.float32], robot: Sequence[RobotPart], settings: PerceptionSettings) -> NDArray[np.int8]:
     """Label every pixel by the height of its point above the table plane.
 
-    A median over 3 x 3 pixels takes single outliers off the heights and keeps edges where they are.
+    A median over 3 x 3 pixels removes single outliers from the heights and keeps edges in place.
 
     Args:
         points: [m], shape (height, width, 3), table frame with the plane at z = 0.
-        robot: What is known of the robot; everything above the highest object is robot as well.
+        robot: Known parts of the robot; everything above `max_object_height` is robot as well.
 
     Returns:
         UNKNOWN, TABLE, OBJECT or ROBOT, shape (height, width); outside the workspace nothing is OBJECT.
     """
     heights = np.asarray(points[..., 2], dtype=np.float32)
-    seen = np.isfinite(heights)
-    smooth = cv2.medianBlur(np.where(seen, heights, np.float32(0.0)), 3)
+    smooth = cv2.medianBlur(np.where(np.isfinite(heights), heights, np.float32(0.0)), 3)
     (low_x, low_y), (high_x, high_y) = settings.workspace_low, settings.workspace_high
-    # The table itself is not robot, and leaving it out leaves little to look at.
+    # Only raised pixels can be robot; the test is run on those few pixels.
     labels, raised = label_heights(
         np.ascontiguousarray(points, dtype=np.float32),
         smooth,

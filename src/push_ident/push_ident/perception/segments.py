@@ -1,4 +1,4 @@
-"""Candidate objects: connected pixels that stand off the table, divided where objects touch."""
+"""Candidate objects: connected pixels above the table, divided where objects touch."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from push_ident.types import BoolArray, DepthFrame, Float64Array
 __all__ = ["Segment", "find_segments"]
 
 _NEAR: Final = 4
-"""Pixels within which a robot pixel or the image border counts as touching."""
+"""Distance at which a robot pixel or the image border counts as touching [px]."""
 _UNKNOWN: Final = 0.5
-"""Share of the pixels around that may be unknown: structured light leaves a shadow along one side of everything."""
+"""Fraction of the surrounding pixels that may be unknown: structured light leaves a shadow along one side of each object."""
 _SMALLEST: Final = 12
-"""Pixels below which a patch is noise."""
+"""Patches with fewer pixels are noise."""
 _COUNTS: Final = ("segments", "too_small", "beside_robot_or_cut", "behind_another")
 
 
@@ -34,13 +34,14 @@ class Segment:
     columns: slice
     """Its box in the image."""
     mask: BoolArray
-    """Its pixels inside the box."""
+    """Its pixels in the box."""
     centre: Float64Array
     """Mean of its points [m], shape (2,), table frame."""
     area: float
-    """About what it covers, seen from above [m^2]."""
+    """Approximate area that it covers on the table [m^2]."""
     whole: bool
-    """Neither cut by the image border or the workspace, nor beside robot or unknown pixels, nor behind another surface."""
+    """Whether all of it is visible: not cut by the image border or the workspace, not beside robot or unknown pixels, not behind another
+    surface."""
 
 
 def find_segments(
@@ -51,7 +52,7 @@ def find_segments(
     Args:
         frame: The depth image.
         points: Its points [m], shape (height, width, 3), table frame with the plane at z = 0.
-        labels: As `label_pixels` gives them.
+        labels: As `label_pixels` returns them.
 
     Returns:
         The segments and the counts `object_pixels`, `segments`, `too_small`, `beside_robot_or_cut`, `behind_another`.
@@ -65,8 +66,8 @@ def find_segments(
         if box is None:
             continue
         mask = surfaces[box] == index
-        seen = points[box][mask].astype(np.float64)
-        area = _area_from_above(seen)
+        own_points = points[box][mask].astype(np.float64)
+        area = _area_from_above(own_points)
         if area < settings.min_object_area:
             counts["too_small"] += 1
             continue
@@ -78,17 +79,17 @@ def find_segments(
         beside_unknown = np.count_nonzero(near & (labels[wide] == UNKNOWN)) > _UNKNOWN * np.count_nonzero(near & ~own)
         behind = _behind_another(frame.depth[wide], own, near & (surfaces[wide] > 0) & ~own, settings.min_step)
         in_image = min(rows.start, columns.start) >= _NEAR and rows.stop <= height - _NEAR and columns.stop <= width - _NEAR
-        in_workspace = bool(np.all(seen[:, :2].min(axis=0) > low + 0.004) and np.all(seen[:, :2].max(axis=0) < high - 0.004))
+        in_workspace = bool(np.all(own_points[:, :2].min(axis=0) > low + 0.004) and np.all(own_points[:, :2].max(axis=0) < high - 0.004))
         cut = bool(not in_image or not in_workspace or beside_robot or beside_unknown)
         counts["segments"] += 1
         counts["beside_robot_or_cut"] += cut
         counts["behind_another"] += behind and not cut
-        segments.append(Segment(*box, mask, seen[:, :2].mean(axis=0), area, not cut and not behind))
+        segments.append(Segment(*box, mask, own_points[:, :2].mean(axis=0), area, not cut and not behind))
     return sorted(segments, key=lambda segment: -segment.area), counts
 
 
 def _surfaces(frame: DepthFrame, mask: BoolArray, step: float) -> NDArray[np.int32]:
-    """Number of the surface of each pixel, 0 for none; each connected patch is divided by itself."""
+    """Number of the surface of each pixel, 0 for none. Connected patches are divided one by one."""
     n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     surfaces = np.zeros(mask.shape, dtype=np.int32)
     count = 0
@@ -110,17 +111,17 @@ def _boxes(surfaces: NDArray[np.int32]) -> list[tuple[slice, slice] | None]:
 
 
 def _behind_another(depth: NDArray[np.float32], own: BoolArray, others: BoolArray, step: float) -> bool:
-    """Whether some of the surface may be hidden: another one beside it is nearer to the camera by more than a step."""
+    """Whether another surface beside this one is nearer to the camera by more than a step and so may hide part of it."""
     if np.count_nonzero(others) < _SMALLEST:
         return False
-    away, nearest = cv2.distanceTransformWithLabels((~own).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    distance, nearest = cv2.distanceTransformWithLabels((~own).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     depth_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     depth_of[nearest[own]] = depth[own]
     with np.errstate(invalid="ignore"):
-        hides = others & (away <= _NEAR) & (depth < depth_of[nearest] - step)
+        hides = others & (distance <= _NEAR) & (depth < depth_of[nearest] - step)
     return bool(np.count_nonzero(hides) >= _SMALLEST)
 
 
 def _area_from_above(points: Float64Array) -> float:
-    """Area of the cells of 4 mm that hold points [m^2]: side walls and the density of the pixels count for nothing."""
+    """Area of the 4 mm cells that hold points [m^2]; independent of side walls and of the density of the pixels."""
     return 1.6e-5 * len(np.unique(np.floor(points[:, :2] / 0.004).astype(np.int64) @ np.array([1, 1 << 20])))

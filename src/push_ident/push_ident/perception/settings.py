@@ -1,4 +1,4 @@
-"""What perception needs to be told."""
+"""Settings of perception."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ __all__ = ["PerceptionSettings"]
 
 @dataclass(frozen=True, slots=True)
 class PerceptionSettings:
-    """Defaults suit a depth camera about 1 m away and objects of 3 to 30 cm."""
+    """Settings of `Perception`. The defaults suit a depth camera about 1 m away and objects of 3 to 30 cm."""
 
     workspace_low: tuple[float, float] = (-0.4, -0.4)
-    """Smallest x and y looked at [m], table frame."""
+    """Smallest x and y of the workspace [m], table frame."""
     workspace_high: tuple[float, float] = (0.4, 0.4)
-    """Largest x and y looked at [m], table frame."""
+    """Largest x and y of the workspace [m], table frame."""
     min_object_height: float = 0.008
-    """Lower things are table [m]; keep it above four times the noise of a height."""
+    """Anything lower is table [m]; keep it above four times the noise of a height."""
     max_object_height: float = 0.12
-    """Whatever reaches higher is robot [m]."""
+    """Anything higher is robot [m]."""
     min_object_area: float = 4e-4
-    """Smaller things are ignored [m^2]."""
+    """Anything smaller is ignored [m^2]."""
     min_step: float = 0.02
     """Surfaces that meet at a higher step are two objects [m]; steps within one object must be lower."""
     mask_margin: float = 0.006
     """Added to the radius of the tool when it is masked [m]: delay, calibration and noise."""
     rest_frames: int = 10
-    """Frames at rest before an object is taken in; their mean gives its shape."""
+    """Frames at rest before an object is registered; their median gives its shape."""
     rest_distance: float = 0.002
-    """An object whose middle moves less than this between frames is at rest [m]."""
+    """An object whose centre moves less than this between frames is at rest [m]."""
     cell_count: int = 80
-    """Cells aimed at per object."""
+    """Approximate number of cells per object."""
     grid_resolution: float = 0.002
-    """Edge of a cell of the workspace occupancy [m]."""
+    """Edge of a cell of the occupancy grid of the workspace [m]."""
     occupancy_period: float = 1.0
-    """Between two workspace occupancies and checks of the table plane [s]."""
+    """Time between two occupancy grids, and between two checks of the table plane [s]."""
     search_period: float = 0.25
-    """Between two searches for new or lost objects once one is known [s]; until then each frame is searched."""
+    """Time between two searches for new or lost objects once an object is known [s]; until then every frame is searched."""
 
     def __post_init__(self) -> None:
         if not (self.workspace_low[0] < self.workspace_high[0] and self.workspace_low[1] < self.workspace_high[1]):

@@ -1,9 +1,9 @@
 """Outline, cells and heights of an object at rest.
 
-A pixel tells more than the point it sees: its line of sight is empty up to there. So a pixel that sees something below the
-top of the object beside it proves that the place where its line of sight passes the height of that top is empty, also above the
-shadow behind the object, where no table is seen. Places seen to be full and places proved empty, both about one pixel apart on
-either side of the edge, are spread on a fine grid; the outline is where they balance.
+A pixel measures more than one point: its line of sight is empty up to that point. A pixel that measures something below the top of the
+object beside it thus proves that its line of sight is empty where it passes the height of that top, also above the shadow behind the
+object, where no table is visible. Points on the upper side (full) and points proved empty, about one pixel to either side of the edge,
+are spread on a fine grid; the outline is where both have equal weight.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from push_ident.perception.segments import Segment
 from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["SeenObject", "Sight", "centroid", "mean_depth", "see_object"]
+__all__ = ["SegmentedView", "TracedObject", "centroid", "median_depth", "trace_object"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
 _SPREAD: Final = 0.0015
-"""Standard deviation of the spreading of one sample [m]: about the distance between pixels on the table."""
+"""Standard deviation of the Gaussian that spreads one sample [m]: about the distance between pixels on the table."""
 _MARGIN: Final = 0.015
-"""Of the fine grid around the object [m]."""
+"""Width of the fine grid around the object [m]."""
 _FINER: Final = 4
 """The fine grid is interpolated by this factor before it is cut at the half level."""
 _SMALLEST: Final = 40
-"""Points of the traced outline that an object needs at least: a square of 2.5 mm."""
+"""Least number of points of a traced outline: a square of 2.5 mm."""
 _PASSES: Final = 3
-"""Of tracing the outline: the first decides for each line of sight which of its ends matters."""
+"""Passes of tracing: the first decides for each line of sight which of its ends matters."""
 _REACH: Final = 10
-"""Pixels around the upper side whose lines of sight are used."""
+"""Lines of sight up to this distance from the upper side are used [px]."""
 _BEFORE_WALL: Final = 0.004
-"""How far before a wall the lower level it stands on is looked for [m]."""
+"""Distance in front of a wall at which a lower level of the object is looked for [m]."""
 _SHADOW: Final = 13
-"""Pixels around a line of sight that passes, in which a lower level may begin behind a higher one."""
+"""Window around a passing line of sight in which a lower level may begin behind a higher one [px]."""
 _WINDOW: Final = 7
-"""Pixels in which the levels of the upper side beside a pixel are looked for."""
+"""Window in which the levels of the upper side beside a pixel are looked for [px]."""
 _PAD: Final = 16
-"""Pixels looked at around a segment."""
+"""Margin around a segment in which pixels are used [px]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """An object at rest as one camera has it."""
+class SegmentedView:
+    """An object at rest in the image of one camera."""
 
     frame: DepthFrame
-    """Best with the `mean_depth` of several."""
+    """Preferably the `median_depth` of several frames."""
     camera_in_table: Float64Array
     """Optical frame in the table frame whose z = 0 is the plane, shape (4, 4)."""
     segment: Segment
@@ -64,114 +64,115 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True)
-class SeenObject:
-    """An object as it was first seen."""
+class TracedObject:
+    """An object as a camera traced it: shape, pose and heights."""
 
     shape: ObjectShape
     pose: Float64Array
-    """(x, y, yaw) of the object frame in the table frame: origin in the centroid of the outline, yaw 0."""
+    """(x, y, yaw) of the object frame in the table frame [m, m, rad]: origin in the centroid of the outline, yaw 0."""
     top: NDArray[np.float32]
-    """Height of its upper side over the fine grid [m], shape (rows along y, columns along x); continued outwards by the nearest."""
+    """Height of its upper side [m], shape (rows along y, columns along x); outside the object that of the nearest cell."""
     top_origin: Float64Array
     """Centre of the first cell of `top` [m], shape (2,), object frame."""
     top_resolution: float
     """Edge of a cell of `top` [m]."""
 
 
-def mean_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
-    """Median depth of each pixel over frames at rest; NaN where fewer than half of them saw something."""
+def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
+    """Median depth of each pixel over frames at rest [m]; NaN where fewer than half of them measured something."""
     stack = np.stack([frame.depth for frame in frames])
-    n_seen = np.count_nonzero(np.isfinite(stack), axis=0)
-    stack.sort(axis=0)  # NaN sorts to the end, so the median of what was seen is in the middle of the first n_seen.
-    last = np.maximum(n_seen - 1, 0)
+    n_valid = np.count_nonzero(np.isfinite(stack), axis=0)
+    stack.sort(axis=0)  # NaN sorts to the end, so the median is in the middle of the first n_valid.
+    last = np.maximum(n_valid - 1, 0)
     low, high = (np.take_along_axis(stack, half[None], axis=0)[0] for half in (last // 2, (last + 1) // 2))
-    return np.where(2 * n_seen >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+    return np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
 
 
-def see_object(sights: Sequence[Sight], *, min_height: float, cell_count: int) -> SeenObject:
-    """Shape of an object from one or several cameras that see it at the same place.
+def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> TracedObject:
+    """Shape of an object from the images of one or several cameras, in which it has the same pose.
 
-    What one camera has in the shadow of a taller part, the lines of sight of another may prove empty or full.
+    Where a taller part hides a place from one camera, the lines of sight of another may prove it empty or full.
 
     Args:
-        min_height: Lower points are table [m].
-        cell_count: Cells aimed at.
+        min_height: Anything lower is table [m].
+        cell_count: Approximate number of cells.
 
     Raises:
-        PerceptionError: Nothing of an upper side is seen, or the outline falls apart.
+        PerceptionError: No upper side is visible, or no outline can be traced.
     """
-    seen = [_lines_of_sight(sight, min_height=min_height) for sight in sights]
-    centres = [np.asarray(sight.camera_in_table)[:2, 3] for sight in sights]
-    full = [stopped.places(None) for stopped, _, _ in seen]
-    inner = [_inner_walls(walls, places, centre) for (_, _, walls), places, centre in zip(seen, full, centres, strict=True)]
-    outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.places(None) for _, passing, _ in seen]))
+    lines = [_lines_of_sight(view, min_height=min_height) for view in views]
+    centres = [np.asarray(view.camera_in_table)[:2, 3] for view in views]
+    full = [stopped.points(None) for stopped, _, _ in lines]
+    inner = [_inner_walls(walls, points, centre) for (_, _, walls), points, centre in zip(lines, full, centres, strict=True)]
+    outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.points(None) for _, passing, _ in lines]))
     for _ in range(_PASSES - 1):
-        full = [stopped.places(outline) for stopped, _, _ in seen]
-        outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.places(outline) for _, passing, _ in seen]))
+        full = [stopped.points(outline) for stopped, _, _ in lines]
+        outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.points(outline) for _, passing, _ in lines]))
     x, y = centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y), traced_by_camera=True)
-    grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in seen]), origin)
-    return SeenObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
+    grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines]), origin)
+    return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
 
 
 @dataclass(frozen=True, slots=True)
 class _Lines:
-    """Lines of sight that the object stops, or that pass it, and where they are at the level of its top and a little below."""
+    """Lines of sight that the object stops, or that pass it: where they are at the level of its top and a little below."""
 
     upper: Float64Array
     """[m], shape (n, 2), table frame."""
     lower: Float64Array
+    """[m], shape (n, 2), table frame."""
     level: Float64Array
     """Height of the top beside the line [m], shape (n,)."""
 
-    def places(self, outline: Float64Array | None) -> Float64Array:
-        """The place of each line that decides whether it is stopped: whichever end is further inside; the middle at first."""
+    def points(self, outline: Float64Array | None) -> Float64Array:
+        """Per line the end that decides whether it is stopped: the one further inside `outline`. Without outline: the middle."""
         if outline is None:
             return 0.5 * (self.upper + self.lower)
         use_upper = signed_distance(self.upper, outline) < signed_distance(self.lower, outline)
         return np.where(use_upper[:, None], self.upper, self.lower)
 
 
-def _lines_of_sight(sight: Sight, *, min_height: float) -> tuple[_Lines, _Lines, Float64Array]:
+def _lines_of_sight(view: SegmentedView, *, min_height: float) -> tuple[_Lines, _Lines, Float64Array]:
     """Lines of sight stopped by the upper side of the object, those that pass it, and points on walls [m], shape (n, 2)."""
-    segment, noise = sight.segment, sight.noise
+    segment, noise = view.segment, view.noise
     rows = slice(max(0, segment.rows.start - _PAD), segment.rows.stop + _PAD)
     columns = slice(max(0, segment.columns.start - _PAD), segment.columns.stop + _PAD)
-    centre, rays = rays_in_table(sight.frame.intrinsics, sight.camera_in_table)
-    rays, depth = rays[rows, columns], sight.frame.depth[rows, columns]
+    centre, rays = rays_in_table(view.frame.intrinsics, view.camera_in_table)
+    rays, depth = rays[rows, columns], view.frame.depth[rows, columns]
     points = rays * depth[..., None] + centre.astype(np.float32)
     body = np.zeros(depth.shape, dtype=bool)
     top, left = segment.rows.start - rows.start, segment.columns.start - columns.start
     body[top : top + segment.mask.shape[0], left : left + segment.mask.shape[1]] = segment.mask
-    pixel = float(np.nanmedian(depth)) / sight.frame.intrinsics.fx
+    pixel = float(np.nanmedian(depth)) / view.frame.intrinsics.fx
     z = points[..., 2]
-    seen = np.isfinite(z)
-    body = body & seen & (z > min_height)
+    valid = np.isfinite(z)
+    body = body & valid & (z > min_height)
     step = max(3.0 * noise, 0.002)
-    filled = np.where(seen, z, np.float32(0.0))
-    # Upper sides are flat against walls: a wall rises by more than a pixel's width from one pixel to the next.
+    filled = np.where(valid, z, np.float32(0.0))
+    # Upper sides are flat compared with walls: a wall rises by more than a pixel's width from one pixel to the next.
     slope = np.hypot(*(cv2.Sobel(filled, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8) for dx, dy in ((1, 0), (0, 1))))
     flat = body & (slope < 0.7 * pixel)
     if np.count_nonzero(flat) < 20:
-        raise PerceptionError(f"{np.count_nonzero(flat)} of {np.count_nonzero(body)} pixels see an upper side, expected at least 20.")
+        raise PerceptionError(f"{np.count_nonzero(flat)} of {np.count_nonzero(body)} pixels show an upper side, expected at least 20.")
     smooth = _mean_of(filled, flat, 3)
     window = np.ones((_WINDOW, _WINDOW), np.uint8)
-    # Means of what lies at the highest and lowest level nearby: the extremes themselves would be off by their noise.
+    # Means over the highest and the lowest level nearby: the extremes themselves would be biased by noise.
     at_highest = flat & (smooth > cv2.dilate(np.where(flat, smooth, np.float32(-1.0)), window) - step)
     at_lowest = flat & (smooth < cv2.erode(np.where(flat, smooth, np.float32(1.0)), window) + step)
     highest, lowest = _mean_of(smooth, at_highest, _WINDOW), _mean_of(smooth, at_lowest, _WINDOW, absent=1.0)
     near_highest, near_lowest = np.abs(z - highest) < step, np.abs(z - lowest) < step
     stopped = body & (flat | near_highest | near_lowest)
     # Level of the top beside the other pixels: the highest within the window, else that of the nearest flat pixel.
-    away, nearest = cv2.distanceTransformWithLabels((~flat).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    distance, nearest = cv2.distanceTransformWithLabels((~flat).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     level_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     level_of[nearest[flat]] = smooth[flat]
     beside = np.where(highest > 0, highest, level_of[nearest])
-    # A wall between two levels of the upper side stands inside the outline and says nothing of it.
+    # A wall between two levels of the upper side lies inside the outline and does not constrain it.
     foot = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8))
-    # Beside two levels a line of sight proves empty only where it passes the lower one: the upper may not reach so far.
+    # Beside two levels a line of sight proves only its crossing of the lower one empty: the upper one may end earlier.
     lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((_SHADOW, _SHADOW), np.uint8))
-    passing = seen & ~stopped & (z < np.minimum(foot, beside) - step) & (away < _REACH)
+    passing = valid & ~stopped & (z < np.minimum(foot, beside) - step) & (distance < _REACH)
     beside = np.minimum(lower, beside)
 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
@@ -187,16 +188,16 @@ def _lines_of_sight(sight: Sight, *, min_height: float) -> tuple[_Lines, _Lines,
 
 
 def _inner_walls(walls: Float64Array, full: Float64Array, camera: Float64Array) -> Float64Array:
-    """Those points on walls before which, towards the camera, the object goes on at a lower level: they are inside the outline."""
-    before = camera - walls
-    before = walls + _BEFORE_WALL * before / np.linalg.norm(before, axis=1, keepdims=True)
+    """Points on walls in front of which, towards the camera, the object continues at a lower level: they lie inside the outline."""
+    to_camera = camera - walls
+    before = walls + _BEFORE_WALL * to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
     origin = np.vstack([full, before]).min(axis=0) - _GRID
     columns, rows = (int(n) for n in np.ceil((np.vstack([full, before]).max(axis=0) + _GRID - origin) / _GRID))
-    # Beside a wall that runs along the line of sight the object ends: well inside only.
+    # The object ends beside a wall along the line of sight, so only points well inside count.
     around = np.ones((5, 5), np.uint8)
-    seen = cv2.erode(cv2.morphologyEx((_counted(full, origin, rows, columns) > 0).astype(np.uint8), cv2.MORPH_CLOSE, around), around) > 0
+    covered = cv2.erode(cv2.morphologyEx((_counted(full, origin, rows, columns) > 0).astype(np.uint8), cv2.MORPH_CLOSE, around), around) > 0
     index = ((before - origin) / _GRID).astype(np.int64)
-    return walls[seen[index[:, 1], index[:, 0]]]
+    return walls[covered[index[:, 1], index[:, 0]]]
 
 
 def _mean_of(values: NDArray[np.float32], chosen: BoolArray, window: int, absent: float = -1.0) -> NDArray[np.float32]:
@@ -207,11 +208,11 @@ def _mean_of(values: NDArray[np.float32], chosen: BoolArray, window: int, absent
 
 
 def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Outline where full and empty balance, table frame, and the low corner of the fine grid."""
+    """Outline at which full and empty have equal weight, table frame, and the low corner of the fine grid."""
     origin = full.min(axis=0) - _MARGIN
     columns, rows = (int(n) for n in np.ceil((full.max(axis=0) + _MARGIN - origin) / _GRID))
     counted_full, counted_empty = (_counted(samples, origin, rows, columns) for samples in (full, empty))
-    # Deep inside, emptiness is seen only against steps of the upper side; it says nothing of the outline.
+    # Deep inside, empty points come only from steps of the upper side and do not constrain the outline.
     reach = lambda n: cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))  # noqa: E731
     core = cv2.erode(cv2.dilate((counted_full > 0).astype(np.uint8), reach(3)), reach(6)) > 0
     counted_empty[core] = 0.0
@@ -223,7 +224,7 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
     fine = cv2.resize(share, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
     contours, _ = cv2.findContours((fine > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
-        raise PerceptionError("The outline of the object cannot be traced: nothing of it is surely full.")
+        raise PerceptionError("The outline of the object cannot be traced: no point of it is full.")
     contour = max(contours, key=cv2.contourArea)
     if len(contour) < _SMALLEST:
         raise PerceptionError(f"The outline of the object is {len(contour)} points long; it is too small for this camera.")
@@ -234,7 +235,7 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
 
 
 def _counted(samples: Float64Array, origin: Float64Array, rows: int, columns: int) -> NDArray[np.float32]:
-    """Samples per cell of the fine grid, each shared among the four nearest cells."""
+    """Samples per cell of the fine grid, each distributed over the four nearest cells."""
     place = (samples - origin) / _GRID - 0.5
     low = np.floor(place).astype(np.int64)
     part = place - low
@@ -255,12 +256,12 @@ def _grown(polygon: Float64Array, distance: float) -> Float64Array:
     edge = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
     before = np.roll(normal, 1, axis=0)
-    # The corner moves along the sum of both normals; sharp corners are held back to twice the distance.
+    # The corner moves along the sum of both normals, at sharp corners by at most twice the distance.
     return polygon + distance * (normal + before) / np.maximum(1.0 + np.sum(normal * before, axis=1, keepdims=True), 0.5)
 
 
 def centroid(polygon: Float64Array) -> tuple[float, float]:
-    """Of the area of a polygon, shape (n, 2)."""
+    """Centroid of the area of a polygon, shape (n, 2) [m]."""
     x, y = polygon.T
     x_next, y_next = np.roll(x, -1), np.roll(y, -1)
     cross = x * y_next - x_next * y
@@ -268,13 +269,14 @@ def centroid(polygon: Float64Array) -> tuple[float, float]:
 
 
 def _cell_size(outline: Float64Array, cell_count: int) -> float:
+    """Edge [m] of that many square cells with the area of the outline."""
     return float(np.sqrt(abs(polygon_area(outline)) / cell_count))
 
 
-def _height_grid(places: Float64Array, heights: Float64Array, origin: Float64Array) -> tuple[NDArray[np.float32], Float64Array]:
-    """Mean height per cell of twice the fine grid, gaps and surroundings filled by the nearest; and the centre of its first cell."""
+def _height_grid(points: Float64Array, heights: Float64Array, origin: Float64Array) -> tuple[NDArray[np.float32], Float64Array]:
+    """Mean height per cell of twice the fine grid, gaps and surroundings filled from the nearest cell; centre of the first cell."""
     size = 2 * _GRID
-    index = np.floor((places - origin) / size).astype(np.int64)
+    index = np.floor((points - origin) / size).astype(np.int64)
     columns, rows = (int(n) for n in index.max(axis=0) + 1 + int(np.ceil(_MARGIN / size)))
     flat = index[:, 1] * columns + index[:, 0]
     count = np.bincount(flat, minlength=rows * columns)

@@ -1,7 +1,7 @@
 """Straight edges and sharp corners for a traced outline.
 
-A contour traced in depth images wavers by half a millimetre over a few millimetres of length. That is little for a distance, but turns the
-normal by ten degrees, and the normal is the direction in which a pusher pushes. Where the contour is straight within its noise, a line is
+A contour traced in depth images has errors of half a millimetre over a few millimetres of length. That is a small distance, but it turns
+the normal by ten degrees, and the normal is the direction of the contact force. Where the contour is straight within its noise, a line is
 fitted; where two lines meet, their corner, which tracing rounds off, is restored.
 """
 
@@ -27,12 +27,12 @@ _CORNER: Final = 0.0025
 _SHORTEST: Final = 0.008
 """Shorter stretches give no line [m]."""
 _BOW: Final = 0.0006
-"""Largest height of the arc of a stretch that counts as straight [m]; up to `_COARSE` where it bends inwards. An edge that is seen in two
-parts at an angle has a dent there, in which a simulated finger is caught; that a shallow hollow becomes an edge, no finger feels."""
+"""Largest height of the arc of a stretch that counts as straight [m]; up to `_COARSE` where it bends inwards. An edge traced in two parts
+at an angle has a dent there, in which a simulated pusher gets caught; a shallow hollow that becomes an edge hardly changes a contact."""
 _RESTORED: Final = 0.004
 """Largest distance of a restored corner from the contour [m]."""
 _PARALLEL: Final = 0.25
-"""Sine of the angle below which two lines have no corner."""
+"""Two lines whose angle has a smaller sine have no corner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def straighten(contour: Float64Array) -> Float64Array:
 
 
 def _simplified(contour: Float64Array, tolerance: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Indices of the corners that are left, ascending."""
+    """Indices of the corners that are kept, ascending."""
     # approxPolyDP returns points, not indices; a unique index is found again by the point itself.
     kept = cv2.approxPolyDP(contour.astype(np.float32)[:, None], tolerance, True)[:, 0]
     index = {tuple(point): number for number, point in enumerate(contour.astype(np.float32).tolist())}
@@ -87,16 +87,17 @@ def _simplified(contour: Float64Array, tolerance: float) -> np.ndarray[tuple[int
 
 
 def _open_simplified(points: Float64Array) -> list[int]:
+    """Indices of the corners that are kept of an open run, both ends included, ascending."""
     kept = cv2.approxPolyDP(points.astype(np.float32)[:, None], _FINE, False)[:, 0]
     index = {tuple(point): number for number, point in enumerate(points.astype(np.float32).tolist())}
     return sorted({0, len(points) - 1} | {index[tuple(point)] for point in kept.tolist()})
 
 
 def _stretch(points: Float64Array, inwards: float) -> _Stretch:
-    """`inwards` is 1 where the inside is to the left of the contour's way, else -1."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    inner = points[(way >= _CORNER) & (way <= way[-1] - _CORNER)]
-    if way[-1] < _SHORTEST or len(inner) < 5:
+    """Fit a line to a run of points if it is straight. `inwards` is 1 where the inside lies to the left of the contour, else -1."""
+    arc_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    inner = points[(arc_length >= _CORNER) & (arc_length <= arc_length[-1] - _CORNER)]
+    if arc_length[-1] < _SHORTEST or len(inner) < 5:
         return _Stretch(points, None)
     middle = inner.mean(axis=0)
     direction = np.linalg.svd(inner - middle, full_matrices=False)[2][0]
@@ -109,7 +110,7 @@ def _stretch(points: Float64Array, inwards: float) -> _Stretch:
 
 
 def _merged(stretches: list[_Stretch], inwards: float) -> list[_Stretch]:
-    """Join neighbours that are straight together: the coarse outline may break an edge where the contour wavers most."""
+    """Join neighbours that form one straight stretch: the coarse outline may break an edge where the contour is noisiest."""
     i = 0
     while len(stretches) > 3 and i < len(stretches):
         here, following = stretches[i], stretches[(i + 1) % len(stretches)]
@@ -124,7 +125,7 @@ def _merged(stretches: list[_Stretch], inwards: float) -> list[_Stretch]:
 
 
 def _without_chamfers(stretches: list[_Stretch]) -> list[_Stretch]:
-    """Drop short stretches between two lines whose corner lies beside them: what tracing made of that corner."""
+    """Drop short stretches between two lines whose corner lies beside them: tracing rounded that corner off."""
     n = len(stretches)
     kept = []
     for i, here in enumerate(stretches):

@@ -1,10 +1,10 @@
-"""Where one object ends and the next begins, among pixels that all stand off the table.
+"""Division of pixels above the table into the surfaces of different objects.
 
-Two signs tell objects apart that touch in the image, both known from the segmentation of convex parts (Stein et al., "Object partitioning
-using local convexity", 2014): the depth jumps, or two surfaces meet in a fold, as where a wall rises from the lower thing beside it. The
+Two criteria separate objects that touch in the image, both known from the segmentation of convex parts (Stein et al., "Object partitioning
+using local convexity", 2014): the depth jumps, or two surfaces meet in a fold, as where a wall rises from a lower object beside it. The
 inverse depth of a plane is linear in the image, so the chord between two pixels of one plane passes through the pixel midway between
-them, whatever the view; in a fold that pixel lies behind the chord. Objects are made of steps and folds themselves (the head of a
-hammer stands above its handle), so both count only from a size on. Objects of the same height side by side are not told apart.
+them, whatever the view; in a fold that pixel lies behind the chord. Objects themselves have steps and folds (the head of a
+hammer is higher than its handle), so both count only above a size. Objects of the same height side by side are not separated.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _LEG: Final = 0.8
 _SAG: Final = 0.5
 """Depth of a fold behind its chord, in steps."""
 _CORE: Final = 60
-"""Pixels that a surface needs apart from its borders; smaller patches are given to their neighbours."""
+"""Pixels that a surface needs inside its borders; smaller patches are merged into their neighbours."""
 
 
 def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:
-    """Number the surfaces of `mask` that are divided by jumps of depth and by folds.
+    """Number the surfaces of `mask`, which jumps of depth and folds divide.
 
     Args:
-        depth: [m], shape (rows, columns); NaN where nothing was seen.
+        depth: [m], shape (rows, columns); NaN where nothing was measured.
         mask: Pixels to divide, same shape.
         focal: Focal length [px].
         step: Height of the smallest step that divides [m].
@@ -56,7 +56,7 @@ def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, st
 
 
 def _shifted(image: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
-    """`image` moved by whole pixels, NaN where nothing was."""
+    """`image` shifted by whole pixels, NaN where no pixel was shifted to."""
     moved = np.full_like(image, np.nan)
     height, width = image.shape
     if abs(rows) >= height or abs(columns) >= width:
@@ -68,19 +68,19 @@ def _shifted(image: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.
 
 
 def _jumps(depth: NDArray[np.float32], mask: BoolArray, step: float) -> BoolArray:
-    """Pixels of the mask on either side of a jump; two pixels apart as well, since sensors blur a jump over one."""
-    seen = np.where(mask, depth, np.float32(np.nan))
+    """Pixels of the mask on either side of a jump; neighbours and pixels at a distance of two, since sensors blur a jump over one pixel."""
+    masked = np.where(mask, depth, np.float32(np.nan))
     cut = np.zeros(mask.shape, dtype=bool)
     with np.errstate(invalid="ignore"):
         for rows, columns in _ACROSS:
             for lag in (1, 2):
                 for sign in (lag, -lag):
-                    cut |= np.abs(_shifted(seen, sign * rows, sign * columns) - seen) > step
+                    cut |= np.abs(_shifted(masked, sign * rows, sign * columns) - masked) > step
     return cut
 
 
 def _folds(depth: NDArray[np.float32], patches: NDArray[np.int32], leg: float, sag: float) -> BoolArray:
-    """Pixels that lie behind a chord whose ends are on the same patch."""
+    """Pixels that lie behind a chord whose two ends are on the same patch as the pixel."""
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = _averaged(np.reciprocal(depth), patches > 0)
         number = patches.astype(np.float32)
@@ -95,9 +95,9 @@ def _folds(depth: NDArray[np.float32], patches: NDArray[np.int32], leg: float, s
 
 def _averaged(values: NDArray[np.float32], mask: BoolArray) -> NDArray[np.float32]:
     """Mean over 3 x 3 pixels of the mask; NaN outside."""
-    share = cv2.blur(mask.astype(np.float32), (3, 3))
+    fraction = cv2.blur(mask.astype(np.float32), (3, 3))
     total = cv2.blur(np.where(mask, values, np.float32(0.0)), (3, 3))
-    return np.where(mask, total / np.maximum(share, np.float32(0.1)), np.float32(np.nan))
+    return np.where(mask, total / np.maximum(fraction, np.float32(0.1)), np.float32(np.nan))
 
 
 def _cores(mask: BoolArray) -> NDArray[np.int32]:
@@ -111,7 +111,7 @@ def _cores(mask: BoolArray) -> NDArray[np.int32]:
 
 
 def _grown(surfaces: NDArray[np.int32], depth: NDArray[np.float32], mask: BoolArray, step: float) -> NDArray[np.int32]:
-    """Spread the surfaces over the pixels of their borders, each to the neighbour nearest in depth, but not over a jump."""
+    """Grow the surfaces over the pixels of their borders: each pixel joins the neighbour nearest in depth, but not across a jump."""
     grown = surfaces.copy()
     while True:
         open_pixels = mask & (grown == 0)
@@ -119,9 +119,9 @@ def _grown(surfaces: NDArray[np.int32], depth: NDArray[np.float32], mask: BoolAr
         for rows, columns in _ACROSS[:2]:
             for sign in (1, -1):
                 number = np.nan_to_num(_shifted(grown.astype(np.float32), sign * rows, sign * columns)).astype(np.int32)
-                away = np.abs(_shifted(depth, sign * rows, sign * columns) - depth)
-                nearer = open_pixels & (number > 0) & (away < best)
-                best[nearer], nearest[nearer] = away[nearer], number[nearer]
+                difference = np.abs(_shifted(depth, sign * rows, sign * columns) - depth)
+                nearer = open_pixels & (number > 0) & (difference < best)
+                best[nearer], nearest[nearer] = difference[nearer], number[nearer]
         if not nearest.any():
             return grown
         grown[nearest > 0] = nearest[nearest > 0]

@@ -1,4 +1,4 @@
-"""The table plane: where it really is, given where the extrinsics say it is."""
+"""The table plane, as measured near z = 0 of the extrinsics' table frame."""
 
 from __future__ import annotations
 
@@ -15,20 +15,24 @@ from push_ident.types import Float64Array
 __all__ = ["TablePlane", "fit_table"]
 
 _SEARCH: Final = 0.05
-"""Points within this height of the expected plane are candidates [m]."""
+"""Points within this height of the expected plane are candidates for the table [m]."""
 _MAX_TILT: Final = 0.06
-"""Larger corrections mean wrong extrinsics [rad]."""
+"""A larger correction of tilt means wrong extrinsics [rad]."""
 _MAX_OFFSET: Final = 0.03
-"""[m]"""
+"""A larger correction of height means wrong extrinsics [m]."""
 _STRIDE: Final = 4
+"""Every fourth pixel of every fourth row is used: enough for three unknowns."""
 _HYPOTHESES: Final = 60
-_MIN_POINTS: Final = 500
+"""Random planes tried."""
+_MIN_POINTS: Final = 125
+"""Least number of points on the plane, after the stride."""
 _MIN_SHARE: Final = 0.2
+"""Fraction of the points in the workspace that must lie on the plane."""
 
 
 @dataclass(frozen=True, slots=True)
 class TablePlane:
-    """z = slope_x x + slope_y y + offset in the table frame of the extrinsics; all zero when they are right."""
+    """z = slope_x x + slope_y y + offset in the table frame of the extrinsics; all zero where the extrinsics are exact."""
 
     slope: tuple[float, float]
     offset: float
@@ -38,11 +42,11 @@ class TablePlane:
     n_points: int
 
     def height(self, x: float, y: float) -> float:
-        """Of the plane above the expected one [m]."""
+        """Height of the plane above the expected one at (x, y) [m]."""
         return self.slope[0] * x + self.slope[1] * y + self.offset
 
     def correct(self, camera_in_table: ArrayLike) -> Float64Array:
-        """Camera pose, shape (4, 4), in the table frame moved by the smallest motion that puts the plane at z = 0."""
+        """Camera pose, shape (4, 4), corrected by the smallest rigid motion that moves the plane to z = 0."""
         normal = np.array([-self.slope[0], -self.slope[1], 1.0])
         normal /= np.linalg.norm(normal)
         # Smallest rotation that takes the normal to the z axis (Rodrigues with the axis normal x z).
@@ -58,10 +62,10 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     """Fit the plane to the points near z = 0 in the workspace: a few random planes, then least squares on the inliers.
 
     Args:
-        points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was seen.
+        points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was measured.
 
     Raises:
-        PerceptionError: Nothing valid, too little of it is a plane, or the plane is further off than extrinsics can be.
+        PerceptionError: No valid pixel, too few points on a plane, or a correction larger than the error of usable extrinsics.
     """
     sample = points[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
     valid = sample[np.isfinite(sample[:, 2])]
@@ -70,7 +74,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     low, high = settings.workspace_low, settings.workspace_high
     in_workspace = np.all((valid[:, :2] >= low) & (valid[:, :2] <= high), axis=1)
     near = valid[in_workspace & (np.abs(valid[:, 2]) < _SEARCH)]
-    needed = max(_MIN_POINTS // _STRIDE, int(_MIN_SHARE * np.count_nonzero(in_workspace)))
+    needed = max(_MIN_POINTS, int(_MIN_SHARE * np.count_nonzero(in_workspace)))
     if len(near) < needed:
         raise PerceptionError(
             f"{len(near)} of {len(valid)} points lie within {_SEARCH * 1e3:.0f} mm of the table, expected at least {needed}; "
@@ -89,14 +93,14 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         plane = np.linalg.lstsq(chosen.T @ chosen, chosen.T @ near[inliers, 2], rcond=None)[0]
     if np.hypot(plane[0], plane[1]) > _MAX_TILT or abs(plane[2]) > _MAX_OFFSET:
         raise PerceptionError(
-            f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm off the extrinsics, "
+            f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
             f"expected at most {_MAX_TILT} rad and {_MAX_OFFSET * 1e3:.0f} mm; calibrate the camera."
         )
     return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4), int(np.count_nonzero(inliers)))
 
 
 def _best_random_plane(points: Float64Array) -> Float64Array:
-    """The plane through three points that has most others within 6 mm."""
+    """The plane through three points with the most points within 6 mm."""
     rng = np.random.default_rng(0)
     scored = points[rng.integers(len(points), size=min(len(points), 1500))]
     triples = points[rng.integers(len(points), size=(_HYPOTHESES, 3))]

@@ -1,4 +1,4 @@
-"""Top-down view of the workspace."""
+"""Top-down occupancy grid of the workspace."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from push_ident.perception.kernels import project_down
 from push_ident.perception.labels import OBJECT, TABLE
 from push_ident.perception.settings import PerceptionSettings
 
-__all__ = ["FREE", "OCCUPIED", "UNSEEN", "TopDownGrid", "top_down"]
+__all__ = ["FREE", "OCCUPIED", "UNOBSERVED", "TopDownGrid", "top_down"]
 
-UNSEEN: Final = -1
+UNOBSERVED: Final = -1
 FREE: Final = 0
 OCCUPIED: Final = 100
 
@@ -26,9 +26,9 @@ class TopDownGrid:
     """Cells of the workspace, rows along y, columns along x, table frame."""
 
     occupancy: NDArray[np.int8]
-    """UNSEEN, FREE or OCCUPIED, shape (rows, columns)."""
+    """UNOBSERVED, FREE or OCCUPIED, shape (rows, columns)."""
     height: NDArray[np.float32]
-    """Highest point seen in the cell [m], same shape; NaN where unseen."""
+    """Highest point measured in the cell [m], same shape; NaN where there is none."""
     origin: tuple[float, float]
     """Low corner [m]."""
     resolution: float
@@ -38,8 +38,8 @@ class TopDownGrid:
 def top_down(points: NDArray[np.float32], labels: NDArray[np.int8], settings: PerceptionSettings) -> TopDownGrid:
     """Project labelled points straight down.
 
-    A cell is occupied where an object was seen in it, free where only table was; where nothing was seen, or only the robot,
-    it is unknown. Gaps of single cells between pixels are closed by their neighbours, shadows are not.
+    A cell with object points is occupied, a cell with table points only is free, any other cell is unobserved. Gaps of single cells
+    between pixels are closed by their neighbours; shadows are not.
 
     Args:
         points: [m], shape (height, width, 3), table frame with the plane at z = 0.
@@ -54,13 +54,13 @@ def top_down(points: NDArray[np.float32], labels: NDArray[np.int8], settings: Pe
     low, high, size = np.array(settings.workspace_low), np.array(settings.workspace_high), settings.grid_resolution
     columns, rows = (int(n) for n in np.maximum(np.ceil((high - low) / size - 1e-9), 1))
     has_table, has_object, height = project_down(points, labels, TABLE, OBJECT, low, size, rows, columns)
-    occupancy = np.full((rows, columns), UNSEEN, dtype=np.int8)
+    occupancy = np.full((rows, columns), UNOBSERVED, dtype=np.int8)
     occupancy[_closed(has_table)] = FREE
     occupancy[_closed(has_object)] = OCCUPIED
     return TopDownGrid(occupancy, np.where(np.isfinite(height), height, np.float32(np.nan)), settings.workspace_low, size)
 
 
 def _closed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Fill cells of which most neighbours are set."""
+    """Set the cells most of whose neighbours are set."""
     neighbours = cv2.blur(mask.astype(np.float32), (3, 3), borderType=cv2.BORDER_CONSTANT)
     return mask | (neighbours > 0.5)

@@ -1,13 +1,14 @@
 """Pose of a known object in each frame.
 
-Every pixel near the object says one of two things: its line of sight is stopped by the upper part of the object (full), or it
-passes and sees something lower (empty). For a pose T the line of sight is stopped where the piece of it between the top of the
-object and a little below lies inside the outline, so with the signed distance d (negative inside) of both ends of that piece
+Every pixel near the object gives a binary measurement: its line of sight is stopped by the upper part of the object (full), or it
+passes and meets something lower (empty). For a pose T the line of sight is stopped where the piece of it between the top of the
+object and a little below lies inside the outline. With the signed distance d (negative inside) of both ends of that piece,
 
     expected(T) = sigmoid(-min(d(T^-1 a), d(T^-1 b)) / s)
 
-and the pose is the least-squares fit of the expected to the seen, by Gauss-Newton, first with a wide s, then with a narrow one.
-Pixels that see something higher (a hand, the pusher) or nothing say nothing and are left out, so occlusion does not pull.
+and the pose is the least-squares fit of the expected to the measured, by Gauss-Newton, first with a wide s, then with a narrow one.
+Pixels that measure something higher (a hand, the pusher) or nothing carry no information and are left out, so that occlusion does not
+bias the pose.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
 from push_ident.perception.depth import check_size, rays_in_table
-from push_ident.perception.kernels import compare, deciding_places, distances, meet_object, nearest_values
+from push_ident.perception.kernels import Grid, compare_lines, innermost_points, interpolate, intersect_object, nearest_values
 from push_ident.perception.labels import RobotPart, in_robot
-from push_ident.perception.shape import SeenObject
+from push_ident.perception.shape import TracedObject
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
-__all__ = ["LinesOfSight", "PoseFit", "Template", "TrackStatus", "fit_pose", "lines_of_sight", "relocate"]
+__all__ = ["LinesOfSight", "PoseFit", "Scene", "Template", "TrackStatus", "fit_pose", "lines_of_sight", "relocate"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the signed distance field [m]."""
 _MARGIN: Final = 0.04
-"""Of the field around the outline [m]; further out the distance is held."""
+"""Width of the field around the outline [m]; further out the distance is held."""
 _LEVELS: Final = ((0.006, 0.02, 3, 8), (0.0015, 0.006, 1, 8))
 """Width s [m], half width of the band of pixels used [m], stride over pixels, iterations: wide, then narrow."""
 _STEP: Final = 0.005
@@ -41,44 +42,47 @@ _STEP: Final = 0.005
 _ABOVE: Final = 0.01
 """Points this far above the top belong to something in front [m]."""
 _MIN_PIXELS: Final = 120
-"""Fewer pixels in the narrow band are no measurement."""
+"""Least number of informative pixels in the narrow band."""
 _MIN_SHARE: Final = 0.25
-"""Of the pixels in the narrow band that must say something."""
+"""Least fraction of the pixels in the narrow band that must be informative."""
 _CLEAR: Final = 0.003
-"""Pixels that far from the edge are off it [m]."""
-_MAX_WRONG: Final = 0.2
-"""Share of the pixels off the edge that may contradict the pose."""
+"""Pixels further than this from the edge can contradict a pose [m]."""
+_MAX_CONTRADICTING: Final = 0.2
+"""Largest fraction of the pixels away from the edge that may contradict the pose."""
 _FOUND_VISIBLE: Final = 0.7
-"""Share of the pixels in the narrow band that must say something where an object is found again."""
-_FOUND_WRONG: Final = 0.08
-"""Largest share of contradicting pixels there."""
-_FITS_ALIKE: Final = 0.02
-"""Headings whose shares of contradicting pixels differ by less are both possible."""
-_SURE_BUT_HIDDEN: Final = (0.02, 300, 0.002, 0.03)
-"""A fit to an object that is mostly hidden still says where it went when at most such a share of the pixels contradicts it, so many
-pixels speak, and its deviations [m, rad] are smaller."""
+"""Least fraction of informative pixels in the narrow band where a lost object is found again."""
+_FOUND_CONTRADICTING: Final = 0.08
+"""Largest fraction of contradicting pixels where a lost object is found again."""
+_EQUAL_FIT: Final = 0.02
+"""Headings whose fractions of contradicting pixels differ by less fit equally well."""
+_START_CONTRADICTING: Final = 0.02
+"""A pose that is too hidden to be published may start the next fit if at most this fraction of the pixels contradicts it ..."""
+_START_PIXELS: Final = 300
+"""... more than this number of pixels is informative ..."""
+_START_DEVIATION: Final = (0.002, 0.002, 0.03)
+"""... and its standard deviations are smaller [m, m, rad]."""
 _FLOOR: Final = (6e-5, 6e-5, 3e-4)
-"""Standard deviations no fit goes below [m, m, rad]: errors of outline and calibration, which no residual shows."""
+"""Least standard deviations of a pose [m, m, rad]: errors of outline and calibration, which no residual shows."""
 _COHERENCE: Final = 1.4
-"""By how much errors of neighbouring pixels, which share an error of the outline, weigh more than as many independent ones: measured
-with `push-ident experiment perception` on other seeds than it reports."""
+"""Factor on the covariance: neighbouring pixels share an error of the outline and are not independent. Measured with `push-ident
+experiment perception` on other seeds than it reports."""
 _MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
-"""Standard deviations above which a pose is no use [m, m, rad]."""
+"""A pose with larger standard deviations is not used [m, m, rad]."""
 
 
 class TrackStatus(Enum):
-    """How a pose came about; the value says what to do about it."""
+    """Outcome of a pose fit; the value says what to do about it."""
 
     TRACKED = "tracked"
     HIDDEN = "too little of the object is visible; move the robot out of the way"
-    POOR_FIT = "what is seen does not fit the outline; the object was tipped, lifted, or replaced"
-    UNDETERMINED = "what is visible of the object leaves its pose open; move the robot out of the way"
+    POOR_FIT = "the measured depth does not fit the outline; the object was tipped, lifted, or replaced"
+    UNDETERMINED = "the visible part of the object does not determine its pose; move the robot out of the way"
     OUT_OF_VIEW = "the object left the image or the workspace; put it back"
 
 
 @dataclass(frozen=True, slots=True)
 class PoseFit:
-    """Pose of one object in one frame. When the status is not TRACKED, pose and covariance must not be used."""
+    """Pose of one object in one frame. Unless the status is TRACKED, pose and covariance must not be used."""
 
     status: TrackStatus
     pose: Float64Array
@@ -86,60 +90,78 @@ class PoseFit:
     covariance: Float64Array
     """Shape (3, 3), table frame, positive definite."""
     n_pixels: int
-    """Pixels in the narrow band that said something."""
+    """Number of informative pixels in the narrow band."""
     share_visible: float
-    """Share of the pixels in the narrow band that said something."""
-    share_wrong: float
-    """Share of the pixels clearly inside or outside that contradict the pose."""
+    """Fraction of the pixels in the narrow band that are informative."""
+    share_contradicting: float
+    """Fraction of the pixels clearly inside or outside that contradict the pose."""
 
     @property
-    def leads_on(self) -> bool:
-        """Whether the next frame may start from here: also from a pose too hidden to be told to others, if what is seen agrees with it."""
-        wrong, n_pixels, position, yaw = _SURE_BUT_HIDDEN
+    def can_start_next(self) -> bool:
+        """Whether the fit of the next frame may start from this pose. That includes poses too hidden to be published, if every visible
+        pixel agrees with them."""
         return self.status is TrackStatus.TRACKED or (
             self.status is TrackStatus.HIDDEN
-            and self.share_wrong < wrong
-            and self.n_pixels > n_pixels
-            and bool(np.all(np.diag(self.covariance) < np.square((position, position, yaw))))
+            and self.share_contradicting < _START_CONTRADICTING
+            and self.n_pixels > _START_PIXELS
+            and bool(np.all(np.diag(self.covariance) < np.square(_START_DEVIATION)))
         )
 
 
 class Template:
-    """What the tracker knows of an object: the signed distance field of its outline and the heights of its upper side."""
+    """What the tracker needs of an object: the signed distance field of its outline and the heights of its upper side."""
 
-    def __init__(self, seen: SeenObject) -> None:
-        self.outline = seen.shape.outline
-        self.tops: Final = (seen.top.astype(np.float64, order="C"), np.array(seen.top_origin, dtype=np.float64), float(seen.top_resolution))
-        """Heights of the upper side, as the kernels take a grid."""
+    def __init__(self, traced: TracedObject) -> None:
+        self.outline = traced.shape.outline
+        self.tops: Final = Grid(
+            traced.top.astype(np.float64, order="C"), np.array(traced.top_origin, dtype=np.float64), float(traced.top_resolution)
+        )
+        """Heights of the upper side [m]."""
         origin = self.outline.min(axis=0) - _MARGIN
         columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - origin) / (4 * _GRID)) * 4 + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         nodes = origin + _GRID * np.stack([x, y], axis=-1)
-        # Exact where it matters; further out every fourth node and the straight line between them will do.
+        # Exact near the outline; further out every fourth node, interpolated linearly, is enough.
         coarse = signed_distance(nodes[::4, ::4].reshape(-1, 2), self.outline).reshape(nodes[::4, ::4].shape[:2])
         along_x = np.array([np.interp(np.arange(columns), np.arange(0, columns, 4), row) for row in coarse])
         distance = np.array([np.interp(np.arange(rows), np.arange(0, rows, 4), column) for column in along_x.T]).T.copy()
         near = np.abs(distance) < 0.012
         distance[near] = signed_distance(nodes[near], self.outline)
-        self.field: Final = (distance, origin, _GRID)
-        """Signed distance of the outline, as the kernels take a grid."""
-        self.top_range = float(seen.top.min()), float(seen.top.max())
+        self.field: Final = Grid(distance, origin, _GRID)
+        """Signed distance to the outline [m]."""
+        self.top_range = float(traced.top.min()), float(traced.top.max())
+        """Lowest and highest point of the upper side [m]."""
         self.radius = float(np.linalg.norm(self.outline, axis=1).max())
-        """Of the circle around the origin that holds the outline [m]."""
+        """Radius of the circle around the origin that holds the outline [m]."""
 
     def distance(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Signed distance [m], shape (n,), and its gradient, shape (n, 2), at points (n, 2) in the object frame."""
-        value, gradient = distances(*self.field, np.ascontiguousarray(points, dtype=np.float64))
+        value, gradient = interpolate(self.field, np.ascontiguousarray(points, dtype=np.float64))
         return value, gradient
 
-    def distance_nearby(self, points: NDArray[np.floating]) -> Float64Array:
-        """Signed distance [m] of the nearest node of the field, shape (n,): quicker, and good to half its edge."""
-        return np.asarray(nearest_values(*self.field, np.ascontiguousarray(points, dtype=np.float64)))
+    def nearest_distance(self, points: NDArray[np.floating]) -> Float64Array:
+        """Signed distance [m] at the nearest node of the field, shape (n,): faster, and accurate to half a cell of the field."""
+        return np.asarray(nearest_values(self.field, np.ascontiguousarray(points, dtype=np.float64)))
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A depth frame, the pose of its camera, and whatever in it is not the object whose pose is fitted."""
+
+    frame: DepthFrame
+    camera_in_table: ArrayLike
+    """Optical frame in the table frame, homogeneous, shape (4, 4)."""
+    robot: Sequence[RobotPart] = ()
+    """Parts of the robot; their pixels are left out."""
+    mask_margin: float = 0.006
+    """Added to the radius of the robot's parts [m]."""
+    others: Sequence[tuple[Template, Float64Array]] = ()
+    """Templates and poses of other objects; their pixels are left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinesOfSight:
-    """Lines of sight near an object, those that say something."""
+    """The informative lines of sight near an object."""
 
     upper: Float64Array
     """Where they pass the height of the top [m], shape (n, 2), table frame."""
@@ -147,122 +169,94 @@ class LinesOfSight:
     """Where they pass a little below."""
     stopped: Float64Array
     """1 where the object stops them, 0 where they pass, shape (n,)."""
-    n_silent: int
-    """Lines of sight in the narrow band that say nothing."""
+    n_uninformative: int
+    """Number of lines of sight in the narrow band that carry no information."""
 
-    def deciding(self, template: Template, pose: Float64Array) -> Float64Array:
-        """The place of each line that decides whether it is stopped at `pose`: whichever end is further inside, object frame."""
-        return np.asarray(deciding_places(*template.field, self.upper, self.lower, np.ascontiguousarray(pose)))
+    def innermost_points(self, template: Template, pose: Float64Array) -> Float64Array:
+        """Per line the end that decides whether it is stopped at `pose`: the one further inside, object frame, shape (n, 2)."""
+        return np.asarray(innermost_points(template.field, self.upper, self.lower, np.ascontiguousarray(pose)))
 
 
-def fit_pose(
-    template: Template,
-    frame: DepthFrame,
-    camera_in_table: ArrayLike,
-    start: ArrayLike,
-    *,
-    robot: Sequence[RobotPart] = (),
-    mask_margin: float = 0.006,
-    others: Sequence[tuple[Template, Float64Array]] = (),
-) -> PoseFit:
+def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     """Fit the pose of the object to one frame.
 
     Args:
-        start: Pose (x, y, yaw) to start from; within about 15 mm and 10 degrees.
-        robot: Parts whose pixels say nothing.
-        others: Templates and poses of other objects; their pixels say nothing either.
+        start: Initial pose (x, y, yaw), within about 15 mm and 10 degrees of the true one.
+
+    Raises:
+        FrameError: The size of the image differs from its camera info.
     """
     start = np.asarray(start, dtype=np.float64)
     pose = start.copy()
     lines, comparison = None, None
     for width, band, stride, iterations in _LEVELS:
-        lines = lines_of_sight(template, frame, camera_in_table, pose, band, stride, robot, mask_margin, others)
+        lines = lines_of_sight(template, scene, pose, band, stride)
         if lines is None:
             return _failed(TrackStatus.OUT_OF_VIEW, pose)
         if len(lines.stopped) < _MIN_PIXELS / stride**2:
             return _failed(TrackStatus.HIDDEN, pose, lines)
         pose, comparison = _gauss_newton(template, lines, pose, width, iterations)
     assert lines is not None and comparison is not None
-    share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_silent)
-    share_wrong = comparison.share_wrong
+    share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_uninformative)
+    share_contradicting = comparison.share_contradicting
     independent = np.linalg.inv(comparison.normal + 1e-6 * np.diag([1.0, 1.0, 1e-4]))
-    covariance = _COHERENCE * comparison.variance * independent + np.diag(np.square(_FLOOR))
+    covariance = _COHERENCE * comparison.edge_variance * independent + np.diag(np.square(_FLOOR))
     status = TrackStatus.TRACKED
-    if np.hypot(*(pose - start)[:2]) > 0.05 or share_wrong > _MAX_WRONG:
+    if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
         status = TrackStatus.POOR_FIT
     elif share_visible < _MIN_SHARE:
         status = TrackStatus.HIDDEN
     elif np.any(np.diag(covariance) > np.square(_MAX_DEVIATION)):
         status = TrackStatus.UNDETERMINED
     pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
-    return PoseFit(status, pose, 0.5 * (covariance + covariance.T), len(lines.stopped), share_visible, share_wrong)
+    return PoseFit(status, pose, 0.5 * (covariance + covariance.T), len(lines.stopped), share_visible, share_contradicting)
 
 
-def relocate(
-    template: Template,
-    frame: DepthFrame,
-    camera_in_table: ArrayLike,
-    centre: ArrayLike,
-    *,
-    robot: Sequence[RobotPart] = (),
-    mask_margin: float = 0.006,
-    others: Sequence[tuple[Template, Float64Array]] = (),
-    last_yaw: float | None = None,
-) -> PoseFit:
-    """Find a lost object at `centre` (x, y) [m] whatever its yaw: compare all headings coarsely, fit from the best three.
+def relocate(template: Template, scene: Scene, centre: ArrayLike, *, last_yaw: float | None = None) -> PoseFit:
+    """Find a lost object at `centre` (x, y) [m] with any yaw: compare all headings coarsely, then fit from the best three.
 
-    Where several headings fit alike, as those of a nearly symmetric object do, the one nearest `last_yaw` [rad] is taken.
+    Where several headings fit equally well, as those of a nearly symmetric object do, the one nearest `last_yaw` [rad] is taken.
+
+    Raises:
+        FrameError: The size of the image differs from its camera info.
     """
     everywhere = template.radius + _MARGIN
     headings = np.linspace(-np.pi, np.pi, 36, endpoint=False)
     starts = [np.array([*np.asarray(centre, dtype=np.float64), heading]) for heading in headings]
-    lines = lines_of_sight(template, frame, camera_in_table, starts[0], everywhere, 4, robot, mask_margin, others)
+    lines = lines_of_sight(template, scene, starts[0], everywhere, 4)
     if lines is None or len(lines.stopped) == 0:
         return _failed(TrackStatus.OUT_OF_VIEW, starts[0])
-    misfit = np.array([_compare(template, lines, start, 2 * _LEVELS[0][0]).misfit for start in starts])
-    valleys = np.flatnonzero((misfit <= np.roll(misfit, 1)) & (misfit <= np.roll(misfit, -1)))
-    fits = [
-        fit_pose(template, frame, camera_in_table, starts[index], robot=robot, mask_margin=mask_margin, others=others)
-        for index in valleys[np.argsort(misfit[valleys])][:3]
-    ]
-    best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_wrong))
+    mean_square = np.array([_compare(template, lines, start, 2 * _LEVELS[0][0]).mean_square for start in starts])
+    minima = np.flatnonzero((mean_square <= np.roll(mean_square, 1)) & (mean_square <= np.roll(mean_square, -1)))
+    fits = [fit_pose(template, scene, starts[index]) for index in minima[np.argsort(mean_square[minima])][:3]]
+    best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_contradicting))
     if last_yaw is not None:
-        alike = [fit for fit in fits if fit.status is best.status and fit.share_wrong < best.share_wrong + _FITS_ALIKE]
-        best = min(alike, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
-    # Without a pose before, half an object can be taken for the other half.
-    if best.status is TrackStatus.TRACKED and (best.share_visible < _FOUND_VISIBLE or best.share_wrong > _FOUND_WRONG):
-        return replace(best, status=TrackStatus.HIDDEN)
-    return best
+        equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + _EQUAL_FIT]
+        best = min(equal, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
+    # Without a previous pose, one half of an object can be taken for the other half.
+    is_doubtful = best.share_visible < _FOUND_VISIBLE or best.share_contradicting > _FOUND_CONTRADICTING
+    return replace(best, status=TrackStatus.HIDDEN) if best.status is TrackStatus.TRACKED and is_doubtful else best
 
 
-def lines_of_sight(
-    template: Template,
-    frame: DepthFrame,
-    camera_in_table: ArrayLike,
-    pose: Float64Array,
-    band: float,
-    stride: int,
-    robot: Sequence[RobotPart] = (),
-    mask_margin: float = 0.006,
-    others: Sequence[tuple[Template, Float64Array]] = (),
-) -> LinesOfSight | None:
+def lines_of_sight(template: Template, scene: Scene, pose: Float64Array, band: float, stride: int) -> LinesOfSight | None:
     """Lines of sight that pass the outline at `pose` within `band` [m]; None where the object is not in the image.
 
     Raises:
-        FrameError: The image has another size than its camera info.
+        FrameError: The size of the image differs from its camera info.
     """
+    frame = scene.frame
     check_size(frame)
     pose = np.ascontiguousarray(pose, dtype=np.float64)
-    camera = np.asarray(camera_in_table, dtype=np.float64)
+    camera = np.asarray(scene.camera_in_table, dtype=np.float64)
     box = _image_box(template, frame, camera, pose, band)
     if box is None:
         return None
     rows, columns = box
     centre, rays = rays_in_table(frame.intrinsics, camera)
     level, slack = float(np.mean(template.top_range)), 0.5 * (template.top_range[1] - template.top_range[0])
-    upper, lower, seen, stopped, speaks = meet_object(
-        *template.field,
-        *template.tops,
+    upper, lower, points, stopped, informative = intersect_object(
+        template.field,
+        template.tops,
         np.asarray(frame.depth, dtype=np.float32),
         rays,
         centre,
@@ -270,15 +264,16 @@ def lines_of_sight(
         (rows.start, rows.stop, columns.start, columns.stop, stride),
         (level, band + slack, _STEP, _ABOVE),
     )
-    speaks &= ~in_robot(seen, robot, mask_margin)
-    speaks &= ~_in_others(seen, others)
-    return LinesOfSight(upper[speaks], lower[speaks], stopped[speaks], int(np.count_nonzero(~speaks)))
+    informative &= ~in_robot(points, scene.robot, scene.mask_margin)
+    informative &= ~_in_others(points, scene.others)
+    n_uninformative = int(np.count_nonzero(~informative))
+    return LinesOfSight(upper[informative], lower[informative], stopped[informative], n_uninformative)
 
 
 def _image_box(
     template: Template, frame: DepthFrame, camera_in_table: Float64Array, pose: Float64Array, band: float
 ) -> tuple[slice, slice] | None:
-    """Rows and columns that show the outline at `pose`, grown by `band`; None when its origin is outside the image."""
+    """Rows and columns that show the outline at `pose`, grown by `band`; None where its origin is outside the image."""
     outline = transform_points(pose, template.outline)
     low, high = outline.min(axis=0) - band, outline.max(axis=0) + band
     corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, template.top_range[1])])
@@ -297,31 +292,32 @@ def _image_box(
 
 
 def _in_others(points: NDArray[np.float32], others: Sequence[tuple[Template, Float64Array]]) -> BoolArray:
+    """Which points, shape (n, 3), lie on another object."""
     inside = np.zeros(len(points), dtype=bool)
     for other, pose in others:
         in_other = np.nan_to_num((points[:, :2] - pose[:2]) @ rotation(pose[2]), nan=1e3)
-        inside |= (other.distance_nearby(in_other) < 0.003) & (points[:, 2] > 0.5 * other.top_range[0])
+        inside |= (other.nearest_distance(in_other) < 0.003) & (points[:, 2] > 0.5 * other.top_range[0])
     return inside
 
 
 @dataclass(frozen=True, slots=True)
 class _Comparison:
-    """What is seen against what is expected at one pose."""
+    """Measured against expected lines of sight at one pose."""
 
     normal: Float64Array
-    """J'J, shape (3, 3), of the expected by the pose."""
-    pull: Float64Array
+    """J'J, shape (3, 3), J the derivative of the expected by the pose."""
+    gradient: Float64Array
     """J'r, shape (3,)."""
-    misfit: float
+    mean_square: float
     """Mean square of the residuals."""
-    variance: float
-    """The same near the edge."""
-    share_wrong: float
-    """Share of the lines clearly inside or outside that contradict the pose."""
+    edge_variance: float
+    """Mean square of the residuals near the edge."""
+    share_contradicting: float
+    """Fraction of the lines clearly inside or outside that contradict the pose."""
 
 
 def _compare(template: Template, lines: LinesOfSight, pose: Float64Array, width: float) -> _Comparison:
-    return _Comparison(*compare(*template.field, lines.upper, lines.lower, lines.stopped, pose, (width, 3.0 * width, _CLEAR)))
+    return _Comparison(*compare_lines(template.field, lines.upper, lines.lower, lines.stopped, pose, (width, 3.0 * width, _CLEAR)))
 
 
 def _gauss_newton(
@@ -331,8 +327,8 @@ def _gauss_newton(
     for _ in range(iterations):
         now = _compare(template, lines, pose, width)
         damping = 1e-3 * np.diag(np.diag(now.normal)) + np.diag([1.0, 1.0, 1e-4])
-        step = np.linalg.solve(now.normal + damping, now.pull)
-        # A step longer than the width leaves the reach of the linearisation.
+        step = np.linalg.solve(now.normal + damping, now.gradient)
+        # The linearisation does not hold beyond the width.
         step *= min(1.0, 2.0 * width / max(float(np.hypot(step[0], step[1])), template.radius * abs(float(step[2])), 1e-12))
         pose = pose + step
         if np.hypot(step[0], step[1]) < 2e-5 and abs(step[2]) < 2e-4:
@@ -342,5 +338,5 @@ def _gauss_newton(
 
 def _failed(status: TrackStatus, pose: Float64Array, lines: LinesOfSight | None = None) -> PoseFit:
     n_pixels = 0 if lines is None else len(lines.stopped)
-    share = 0.0 if lines is None else n_pixels / max(n_pixels + lines.n_silent, 1)
+    share = 0.0 if lines is None else n_pixels / max(n_pixels + lines.n_uninformative, 1)
     return PoseFit(status, pose, np.diag([1.0, 1.0, 10.0]), n_pixels, share, 1.0)

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -21,9 +22,9 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError
 
 __all__ = [
-    "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation", "Load", "Memory",
-    "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "analytic_exp", "analytic_log", "analytic_sqrt",
-    "equation", "unit_direction",
+    "MAPS", "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation",
+    "ExportAs", "Law", "Load", "Memory", "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "Rival",
+    "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
@@ -136,6 +137,43 @@ class EffectParameter:
     high: float = np.inf
     shape: bool = False
     """It only shapes what the others switch on: while they are null it does nothing, so that a test of absence holds it."""
+    camera_std: float | None = None
+    """Accuracy of a calibrated camera: the standard deviation with which the effect belongs to the base model where a camera traced the
+    outline, about `nominal`. None where it does not belong there."""
+
+
+class Law(Enum):
+    """How well the equation of an effect describes the world, if the effect is there."""
+
+    EXACT = "exact"
+    """It holds as it stands: a displacement, a scale, a delay of what is driven or measured."""
+    APPROXIMATE = "approximate"
+    """It only comes near to the world's law: friction, loads, forces. Its error grows with the size of the effect."""
+
+
+class ExportAs(Enum):
+    """The part of an exported description of an object that carries an effect."""
+
+    GRAVITY = "gravity"
+    """The direction of gravity. The effect has two values: the slopes downwards along the table's axes x and y [rad]."""
+    CELL_ANISOTROPY = "cell anisotropy"
+    """Friction of the cells by direction. The effect has two values: (a, b) of E = [[a, b], [b, -a]], object axes."""
+    PUSHER_FRICTION = "pusher friction"
+    """The friction of the outline; the effect acts on the pusher's friction coefficient."""
+
+
+MAPS: Final = "maps"
+"""Name of a rival that is no effect: the maps of mass and friction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another explanation of the same pushes."""
+
+    name: str
+    """Of an effect, or `MAPS`."""
+    separated_by: str
+    """Pushes or measurements that separate the two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,16 +261,27 @@ class Effect:
     equation: str
     parameters: tuple[EffectParameter, ...]
     acts: OnTable | OnContact | OnPusherPath | OnPusherFriction | OnTimes | OnPoses
+    law: Law
     signature: str
-    """What it leaves in the residuals of the base model."""
-    rivals: str
-    """Effects that it is taken for, and what separates them."""
+    """Its trace in the residuals of the base model."""
+    rivals: tuple[Rival, ...]
+    """Explanations that are nearly as good."""
     source: str
+    check: str = ""
+    """What to do at the cell to confirm it without a push, one sentence. Required of a cause."""
     memory: Memory | None = None
     needs_inertia: bool = False
     """Whether it means nothing in a quasi-static push."""
-    is_remainder: bool = False
-    """It names no cause, but measures what no cause explains."""
+    is_unknown_cause: bool = False
+    """It names no cause: it measures what no named effect explains."""
+    exact_twins: tuple[str, ...] = ()
+    """Effects that no push can distinguish from it. They name it as well."""
+    special_case_of: tuple[str, ...] = ()
+    """Effects that contain it: at some value of one of their parameters they are it."""
+    refit_with: tuple[str, ...] = ()
+    """Effects whose scores mislead about one another: where one of them is refitted, all are. They name it as well."""
+    export: ExportAs | None = None
+    """The part of an exported description that carries it; None where no format has one."""
 
     def __post_init__(self) -> None:
         memory = 0 if self.memory is None else self.memory.size
@@ -242,6 +291,14 @@ class Effect:
                 f"The effect {self.name} loads cells by {len(self.parameters)} parameters and {memory} numbers of memory, "
                 f"expected {MAX_LOAD_NUMBERS} of each at most; raise MAX_LOAD_NUMBERS and `_four` in table.py, or use fewer."
             )
+        if not (self.check or self.is_unknown_cause):
+            raise InputError(f"The effect {self.name} has no `check`; say in one sentence how to confirm it at the cell without a push.")
+        if self.export in (ExportAs.GRAVITY, ExportAs.CELL_ANISOTROPY) and len(self.parameters) != 2:
+            raise InputError(
+                f"The effect {self.name} has {len(self.parameters)} parameters; {self.export.value} of an exported model takes two."
+            )
+        if (self.export is ExportAs.PUSHER_FRICTION) != isinstance(self.acts, OnPusherFriction):
+            raise InputError(f"The effect {self.name} is exported as pusher friction just if it acts on it; correct `export` or `acts`.")
 
     @property
     def nominal(self) -> NDArray[np.float64]:
@@ -249,8 +306,11 @@ class Effect:
         return np.array([parameter.nominal for parameter in self.parameters])
 
     @property
-    def is_geometric(self) -> bool:
-        """Whether it moves what is driven or measured: such a law holds as it stands, while one of friction or of loads only comes near
-        that of the world."""
-        moves_outline = isinstance(self.acts, OnContact) and self.acts.quantity == "offset"
-        return moves_outline or isinstance(self.acts, OnPusherPath | OnTimes | OnPoses)
+    def is_camera_error(self) -> bool:
+        """Whether it belongs to the base model where a camera traced the outline."""
+        return any(parameter.camera_std is not None for parameter in self.parameters)
+
+    @property
+    def moves_outline(self) -> bool:
+        """Whether it displaces the surface that the pusher meets."""
+        return isinstance(self.acts, OnContact) and self.acts.quantity == "offset"

@@ -24,6 +24,7 @@ from push_ident.physics.effect_values import (
 )
 from push_ident.physics.pyramid import FINAL_NU
 from push_ident.physics.rollout import N_BODY_PARAMETERS, Numerics, Push, new_rollout_scratch, rollout
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.sensitivity import (
     PARAM_CENTRE,
     PARAM_INERTIA,
@@ -195,7 +196,7 @@ def compile_kernels(*, effects: bool = False) -> None:
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
     body = BodyParameters(0.1, np.zeros(2), 1e-5, np.array([0.3]))
     pusher = PusherPath(np.array([0.0, 0.1]), np.array([[-0.02, 0.0], [0.0, 0.0]]), 0.005)
-    arguments = (shape, body, 0.3, pusher, np.zeros(3), np.array([0.0, 0.1]))
+    arguments = (shape, body, 0.3, PushScenario(pusher, np.zeros(3), np.array([0.0, 0.1])))
     simulate_body(*arguments, jacobian=True)
     _, pull_back = simulate_body_with_pullback(*arguments)
     pull_back(np.zeros((2, 3)))
@@ -205,67 +206,53 @@ def compile_kernels(*, effects: bool = False) -> None:
 
 def simulate(
     model: ObjectModel,
-    pusher: PusherPath,
-    pose_object_in_table: Float64Array,
-    time: Float64Array,
+    scenario: PushScenario,
     *,
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
-    order: float = 0.0,
     jacobian: bool = False,
 ) -> Motion:
     """Motion of an object at rest while a pusher moves along its path.
 
     Args:
         model: mechanics of the object.
-        pusher: path of the pusher. Before its first and after its last sample the pusher stands still.
-        pose_object_in_table: first pose (x, y, yaw), shape (3,).
-        time: when to report the pose [s], ascending, on the clock of `pusher`, shape (n_frames,).
+        scenario: path of the pusher, first pose, times to report.
         settings: numerics.
-        effects: what acts beside the base model (`effects/`, docs/effects.md): by name, each with its values in order or by name. The
-            poses are then those that would be reported; `pose_object_in_table` is always the true one.
-        order: how many pushes went before this one, for effects that wear.
+        effects: effects beside the base model (`effects/`, docs/effects.md): by name, each with its values in order or by name. The
+            poses are then those that would be reported.
         jacobian: also the derivative of the poses.
 
     Returns:
         The motion; look at its `status`.
 
     Raises:
-        InputError: a pose, times or values of the body that are not finite or have another shape, times that do not ascend, negative
-            friction, no mass, or an outline that holds less than half of the cells; effects that are not known, out of their range, or
-            that the settings do not allow (those on the table need the circular cone).
+        InputError: values of the body that are not finite or have another shape, negative friction, no mass, or an outline that holds
+            less than half of the cells; effects that are not known, out of their range, or that the settings do not allow (those on
+            the table need the circular cone).
     """
     body = body_of_cells(model.shape, model.mass, model.friction)
-    return simulate_body(
-        model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, effects=effects, order=order,
-        jacobian=jacobian,
-    )  # fmt: skip
+    return simulate_body(model.shape, body, model.pusher_friction, scenario, settings=settings, effects=effects, jacobian=jacobian)
 
 
 def loss_gradient(
     model: ObjectModel,
-    pusher: PusherPath,
-    pose_object_in_table: Float64Array,
-    time: Float64Array,
+    scenario: PushScenario,
     loss: PoseLoss,
     *,
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
-    order: float = 0.0,
 ) -> ModelGradient:
     """Loss of a simulated push and its exact gradient with respect to the mass and friction of every cell, by the adjoint method.
 
     The cost is that of one simulation and one pass back over its steps, whatever the number of cells that are asked about.
 
     Args:
-        loss: of the poses at `time`.
+        loss: of the poses at `scenario.time`.
 
     The other arguments are those of `simulate`.
     """
     body = body_of_cells(model.shape, model.mass, model.friction)
-    motion, pull_back = simulate_body_with_pullback(
-        model.shape, body, model.pusher_friction, pusher, pose_object_in_table, time, settings=settings, effects=effects, order=order
-    )
+    motion, pull_back = simulate_body_with_pullback(model.shape, body, model.pusher_friction, scenario, settings=settings, effects=effects)
     value, by_pose = loss(motion.pose)
     gradient = pull_back(by_pose)
     by_mass, by_friction = cell_gradient(model.shape, model.mass, model.friction, gradient)
@@ -279,18 +266,15 @@ def simulate_body(
     shape: ObjectShape,
     body: BodyParameters,
     pusher_friction: float,
-    pusher: PusherPath,
-    pose_object_in_table: Float64Array,
-    time: Float64Array,
+    scenario: PushScenario,
     *,
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
-    order: float = 0.0,
     jacobian: bool = False,
 ) -> Motion:
     """As `simulate`, for the rigid body alone."""
     acting = effect_values(effects)
-    run = _run(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings or SimulationSettings(), acting, order, jacobian)
+    run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, jacobian)
     if not jacobian:
         return run.motion
     derivative = np.full((len(run.motion.time), 3, N_BODY_PARAMETERS + len(shape.cells) + len(acting)), np.nan)
@@ -339,17 +323,14 @@ def simulate_body_with_pullback(
     shape: ObjectShape,
     body: BodyParameters,
     pusher_friction: float,
-    pusher: PusherPath,
-    pose_object_in_table: Float64Array,
-    time: Float64Array,
+    scenario: PushScenario,
     *,
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
-    order: float = 0.0,
 ) -> tuple[Motion, PullBack]:
     """As `simulate_body`; also what carries a gradient by the poses back to the parameters."""
     acting = effect_values(effects)
-    run = _run(shape, body, pusher_friction, pusher, pose_object_in_table, time, settings or SimulationSettings(), acting, order, True)
+    run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, True)
     return run.motion, PullBack(run)
 
 
@@ -412,21 +393,13 @@ def _run(
     shape: ObjectShape,
     body: BodyParameters,
     pusher_friction: float,
-    pusher: PusherPath,
-    pose_object_in_table: Float64Array,
-    time: Float64Array,
+    scenario: PushScenario,
     settings: SimulationSettings,
     effects: EffectValues,
-    order: float,
     derive: bool,
 ) -> _Run:
     """Simulate, with what the derivative needs where `derive`."""
-    time = np.asarray(time, dtype=np.float64)
-    pose0 = _owned(pose_object_in_table)
-    if pose0.shape != (3,) or not np.all(np.isfinite(pose0)):
-        raise InputError(f"The first pose is {pose0}, expected three finite numbers (x, y, yaw).")
-    if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
-        raise InputError("The times to report must be finite and ascend; sort them first.")
+    pusher, time = scenario.pusher, scenario.time
     _check_body(shape, body, pusher_friction)
     n_values, mu = len(effects), float(pusher_friction)
     if n_values > 0:
@@ -449,14 +422,14 @@ def _run(
     active, seen_at = None, time
     if n_values > 0:
         path, d_path = driven_path(effects, settings.step, path)
-        active = active_effects(effects, d_path, arms, float(shape.cells.size), order)
+        active = active_effects(effects, d_path, arms, float(shape.cells.size), scenario.order)
         seen_at, seen_at_by_value = seen_times(effects, time)
     at = np.clip((seen_at - start) / settings.step, 0.0, n_steps)
     frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
     frame_fraction = at - frame_step
     corners = np.zeros((1, 2)) if pusher.polygon is None else _owned(pusher.polygon)
     push = Push(
-        pose=pose0,
+        pose=_owned(scenario.pose_object_in_table),
         pusher=path,
         corners=corners,
         radius=float(pusher.radius),

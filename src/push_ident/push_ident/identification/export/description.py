@@ -20,6 +20,7 @@ import numpy as np
 from push_ident import __version__
 from push_ident.errors import InputError
 from push_ident.geometry.convex import convex_pieces
+from push_ident.physics.effect import ExportAs
 from push_ident.physics.effect_values import EffectValues, changed_friction, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, ObjectModel
@@ -68,6 +69,11 @@ class ObjectDescription:
     """Whether each cell is on a vertical joint of its own."""
     provenance: str
     """One line: what it was made from and by what."""
+
+    def exported(self, part: ExportAs) -> tuple[float, ...] | None:
+        """Values of the effects that `part` of a file carries, added up; None where there are none."""
+        own = [values for name, values in self.effects.items() if EFFECTS[name].export is part]
+        return tuple(map(sum, zip(*own, strict=True))) if len(own) > 1 else next(iter(own), None)
 
     @property
     def cell_names(self) -> list[str]:
@@ -130,18 +136,19 @@ def describe(
     )
 
 
-def effect_notes(thing: ObjectDescription, carried: Mapping[str, str]) -> list[str]:
+def effect_notes(thing: ObjectDescription, carried: Mapping[ExportAs, str]) -> list[str]:
     """A line for each effect.
 
     Args:
         thing: the object.
-        carried: where an effect stands in the file, by name; it is not in the file otherwise.
+        carried: by kind of effect, where it stands in the file; effects of no such kind are not in the file.
     """
     lines = []
     for name, values in thing.effects.items():
         effect = EFFECTS[name]
         sizes = ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in zip(effect.parameters, values, strict=True))
-        where = f"stands in {carried[name]}." if name in carried else f"is NOT in this file. {effect.what} {effect.equation}"
+        place = carried.get(effect.export) if effect.export else None
+        where = f"stands in {place}." if place else f"is NOT in this file. {effect.what} {effect.equation}"
         lines.append(f"Effect {name} ({sizes}) {where}")
     return lines
 

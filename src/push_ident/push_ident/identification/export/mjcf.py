@@ -5,6 +5,7 @@ from __future__ import annotations
 from xml.etree.ElementTree import Element, SubElement
 
 from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
+from push_ident.physics.effect import ExportAs
 from push_ident.physics.support import GRAVITY
 
 __all__ = ["mjcf"]
@@ -15,8 +16,8 @@ _NOTE = (
     "The table can have MuJoCo's default contype and conaffinity; with 2 for both a pusher meets the outline alone.",
 )
 _CARRIED = {
-    "pusher_friction": "the friction of the outline",
-    "table_tilt": "the option gravity, which a model that this one is attached to needs too",
+    ExportAs.PUSHER_FRICTION: "the friction of the outline",
+    ExportAs.GRAVITY: "the option gravity, which a model that this one is attached to needs too",
 }
 _SOLREF = (0.004, 1.0)
 """Time constant [s] and damping ratio of a contact. With MuJoCo's own 20 ms the outline gives way to the pusher."""
@@ -28,8 +29,8 @@ def mjcf(thing: ObjectDescription) -> Element:
     add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
     # With the default pyramid, friction is stronger along some directions of the table than along others.
     option = SubElement(root, "option", cone="elliptic")
-    if "table_tilt" in thing.effects:
-        slope_x, slope_y = thing.effects["table_tilt"]
+    if slope := thing.exported(ExportAs.GRAVITY):
+        slope_x, slope_y = slope
         option.set("gravity", numbers(GRAVITY * slope_x, GRAVITY * slope_y, -GRAVITY))
     if thing.effects:
         custom = SubElement(root, "custom")

@@ -7,13 +7,14 @@ from collections.abc import Iterable
 from xml.etree.ElementTree import Element, SubElement
 
 from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
+from push_ident.physics.effect import ExportAs
 
 __all__ = ["sdf"]
 
 _VERSION = "1.9"
 _CARRIED = {
-    "pusher_friction": "the friction of the outline",
-    "base_anisotropy": "mu, mu2 and fdir1 of the cells",
+    ExportAs.PUSHER_FRICTION: "the friction of the outline",
+    ExportAs.CELL_ANISOTROPY: "mu, mu2 and fdir1 of the cells",
 }
 _NOTE = (
     "Gazebo takes the smaller of two coefficients of friction: the table's and the pusher's must be no smaller than the object's.",
@@ -49,7 +50,7 @@ def sdf(thing: ObjectDescription, mesh: str) -> Element:
         foot = SubElement(cell, "collision", name="foot")
         _add_text(foot, "pose", numbers(0, 0, thing.foot_radius, 0, 0, 0))
         _add_text(SubElement(SubElement(foot, "geometry"), "sphere"), "radius", numbers(thing.foot_radius))
-        _add_surface(foot, friction, _CELL_BIT, thing.effects.get("base_anisotropy", (0.0, 0.0)))
+        _add_surface(foot, friction, _CELL_BIT, thing.exported(ExportAs.CELL_ANISOTROPY) or (0.0, 0.0))
     if thing.sliding:
         _add_joint(model, f"{thing.name}_x_joint", "prismatic", "world", f"{thing.name}_x", "1 0 0")
         _add_joint(model, f"{thing.name}_y_joint", "prismatic", f"{thing.name}_x", f"{thing.name}_y", "0 1 0")

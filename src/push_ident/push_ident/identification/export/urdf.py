@@ -8,6 +8,7 @@ from __future__ import annotations
 from xml.etree.ElementTree import Element, SubElement
 
 from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
+from push_ident.physics.effect import ExportAs
 
 __all__ = ["urdf"]
 
@@ -18,7 +19,7 @@ _NOTE = (
     "Bullet swells meshes by 1 mm: make a round pusher 1 mm thinner, and rather a capsule than a cylinder.",
     "PyBullet cannot tell the state of a body with more than 127 joints.",
 )
-_CARRIED = {"pusher_friction": "the friction of the outline"}
+_CARRIED = {ExportAs.PUSHER_FRICTION: "the friction of the outline"}
 _NO_LIMIT = 1e6
 """For effort [N], speed [m/s] and way [m]: the format wants limits where there are none."""
 

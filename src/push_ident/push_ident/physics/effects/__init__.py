@@ -1,24 +1,78 @@
-"""The catalogue of effects: every module of this folder holds one as `EFFECT`. To add an effect, add a file."""
+"""The catalogue of effects: every module of this folder holds one as `EFFECT`. To add an effect, add a file.
+
+Files in the folders of `PUSH_IDENT_EFFECTS` (`effect_folders.py`) belong to the catalogue too.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
 
-from push_ident.physics.effect import Effect
+from push_ident.physics.effect import MAPS, Effect
+from push_ident.physics.effect_folders import VARIABLE, extra_effect_files, extra_effect_folders
 
-__all__ = ["EFFECTS"]
+__all__ = ["CAMERA_ERRORS", "CAUSES", "EFFECTS"]
+
+_MUTUAL = ("exact_twins", "refit_with")
+"""Fields that hold in both directions."""
 
 
 def _discover() -> dict[str, Effect]:
+    """The effects by name, in alphabetical order."""
+    extra = [file.stem for file in extra_effect_files()]
+    built_in = [module.name for module in iter_modules(__path__)]
+    if doubled := [name for name, count in Counter([*built_in, *extra]).items() if count > 1]:
+        raise ImportError(f"There are two effects {doubled[0]}; rename the one in the folders of {VARIABLE}.")
+    __path__.extend(str(folder) for folder in extra_effect_folders())
     found: dict[str, Effect] = {}
-    for name in sorted(module.name for module in iter_modules(__path__)):
+    for name in sorted([*built_in, *extra]):
         effect: Effect = import_module(f"{__name__}.{name}").EFFECT
         if effect.name != name:
             raise ImportError(f"The effect in {name}.py is called {effect.name!r}; give file and effect the same name.")
         found[name] = effect
-    return found
+    _check_names(found)
+    return _with_both_directions(found, set(extra))
+
+
+def _check_names(found: dict[str, Effect]) -> None:
+    """Refuse relations to effects that do not exist."""
+    for name, effect in found.items():
+        rivals = [rival.name for rival in effect.rivals if rival.name != MAPS]
+        for other in (*effect.exact_twins, *effect.special_case_of, *effect.refit_with, *rivals):
+            if other not in found or other == name:
+                raise ImportError(f"The effect {name} names {other!r} as a related effect, expected another one of {', '.join(found)}.")
+
+
+def _with_both_directions(found: dict[str, Effect], extra: set[str]) -> dict[str, Effect]:
+    """The effects, each mutual relation stated on both sides.
+
+    Two files of this folder both have to state it. An effect of another folder states it alone: nobody edits an installed file for it.
+    """
+    complete = dict(found)
+    for field in _MUTUAL:
+        for name, effect in found.items():
+            for other in getattr(effect, field):
+                own: tuple[str, ...] = getattr(complete[other], field)
+                if name in own:
+                    continue
+                if not {name, other} & extra:
+                    raise ImportError(f"The effect {name} has {other} among its {field}, but not the reverse; add {name} to {other}.py.")
+                complete[other] = replace(complete[other], **{field: (*own, name)})  # type: ignore[arg-type]
+    return complete
 
 
 EFFECTS = _discover()
-"""All effects by their name."""
+"""All effects by name."""
+
+CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_unknown_cause)
+"""Names of the effects that are a cause."""
+
+
+def _accuracy(name: str) -> float:
+    return min(parameter.camera_std for parameter in EFFECTS[name].parameters if parameter.camera_std is not None)
+
+
+CAMERA_ERRORS = tuple(sorted((name for name, effect in EFFECTS.items() if effect.is_camera_error), key=_accuracy))
+"""Names of the effects that belong to the base model where a camera traced the outline, by their size; the order decides last bits only."""

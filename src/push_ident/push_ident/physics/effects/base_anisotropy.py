@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, equation
 
 __all__ = ["EFFECT"]
 
@@ -24,7 +24,10 @@ EFFECT = Effect(
         EffectParameter("b", "", "more friction along its diagonal x = y, less across it", scale=0.1, typical=0.1, low=-0.9, high=0.9),
     ),
     acts=OnTable(skew=_skew),
+    law=Law.APPROXIMATE,
     signature="A sideways force and a turn that depend on the heading in the body with a period of 180 degrees.",
-    rivals="The maps, table_anisotropy: pushes on new faces at one heading in the table.",
+    rivals=(Rival(MAPS, "pushes on new faces"), Rival("table_anisotropy", "pushes at one heading in the table, on several faces")),
+    check="Look for a grain on the underside of the object.",
     source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
+    export=ExportAs.CELL_ANISOTROPY,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPoses
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPoses, Rival
 
 __all__ = ["EFFECT"]
 
@@ -20,9 +20,11 @@ EFFECT = Effect(
     name="camera_rotation",
     what="All reported poses are turned about the origin of the table frame.",
     equation="reported = (R(angle) (x, y), yaw + angle)",
-    parameters=(EffectParameter("angle", "rad", "counter-clockwise", scale=0.01, typical=0.01, low=-0.3, high=0.3),),
+    parameters=(EffectParameter("angle", "rad", "counter-clockwise", scale=0.01, typical=0.01, camera_std=2.5e-3, low=-0.3, high=0.3),),
     acts=OnPoses(_see),
+    law=Law.EXACT,
     signature="The object seems to move askew to the pusher, by one angle at every heading.",
-    rivals="table_anisotropy, position_dependent_friction: placements all over the table.",
+    rivals=(Rival("table_anisotropy", "pushes all over the table"), Rival("position_dependent_friction", "pushes all over the table")),
+    check="Look at two marks of known positions with the camera.",
     source="Error of the camera's extrinsic calibration.",
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPoses
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPoses, Rival
 
 __all__ = ["EFFECT"]
 
@@ -17,9 +17,17 @@ EFFECT = Effect(
     name="camera_scale",
     what="Distances from the origin of the table frame are reported too long.",
     equation="reported = (1 + kappa) (x, y); outline and cells stay as they are given",
-    parameters=(EffectParameter("kappa", "", "share that distances are too long", scale=0.02, typical=0.02, low=-0.2, high=0.2),),
+    parameters=(
+        EffectParameter("kappa", "", "share that distances are too long", scale=0.02, typical=0.02, camera_std=5e-3, low=-0.2, high=0.2),
+    ),
     acts=OnPoses(_see),
+    law=Law.EXACT,
     signature="Grows with the distance from the origin of the table.",
-    rivals="outline_error, pusher_speed_scale, position_dependent_friction: placements all over the table.",
+    rivals=(
+        Rival("outline_error", "pushes all over the table"),
+        Rival("pusher_speed_scale", "pushes all over the table"),
+        Rival("position_dependent_friction", "pushes all over the table"),
+    ),
+    check="Look at two marks of known distance with the camera.",
     source="Error of focal length or height of the camera.",
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPoses
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPoses, Rival
 
 __all__ = ["EFFECT"]
 
@@ -18,11 +18,14 @@ EFFECT = Effect(
     what="All reported poses are displaced, in directions fixed in the table.",
     equation="reported = pose + (x, y)",
     parameters=(
-        EffectParameter("x", "m", "displacement along the table's x axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
-        EffectParameter("y", "m", "displacement along the table's y axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
+        EffectParameter("x", "m", "displacement along the table's x axis", scale=2e-3, typical=2e-3, camera_std=5e-4, low=-0.05, high=0.05),
+        EffectParameter("y", "m", "displacement along the table's y axis", scale=2e-3, typical=2e-3, camera_std=5e-4, low=-0.05, high=0.05),
     ),
     acts=OnPoses(_see),
+    law=Law.EXACT,
     signature="A contact offset that is fixed in the table. The first pose is displaced as well.",
-    rivals="tool_offset: with these sensors the same thing; touch a known mark.",
+    rivals=(Rival("tool_offset", "no push: only a measurement of a known mark"),),
+    check="Look at a mark of known position with the camera.",
     source="Error of the camera's extrinsic calibration.",
+    exact_twins=("tool_offset",),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import Effect, EffectParameter, OnContact
+from push_ident.physics.effect import Effect, EffectParameter, Law, OnContact, Rival
 
 __all__ = ["EFFECT"]
 
@@ -10,9 +10,19 @@ EFFECT = Effect(
     name="outline_error",
     what="The surface that the pusher meets lies outside (> 0) or inside the outline.",
     equation="gap - offset; contact point + offset n",
-    parameters=(EffectParameter("offset", "m", "of the surface along the outward normal", scale=2e-3, typical=1e-3, low=-0.01, high=0.01),),
+    parameters=(
+        EffectParameter(
+            "offset", "m", "of the surface along the outward normal", scale=2e-3, typical=1e-3, camera_std=4e-4, low=-0.01, high=0.01
+        ),
+    ),
     acts=OnContact("offset"),
+    law=Law.EXACT,
     signature="Constant along the contact normal, from the first touch on.",
-    rivals="pusher_lag, pose_latency (both grow with speed), tool_offset (fixed in the table): several faces and speeds.",
+    rivals=(
+        Rival("pusher_lag", "several speeds: it grows with speed"),
+        Rival("pose_latency", "several speeds: it grows with speed"),
+        Rival("tool_offset", "several faces: it is fixed in the table"),
+    ),
+    check="Measure the object with a calliper.",
     source="Offset curve of the outline; equals an error of the pusher's radius.",
 )

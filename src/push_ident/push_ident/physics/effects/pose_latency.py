@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnTimes
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnTimes, Rival
 
 __all__ = ["EFFECT"]
 
@@ -17,7 +17,13 @@ EFFECT = Effect(
     equation="reported(t) = pose(t - delta)",
     parameters=(EffectParameter("delta", "s", "age of a pose at its stamp", scale=0.02, typical=0.02, low=-0.3, high=0.3),),
     acts=OnTimes(_move),
+    law=Law.EXACT,
     signature="Speed of the object times delta; nothing at rest.",
-    rivals="pusher_lag (fades at the stop), pusher_speed_scale: frames at rest after the push.",
+    rivals=(
+        Rival("pusher_lag", "frames after the stop, where it fades"),
+        Rival("pusher_speed_scale", "frames at rest after the push, where it stays"),
+    ),
+    check="Tap the object with the tool and compare the stamps of the tool and of the first moved pose.",
     source="Delay of exposure, transport and tracking that is not taken off the stamps.",
+    refit_with=("pusher_lag", "pusher_speed_scale"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
 
 __all__ = ["EFFECT"]
 
@@ -23,7 +23,13 @@ EFFECT = Effect(
         EffectParameter("y", "1/m", "growth of friction per length along y", scale=1.0, typical=1.0, low=-5.0, high=5.0),
     ),
     acts=OnTable(plane=_plane),
+    law=Law.APPROXIMATE,
     signature="Depends on the place on the table, not on the heading.",
-    rivals="table_tilt (no place in it), moving_contents: the same push at several places.",
+    rivals=(
+        Rival("table_tilt", "the same push at several places: it does not depend on the place"),
+        Rival("moving_contents", "the same push at several places"),
+    ),
+    check="Clean the table and repeat two pushes at places far apart.",
     source="Linear part of the variation over a table; seen by Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
+    refit_with=("push_height", "moving_contents"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import STILL, Body, Effect, EffectParameter, Load, OnTable, analytic_sqrt, equation
+from push_ident.physics.effect import MAPS, STILL, Body, Effect, EffectParameter, Law, Load, OnTable, Rival, analytic_sqrt, equation
 
 __all__ = ["EFFECT"]
 
@@ -24,7 +24,14 @@ EFFECT = Effect(
     equation="N_i ~ 1 + (r_i - c)' S^-1 q, q = lever v / sqrt(v^2 + omega^2 <r^2>), v of the centre of mass",
     parameters=(EffectParameter("lever", "m", "friction coefficient times height", scale=5e-3, typical=5e-3, low=0.0, high=0.05),),
     acts=OnTable(shift=_shift),
+    law=Law.APPROXIMATE,
     signature="The centre of friction runs ahead of the motion, by the lever; never behind it, and less where the object turns.",
-    rivals="table_tilt, moving_contents, the maps: pushes on opposite faces; two heights of the tool.",
+    rivals=(
+        Rival("table_tilt", "pushes on opposite faces"),
+        Rival("moving_contents", "pushes on opposite faces"),
+        Rival(MAPS, "pushes at two heights of the tool"),
+    ),
+    check="Repeat a push with the tool 20 mm lower.",
     source="Balance of moments: q moves the centre of friction c; c, the covariance S and <> weigh cells by their friction limits.",
+    refit_with=("moving_contents", "position_dependent_friction"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherFriction
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, ExportAs, Law, OnPusherFriction, Rival
 
 __all__ = ["EFFECT"]
 
@@ -19,7 +19,10 @@ EFFECT = Effect(
     equation="max(0, mu_p + excess)",
     parameters=(EffectParameter("excess", "", "above the coefficient of the model", scale=0.15, typical=0.15, low=-2.0, high=2.0),),
     acts=OnPusherFriction(_change),
+    law=Law.APPROXIMATE,
     signature="Slip along the face: oblique and off-centre pushes.",
-    rivals="push_height: pushes mirrored at +-20 degrees. A tip that turns rubs less. Fitting the friction of the pusher takes it up.",
-    source="Coulomb's law at the contact (the paper's mu_p).",
+    rivals=(Rival("push_height", "pushes mirrored at +-20 degrees"),),
+    check="Make sure that the tip of the pusher does not turn; cover it with a tape of known friction.",
+    source="Coulomb's law at the contact (the paper's mu_p). A tip that turns has less friction. A fit of the coefficient absorbs it.",
+    export=ExportAs.PUSHER_FRICTION,
 )

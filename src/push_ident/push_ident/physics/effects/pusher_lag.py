@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherPath
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 from push_ident.physics.kernel import kernel
 
 __all__ = ["EFFECT"]
@@ -35,7 +35,14 @@ EFFECT = Effect(
     equation="tau dp/dt = p_reported - p, at rest at first",
     parameters=(EffectParameter("tau", "s", "time constant", scale=0.03, typical=0.03, low=0.0, high=0.5),),
     acts=OnPusherPath(_move),
+    law=Law.EXACT,
     signature="Speed times tau while the pusher moves; fades after it stops.",
-    rivals="pose_latency (as long at the stop), outline_error (no speed in it), pusher_speed_scale (grows): speed steps.",
+    rivals=(
+        Rival("pose_latency", "the frames after the stop: it lasts as long as the motion"),
+        Rival("outline_error", "pushes of several speeds: it does not depend on speed"),
+        Rival("pusher_speed_scale", "pushes with steps of speed: it grows with travel"),
+    ),
+    check="Compare the commanded with the measured path of the tool in a fast move in free air.",
     source="First-order model of a servo loop.",
+    refit_with=("pose_latency", "pusher_speed_scale"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherPath
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 
 __all__ = ["EFFECT"]
 
@@ -19,7 +19,13 @@ EFFECT = Effect(
     equation="p = p0 + (1 + s) (p_reported - p0)",
     parameters=(EffectParameter("s", "", "additional share of speed", scale=0.03, typical=0.03, low=-0.3, high=0.3),),
     acts=OnPusherPath(_move),
+    law=Law.EXACT,
     signature="Grows in proportion to the way driven.",
-    rivals="pose_latency, pusher_lag (both end with the motion): two lengths at one speed.",
+    rivals=(
+        Rival("pose_latency", "pushes of two lengths at one speed: it ends with the motion"),
+        Rival("pusher_lag", "pushes of two lengths at one speed: it ends with the motion"),
+    ),
+    check="Measure the length of a long move of the tool with a ruler.",
     source="Scale error of a drive or of its clock.",
+    refit_with=("pusher_lag", "pose_latency"),
 )

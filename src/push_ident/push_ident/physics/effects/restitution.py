@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, Memory, OnContact, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, Memory, OnContact, Rival, equation
 
 __all__ = ["EFFECT"]
 
@@ -20,9 +20,11 @@ EFFECT = Effect(
     equation="n (v_object - v_pusher) after = e times their speed of approach before (Newton's law), in the step after the one that met",
     parameters=(EffectParameter("e", "", "coefficient of restitution", scale=0.2, typical=0.3, low=0.0, high=1.0),),
     acts=OnContact("restitution"),
+    law=Law.APPROXIMATE,
     memory=Memory(3, _remember),
     needs_inertia=True,
-    signature="First frames after the touch; rises with the speed of impact.",
-    rivals="pusher_lag, pose_latency: fast impacts at a high frame rate. At 0.25 m/s and below hardly seen.",
+    signature="First frames after the touch; rises with the speed of impact. Hardly visible at 0.25 m/s and below.",
+    rivals=(Rival("pusher_lag", "fast impacts at a high frame rate"), Rival("pose_latency", "fast impacts at a high frame rate")),
+    check="Film an impact at a high frame rate.",
     source="Newton's law of impact, as in the paper's model of contact (there with e = 0).",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, OnTable, analytic_log, analytic_sqrt, equation
+from push_ident.physics.effect import MAPS, Body, Cell, Effect, EffectParameter, Law, OnTable, Rival, analytic_log, analytic_sqrt, equation
 
 __all__ = ["EFFECT"]
 
@@ -25,7 +25,9 @@ EFFECT = Effect(
     equation="f (1 + b ln((v + 0.01) / (0.1 + 0.01))), v in m/s",
     parameters=(EffectParameter("b", "", "change of friction per factor e of speed", scale=0.1, typical=0.1, low=-0.5, high=0.5),),
     acts=OnTable(load=_load),
-    signature="Coasting distance; a fast turn against a slow one.",
-    rivals="The maps, push_height: the same push at 0.04, 0.12 and 0.3 m/s. A film of oil acts alike.",
+    law=Law.APPROXIMATE,
+    signature="Coasting distance; a fast turn against a slow one. A film of oil acts alike.",
+    rivals=(Rival(MAPS, "the same push at 0.04, 0.12 and 0.3 m/s"), Rival("push_height", "the same push at 0.04, 0.12 and 0.3 m/s")),
+    check="Make sure that there is no film of oil; repeat a push at a quarter of its speed.",
     source="Logarithmic law of rate-dependent friction; Ruina, Slip instability and state variable friction laws, 1983, without its state.",
 )

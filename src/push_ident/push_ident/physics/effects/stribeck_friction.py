@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, OnTable, analytic_exp, equation
+from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, Law, OnTable, Rival, analytic_exp, equation
 
 __all__ = ["EFFECT"]
 
@@ -23,7 +23,9 @@ EFFECT = Effect(
         EffectParameter("v_s", "m/s", "speed at which it fades", scale=0.01, typical=0.01, nominal=0.02, low=0.002, high=0.2, shape=True),
     ),
     acts=OnTable(load=_load),
-    signature="Only below some 30 mm/s: stops and starts.",
-    rivals="speed_dependent_friction: pushes at creeping speed. At the usual speeds hardly seen.",
+    law=Law.APPROXIMATE,
+    signature="Only below some 30 mm/s: stops and starts. Hardly visible at usual speeds.",
+    rivals=(Rival("speed_dependent_friction", "pushes below 30 mm/s"),),
+    check="Repeat a push at 10 mm/s.",
     source="Bo & Pavelescu, The friction-speed relation and its influence on the critical velocity of stick-slip motion, Wear 82, 1982.",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
 
 __all__ = ["EFFECT"]
 
@@ -25,7 +25,12 @@ EFFECT = Effect(
         EffectParameter("b", "", "more friction along the diagonal x = y, less across it", scale=0.1, typical=0.1, low=-0.9, high=0.9),
     ),
     acts=OnTable(skew=_skew),
+    law=Law.APPROXIMATE,
     signature="A sideways force and a turn that depend on the heading in the table with a period of 180 degrees.",
-    rivals="table_tilt (period 360 degrees), position_dependent_friction: the same contact at object yaws of 0, 90 and 180 degrees.",
+    rivals=(
+        Rival("table_tilt", "the same contact at object yaws of 0, 90 and 180 degrees: its period is 360 degrees"),
+        Rival("position_dependent_friction", "the same contact at object yaws of 0, 90 and 180 degrees"),
+    ),
+    check="Turn the object by 90 degrees and repeat a push; or lay a sheet of glass on the table.",
     source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, equation
 from push_ident.physics.support import GRAVITY
 
 __all__ = ["EFFECT"]
@@ -25,7 +25,16 @@ EFFECT = Effect(
         EffectParameter("y", "rad", "slope downwards along the table's y axis", scale=0.02, typical=0.01),
     ),
     acts=OnTable(pull=_pull),
+    law=Law.APPROXIMATE,
     signature="Constant direction in the table, whatever the heading: period 360 degrees.",
-    rivals="position_dependent_friction, table_anisotropy, tether: opposite headings; a level settles it.",
+    rivals=(
+        Rival("position_dependent_friction", "pushes at opposite headings"),
+        Rival("table_anisotropy", "pushes at opposite headings"),
+        Rival("tether", "long pushes from several places"),
+    ),
+    check="Put a spirit level on the table.",
     source="Weight on an inclined plane, to first order in the slope. Motion shows slope / friction: a factor common to both stays open.",
+    special_case_of=("tether",),
+    refit_with=("tether",),
+    export=ExportAs.GRAVITY,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
 
 __all__ = ["EFFECT"]
 
@@ -24,7 +24,13 @@ EFFECT = Effect(
         EffectParameter("pull_y", "N", "the same along y", scale=0.2, typical=0.1),
     ),
     acts=OnTable(pull=_pull),
+    law=Law.APPROXIMATE,
     signature="Grows with the distance from one place of the table.",
-    rivals="table_tilt (the same with k = 0; prefer it unless the stiffness gains much), push_height: long pushes, other starts.",
+    rivals=(
+        Rival("table_tilt", "long pushes from several places: it is the case of no stiffness"),
+        Rival("push_height", "long pushes from several places"),
+    ),
+    check="Disconnect every cable and hose of the object and push again.",
     source="Linear spring without slack. The products k x0 make it linear in its parameters, and null at zero.",
+    refit_with=("table_tilt",),
 )

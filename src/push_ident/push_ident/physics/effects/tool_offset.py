@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, OnPusherPath
+from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 
 __all__ = ["EFFECT"]
 
@@ -22,7 +22,10 @@ EFFECT = Effect(
         EffectParameter("y", "m", "displacement along the table's y axis", scale=2e-3, typical=2e-3, low=-0.05, high=0.05),
     ),
     acts=OnPusherPath(_move),
+    law=Law.EXACT,
     signature="A contact offset that is fixed in the table.",
-    rivals="camera_translation: with these sensors the same thing; touch a known mark.",
+    rivals=(Rival("camera_translation", "no push: only a measurement of a known mark"),),
+    check="Touch a mark of known position with the tool.",
     source="Error of the tool calibration (hand to tip) at one orientation of the tool.",
+    exact_twins=("camera_translation",),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import product
 from typing import Any, Final
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, analytic_log, analytic_sqrt, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, analytic_log, analytic_sqrt, equation
 
 __all__ = ["COMPONENTS", "EFFECT", "FEATURES"]
 
@@ -80,8 +80,9 @@ EFFECT = Effect(
     "(d, w): direction of the motion, turning counted as rho omega; rho: radius of gyration of the area",
     parameters=_parameters(),
     acts=OnTable(pull=_pull),
-    signature="Whatever the catalogue leaves over.",
-    rivals="Every effect on the support: a named one that explains as much is preferred.",
+    law=Law.APPROXIMATE,
+    signature="Systematic residuals that no effect of the catalogue explains; one that explains as much is preferred.",
+    rivals=(),
     source="An additive Gaussian process in the features: each weight is a normal variable of the prior.",
-    is_remainder=True,
+    is_unknown_cause=True,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, OnTable, equation
+from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, Law, OnTable, Rival, equation
 
 __all__ = ["EFFECT"]
 
@@ -21,7 +21,9 @@ EFFECT = Effect(
     equation="f (1 + w n), n pushes done before",
     parameters=(EffectParameter("w", "", "change of friction per push", scale=0.02, typical=0.02, low=-0.2, high=0.2),),
     acts=OnTable(plane=_plane),
+    law=Law.APPROXIMATE,
     signature="Drift from push to push.",
-    rivals="Anything that goes along with the order: repeat the first push at the end, or push in random order.",
+    rivals=(Rival(MAPS, "the first push repeated at the end, or pushes in random order"),),
+    check="Repeat the first push last.",
     source="First-order drift; seen by Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
 )

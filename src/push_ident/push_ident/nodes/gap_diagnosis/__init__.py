@@ -1,0 +1,1 @@
+"""Node `gap_diagnosis_node`."""

@@ -1,0 +1,405 @@
+"""Node `identification`: learns the maps of every object while it is pushed, publishes them, and predicts pushes."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import deque
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.linalg import LinAlgError
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.identification.model_file import load_model, save_model
+from push_ident.identification.parameters import Prior
+from push_ident.identification.prediction import predict
+from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.solvers import SOLVERS
+from push_ident.nodes.convert import planar_pose_of, position_from_msg
+from push_ident.nodes.convert_model import pusher_path_from_msg
+from push_ident.nodes.identification.latest_jobs import LatestJobs
+from push_ident.nodes.identification.output import ObjectOutput
+from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.push_collector import PushCollector
+from push_ident.nodes.run import run_node, settle_memory
+from push_ident.physics.simulation import compile_kernels
+from push_ident.pushing.push import PushSettings
+from push_ident.types import ObjectShape, PushRecord
+from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
+
+__all__ = ["PARAMETERS", "IdentificationNode", "main"]
+
+_N_LATENCIES: Final = 2000
+_TURN: Final = 2.5e-4
+"""Time after which a thread that computes lets another one go on [s]."""
+_EXPECTED: Final = (PushIdentError, ArithmeticError, LinAlgError)
+"""What a solve or a prediction may raise."""
+
+PARAMETERS: Final = (
+    Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
+    Parameter("total_mass_known", False, "Whether total_mass was weighed, for every object", read_only=True),
+    Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),
+    Parameter("pusher_friction", 0.3, "Nominal friction coefficient of the pusher [-]", 0.001, 10.0, read_only=True),
+    Parameter("push_gap", 0.5, "Pause of the pusher that ends a push [s]", 0.05, 10.0, read_only=True),
+    Parameter("method", "gauss_newton", "Solver of the maps", read_only=True, choices=tuple(SOLVERS)),
+    Parameter("window", 8, "Latest pushes that are simulated again at every solve; older ones are summed up", 1, 100, read_only=True),
+    Parameter("max_solve_time", 10.0, "Of the solve after a push [s]", 0.05, 600.0, read_only=True),
+    Parameter("max_frame_time", 0.02, "Of the update at a frame, for methods other than gauss_newton [s]", 0.001, 1.0, read_only=True),
+    Parameter("update_period", 0.0, "Shortest time between two updates during a push [s]; 0: at every frame", 0.0, 10.0),
+    Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
+    Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
+    Parameter("suggest_candidates", 24, "Pushes to choose the next one from; 0: suggest none", 0, 500),
+    Parameter("state_directory", "", "Where the state of each object is kept through restarts; empty: nowhere", read_only=True),
+    Parameter("autostart", True, "Configure and activate at start, without a lifecycle manager", read_only=True),
+)
+
+
+class IdentificationNode(LifecycleNode):
+    """Collects, hands pushes to a worker thread that solves, and publishes what it finds.
+
+    Configured, it has its topics and services and the worker; only active, it takes messages in. Deactivated, it keeps what it knows;
+    cleaned up, it forgets all that is not in `state_directory`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("identification_node")
+        self._settings = Parameters(self, PARAMETERS)
+        self._configured: _Identification | None = None
+        if self._settings["autostart"]:
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make topics, services and the worker. Raises nothing: an impossible folder is a FAILURE with a log line."""
+        try:
+            self._configured = _Identification(self, self._settings)
+        except PushIdentError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take messages in."""
+        assert self._configured is not None
+        self._configured.resume()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take no more messages in; a push under way is let go."""
+        assert self._configured is not None
+        self._configured.pause()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Withdraw topics and services, stop the worker."""
+        self.close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """As `on_cleanup`."""
+        self.close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def close(self) -> None:
+        """Stop the worker; the solve under way is let go."""
+        if self._configured is not None:
+            self._configured.close()
+            self._configured = None
+
+
+class _Identification:
+    """What a configured node has."""
+
+    def __init__(self, node: IdentificationNode, settings: Parameters) -> None:
+        self._node, self._settings = node, settings
+        folder = Path(settings["state_directory"]).expanduser() if settings["state_directory"] else None
+        self._options = SessionOptions(
+            prior=Prior(
+                total_mass=settings["total_mass"],
+                total_mass_std=0.0 if settings["total_mass_known"] else Prior().total_mass_std,
+                friction=settings["friction"],
+                pusher_friction=settings["pusher_friction"],
+            ),
+            method=settings["method"],
+            window=settings["window"],
+            max_seconds=settings["max_solve_time"],
+            frame_seconds=settings["max_frame_time"],
+            folder=folder,
+        )
+        self._solving = threading.Lock()  # of changes of a session; reading its posterior needs none
+        self._sessions: dict[str, ObjectSession] = {}
+        self._outputs: dict[str, ObjectOutput] = {}
+        self._solve_time = 0.0
+        self._latencies: deque[float] = deque(maxlen=_N_LATENCIES)
+        self._updated: dict[str, float] = {}
+        self._predicted: dict[str, float] = {}
+
+        self._wake = threading.Condition()
+        self._finished: deque[list[PushRecord]] = deque()
+        self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
+        self._closing = False
+        self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
+        # A frame must not wait for what is only looked at.
+        self._advice = LatestJobs("advise", self._on_failed_advice, _EXPECTED)
+        self._collector = PushCollector(
+            node,
+            settings["push_gap"],
+            on_object=self._on_object,
+            on_shape=self._on_shape,
+            on_pushes=self._on_pushes,
+            on_frame=self._on_frame,
+        )
+        self._counts = self._collector.counts
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._entities: list[Any] = [
+            node.create_service(PredictPush, "predict_push", self._predict_push),
+            node.create_service(SaveModel, "save_model", self._save_model),
+            node.create_service(LoadModel, "load_model", self._load_model),
+            # On the wall clock: it must run when simulated time stands still.
+            node.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME)),
+            self._diagnostics,
+        ]
+        self._worker.start()
+
+    def resume(self) -> None:
+        """Take messages in."""
+        self._collector.active = True
+
+    def pause(self) -> None:
+        """Take no more messages in."""
+        self._collector.pause()
+
+    def close(self) -> None:
+        """Stop the worker, withdraw topics and services."""
+        self._collector.close()
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._worker.join(timeout=1.0)
+        self._advice.close(timeout=0.2)
+        for output in self._outputs.values():
+            output.destroy(self._node)
+        for entity in self._entities:
+            entity.destroy()
+
+    # ---- what comes in
+
+    def _on_object(self, object_id: str) -> None:
+        self._outputs[object_id] = ObjectOutput(self._node, object_id)
+
+    def _on_shape(self, object_id: str, shape: ObjectShape) -> None:
+        known = self._sessions.get(object_id)
+        if known is None:
+            self._sessions[object_id] = self._new_session(ObjectSession(object_id, shape, self._options))
+        elif not known.shape.is_same_object(shape):
+            self._node.get_logger().warning(f"object {object_id} is another one now: it begins anew, what was known is put aside")
+            self._counts["objects replaced"] += 1
+            self._sessions[object_id] = self._new_session(known.replaced_by(shape))
+
+    def _new_session(self, session: ObjectSession) -> ObjectSession:
+        if session.restored:
+            self._node.get_logger().info(f"object {session.object_id}: goes on from {session.n_pushes} pushes in {session.file}")
+            self._publish_map(session, 0.0, session.n_pushes)
+        return session
+
+    def _on_frame(self, object_id: str) -> None:
+        with self._wake:
+            # A frame that the worker had no time for is not lost: the next update sees it too.
+            self._counts["frames taken together"] += object_id in self._frames
+            self._frames.setdefault(object_id, time.monotonic())
+            self._wake.notify()
+
+    def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
+        with self._wake:
+            self._finished.extend(pushes)
+            self._wake.notify()
+
+    # ---- the worker
+
+    def _work(self) -> None:
+        compile_kernels()
+        settle_memory()
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
+                if self._closing:
+                    return
+                push = self._finished.popleft() if self._finished else None
+                frames: dict[str, float] = {}
+                if push is None:
+                    frames, self._frames = self._frames, {}
+            try:
+                if push is not None:
+                    self._finish(push)
+                for object_id, received in frames.items():
+                    self._update(object_id, received)
+            except _EXPECTED as error:
+                self._collector.refuse("pushes", f"{type(error).__name__}: {error}")
+
+    def _on_failed_advice(self, error: Exception) -> None:
+        self._collector.refuse("predictions", f"{type(error).__name__}: {error}")
+
+    def _finish(self, push: list[PushRecord]) -> None:
+        """Learn from a finished push."""
+        if not push:
+            self._collector.refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden?")
+        for record in push:
+            session = self._sessions[record.object_id]
+            known_again = session.n_known_again
+            started = time.perf_counter()
+            try:
+                with self._solving:
+                    score = session.finish(record)
+            except _EXPECTED as error:
+                self._collector.refuse("pushes", f"object {record.object_id}, {record.source}: {error}")
+                continue
+            self._solve_time = time.perf_counter() - started
+            if score is None:
+                self._counts["pushes known already" if session.n_known_again > known_again else "pushes without contact"] += 1
+                continue
+            self._counts["pushes"] += 1
+            stamp = float(record.poses.time[-1])
+            self._publish_map(session, stamp, session.n_pushes)
+            self._outputs[record.object_id].publish_score(score, session.record.summary, stamp)
+            self._node.get_logger().info(
+                f"object {record.object_id}: push {session.n_pushes}, {session.status.name.lower() if session.status else ''}, "
+                f"{1e3 * self._solve_time:.0f} ms; predicted to {1e3 * score.error:.1f} mm, expected {1e3 * score.expected:.1f} mm"
+            )
+            if self._settings["suggest_candidates"]:
+                object_id = record.object_id
+                self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
+
+    def _update(self, object_id: str, received: float) -> None:
+        """Learn from the frames of the push under way."""
+        now = time.monotonic()
+        if now - self._updated.get(object_id, -np.inf) < self._settings["update_period"]:
+            return
+        record = self._collector.partial(object_id)
+        session = self._sessions.get(object_id)
+        if record is None or session is None:
+            return
+        self._updated[object_id] = now
+        with self._solving:
+            update = session.update(record)
+        if update is None:
+            return
+        self._publish_map(session, float(record.poses.time[-1]), session.n_pushes + 1)
+        self._latencies.append(time.monotonic() - received)
+        self._counts["updates during a push"] += 1
+        period = self._settings["prediction_period"]
+        if period and self._outputs[object_id].prediction_is_wanted and now - self._predicted.get(object_id, -np.inf) >= period:
+            self._predicted[object_id] = now
+            self._advice.put(f"motion of {object_id}", partial(self._predict_under_way, session, record))
+
+    def _predict_under_way(self, session: ObjectSession, record: PushRecord) -> None:
+        prediction = session.predict_under_way(record, self._settings["prediction_horizon"])
+        self._outputs[session.object_id].publish_prediction(prediction, session.status, session.n_pushes + 1)
+
+    def _suggest(self, object_id: str) -> None:
+        """Publish the push to make next."""
+        session, seen = self._sessions[object_id], self._collector.latest(object_id)
+        if seen is None or not self._collector.radius:
+            return
+        settings = PushSettings(pusher_radius=self._collector.radius)
+        others = self._collector.outlines_of_others(object_id)
+        suggestion = session.suggest(seen[1], settings, others, n_candidates=self._settings["suggest_candidates"])
+        if suggestion is not None:
+            self._outputs[object_id].publish_next_push(*suggestion, session.status)
+            self._counts["pushes suggested"] += 1
+
+    def _publish_map(self, session: ObjectSession, stamp: float, n_pushes: int) -> None:
+        latest = self._collector.latest(session.object_id)
+        self._outputs[session.object_id].publish_map(session.posterior, stamp, session.status, n_pushes, latest[1] if latest else None)
+
+    # ---- services
+
+    def _chosen(self, object_id: str) -> ObjectSession:
+        known = sorted(self._sessions)
+        if not object_id and len(known) == 1:
+            return self._sessions[known[0]]
+        if object_id in self._sessions:
+            return self._sessions[object_id]
+        raise InputError(f"There is no object `{object_id}`; known: {', '.join(known) or 'none, is perception running?'}.")
+
+    def _predict_push(self, request: PredictPush.Request, response: PredictPush.Response) -> PredictPush.Response:
+        try:
+            session = self._chosen(request.object_id)
+            seen, covariance = self._collector.latest(session.object_id), None
+            if request.object_pose.header.frame_id:
+                position_from_msg(request.object_pose)  # refuses another frame
+                pose = planar_pose_of(request.object_pose.pose)
+            elif seen is not None:
+                _, pose, covariance = seen
+            else:
+                raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
+            path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
+            prediction = predict(session.posterior, path, pose, path.time, first_covariance=covariance)
+        except PushIdentError as error:
+            response.success, response.message = False, str(error)
+            return response
+        response.prediction = self._outputs[session.object_id].publish_prediction(prediction, session.status, 0)
+        response.success, response.message = True, prediction.status.value
+        return response
+
+    def _save_model(self, request: SaveModel.Request, response: SaveModel.Response) -> SaveModel.Response:
+        try:
+            session = self._chosen(request.object_id)
+            path = Path(request.path)
+            save_model(path, session.posterior, object_id=session.object_id, sources=session.sources)
+            response.success, response.message = True, f"object {session.object_id} written to {path}"
+        except PushIdentError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _load_model(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
+        try:
+            in_file, posterior = load_model(Path(request.path))
+            session = self._chosen(request.object_id or in_file)
+            with self._solving:
+                session.adopt(posterior, request.path)
+            self._publish_map(session, max(self._collector.now, 0.0), 0)
+            response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
+        except PushIdentError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    # ---- health
+
+    def _report(self) -> None:
+        values = self._collector.report()
+        missing = self._collector.what_is_missing()
+        pushes = {object_id: session.n_pushes for object_id, session in list(self._sessions.items())}
+        if missing:
+            level, text = DiagnosticStatus.WARN, missing
+        elif not values.get("pusher samples"):
+            level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
+        else:
+            level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
+        values |= {"pushes waiting": len(self._finished), "last solve [s]": f"{self._solve_time:.3f}"}
+        for object_id, session in list(self._sessions.items()):
+            record = session.record.summary
+            if record.n:
+                values[f"{object_id}: predicted before, mean error [m]"] = f"{record.mean_error:.5f}"
+                values[f"{object_id}: within the 90 % region"] = f"{record.share_within_ninety:.2f} of {record.n}"
+        if self._latencies:
+            median, late = np.quantile(list(self._latencies), [0.5, 0.99])
+            values["update latency, median [s]"], values["update latency, 99 % [s]"] = f"{median:.4f}", f"{late:.4f}"
+        status = DiagnosticStatus(level=level, name=self._node.get_fully_qualified_name(), message=text, hardware_id="push_ident")
+        status.values = [KeyValue(key=str(k), value=str(v)) for k, v in values.items()]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(msg)
+
+
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    # Threads hand over twenty times as often as by default: a frame must not wait for what is only looked at.
+    sys.setswitchinterval(_TURN)
+    return run_node(IdentificationNode)

@@ -1,0 +1,1 @@
+"""Node `push_executor_node`."""

@@ -1,0 +1,291 @@
+"""Node `viewer`: what the cell sees, knows and expects, in a Rerun viewer: in a browser, in a window, or in a file."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path as PathMsg
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+from shape_msgs.msg import SolidPrimitive
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.geometry.outline import points_in_polygon
+from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.nodes.convert import (
+    cylinder_radius_from_msg,
+    depth_frame_from_msgs,
+    intrinsics_from_msg,
+    planar_pose_of,
+    position_from_msg,
+    stamp_from_msg,
+    transform_from_msg,
+)
+from push_ident.nodes.discovery import ObjectTopics
+from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.run import run_node
+from push_ident.nodes.seen_objects import SeenObjects
+from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
+from push_ident.perception.depth import points_in_table
+from push_ident.types import DepthFrame, Float64Array
+from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
+
+__all__ = ["PARAMETERS", "ViewerNode", "main"]
+
+PARAMETERS: Final = (
+    Parameter(
+        "output",
+        "web",
+        "web: serve viewers in browsers; window: a viewer that runs; file",
+        choices=("web", "window", "file"),
+        read_only=True,
+    ),
+    Parameter("web_port", 9090, "of the viewer for browsers; 127.0.0.1", 1, 65535, read_only=True),
+    Parameter("grpc_port", 9876, "of the data", 1, 65535, read_only=True),
+    Parameter("memory", "512MB", "kept for viewers that come later; the oldest goes first", read_only=True),
+    Parameter("address", "", "of the window's viewer, as `rerun+http://host:9876/proxy`; empty: on this machine", read_only=True),
+    Parameter("file", "", "to write, `*.rrd`", read_only=True),
+    Parameter("image_rate", 5.0, "Depth images shown a second", 0.1, 60.0),
+    Parameter("pose_rate", 15.0, "Poses shown a second", 0.1, 240.0, read_only=True),
+)
+
+_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_MAX_AGE: Final = 5.0
+"""An object that was not seen for so long [s] is not drawn."""
+_NO_TOP: Final = 0.0
+"""Height at which objects are drawn until the camera has seen their upper side [m]."""
+_JUMP_BACK: Final = 1.0
+"""Stamps this much older than the latest mean that time was set back [s]."""
+
+
+class ViewerNode(Node):
+    """Listens, and draws; it publishes nothing and nothing waits for it."""
+
+    def __init__(self) -> None:
+        super().__init__("viewer_node")
+        self._settings = Parameters(self, PARAMETERS)
+        try:
+            self._scene = RerunScene()
+        except ImportError as error:
+            raise InputError(f"Rerun is not installed ({error}); run `pip install -r requirements/viewer.txt`.") from None
+        self._start()
+        group = MutuallyExclusiveCallbackGroup()
+        self._objects = SeenObjects(self, group)
+        self._topics = ObjectTopics(self, self._on_new_object)
+        self._info: CameraInfo | None = None
+        self._camera: Float64Array | None = None
+        self._camera_shown: tuple[Any, ...] = ()
+        self._radius = 0.0
+        self._tops: dict[str, float] = {}
+        self._words: dict[str, dict[str, str]] = {}
+        self._warnings: dict[str, str] = {}
+        self._shown_at: dict[str, float] = {}
+        self._drawn: dict[str, float] = {}
+        self._now, self._shift = 0.0, 0.0
+
+        self.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
+        self.create_subscription(PoseStamped, "depth/camera_pose", self._on_camera, _LATCHED)
+        self.create_subscription(
+            Image, "depth/image_rect", self._on_image, QoSProfile(depth=1, reliability=qos_profile_sensor_data.reliability)
+        )
+        self.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
+        self.create_subscription(PoseStamped, "pusher/pose", self._on_tool, qos_profile_sensor_data)
+        self.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Hand over what is still held back."""
+        self._scene.close()
+
+    def _start(self) -> None:
+        values = self._settings
+        output = values["output"]
+        if output == "file":
+            if not values["file"].endswith(".rrd"):
+                raise InputError(f"`file` is {values['file']!r}, expected a path that ends with .rrd.")
+            self._scene.save(values["file"])
+            where = values["file"]
+        elif output == "window":
+            self._scene.connect(values["address"])
+            where = values["address"] or "the viewer on this machine; start it with `rerun`"
+        else:
+            where = self._scene.serve(values["grpc_port"], values["web_port"], values["memory"])
+        self.get_logger().info(f"shown in {where}")
+
+    # ---- time
+
+    def _at(self, stamp: float) -> None:
+        """Set the time of what follows. Where it was set back (a bag that starts again) the viewer's time goes on."""
+        if stamp < self._now - _JUMP_BACK:
+            self._shift += self._now - stamp
+        self._now = stamp
+        self._scene.set_time(stamp + self._shift)
+
+    def _due(self, what: str, rate: float) -> bool:
+        """Whether `what` may be shown again."""
+        last = self._shown_at.get(what, -np.inf)
+        if 0 <= self._now + self._shift - last < 1.0 / rate:
+            return False
+        self._shown_at[what] = self._now + self._shift
+        return True
+
+    # ---- camera and tool
+
+    def _on_info(self, msg: CameraInfo) -> None:
+        self._info = msg
+
+    def _on_camera(self, msg: PoseStamped) -> None:
+        try:
+            self._camera = transform_from_msg(msg)
+        except InputError as error:
+            self._warn(f"depth/camera_pose: {error}")
+
+    def _on_image(self, msg: Image) -> None:
+        stamp = stamp_from_msg(msg.header.stamp)
+        self._at(stamp)
+        if self._info is None or self._camera is None or not self._due("image", self._settings["image_rate"]):
+            return
+        try:
+            frame = depth_frame_from_msgs(msg, self._info, max_skew=None)
+            shown = (frame.intrinsics, self._camera.tobytes())
+            if shown != self._camera_shown:
+                self._camera_shown = shown
+                self._scene.camera(intrinsics_from_msg(self._info), self._camera)
+        except PushIdentError as error:
+            self._warn(f"depth/image_rect: {error}")
+            return
+        self._scene.depth(frame.depth)
+        self._find_tops(frame)
+
+    def _find_tops(self, frame: DepthFrame) -> None:
+        """Height of the upper side of objects that have none yet, for drawing their maps onto it."""
+        unknown = [object_id for object_id in self._objects.ids if object_id not in self._tops]
+        if not unknown or self._camera is None:
+            return
+        points = points_in_table(frame, self._camera)[::2, ::2].reshape(-1, 3)
+        points = points[np.isfinite(points[:, 2])].astype(np.float64)
+        for object_id in unknown:
+            try:
+                seen = self._objects.get(object_id, _MAX_AGE)
+            except PushIdentError:
+                continue
+            inside = points[points_in_polygon(transform_points(inverse(seen.pose), points[:, :2]), seen.shape.outline)]
+            if len(inside):
+                self._tops[object_id] = max(float(np.median(inside[:, 2])), 0.0)
+
+    def _on_tool(self, msg: PoseStamped) -> None:
+        try:
+            stamp, position = position_from_msg(msg)
+        except InputError as error:
+            self._warn(f"tool pose: {error}")
+            return
+        self._at(stamp)
+        if self._due("tool", self._settings["pose_rate"]):
+            self._scene.tool(position, self._radius)
+
+    def _on_tool_shape(self, msg: SolidPrimitive) -> None:
+        try:
+            self._radius = cylinder_radius_from_msg(msg)
+        except InputError as error:
+            self._warn(f"pusher/shape: {error}")
+
+    # ---- objects
+
+    def _on_new_object(self, object_id: str) -> None:
+        for kind, topic, callback in (
+            (MassFrictionMap, "mass_friction_map", self._on_map),
+            (PushPrediction, "prediction", self._on_prediction),
+            (PushPrediction, "next_push_prediction", self._on_next_prediction),
+            (PushScore, "push_score", self._on_score),
+        ):
+            self.create_subscription(kind, f"objects/{object_id}/{topic}", callback, _LATCHED)
+        self.create_subscription(PathMsg, f"objects/{object_id}/next_push", lambda msg: self._on_next_push(object_id, msg), _LATCHED)
+
+    def _draw_objects(self) -> None:
+        for object_id in self._objects.ids:
+            try:
+                seen = self._objects.get(object_id, _MAX_AGE)
+            except PushIdentError:
+                continue
+            if seen.stamp != self._drawn.get(object_id):
+                self._drawn[object_id] = seen.stamp
+                self._at(seen.stamp)
+                self._scene.seen(object_id, seen.shape.outline, seen.pose, self._tops.get(object_id, _NO_TOP))
+
+    def _on_map(self, msg: MassFrictionMap) -> None:
+        cells = np.column_stack([msg.x, msg.y])
+        centre = np.array([msg.centre_of_friction.x, msg.centre_of_friction.y])
+        self._scene.map(msg.object_id, CellMap(cells, msg.cell_size, np.array(msg.mass_friction), np.array(msg.mass_friction_std), centre))
+        words = self._words.setdefault(msg.object_id, {})
+        words["pushes"] = f"{msg.n_pushes}, {msg.status_text}"
+        words["pusher friction"] = f"{msg.pusher_friction:.2f} ± {msg.pusher_friction_std:.2f}"
+        words["total mass"] = (
+            f"{msg.total_mass:.2f} ± {msg.total_mass_std:.2f} kg" if msg.total_mass_identifiable else f"{msg.total_mass:.2f} kg assumed"
+        )
+        words["centre of friction"] = f"{1e3 * centre[0]:.0f}, {1e3 * centre[1]:.0f} mm"
+        self._show_words()
+
+    def _outline(self, object_id: str) -> Float64Array | None:
+        try:
+            return self._objects.get(object_id, np.inf).shape.outline
+        except PushIdentError:
+            return None
+
+    def _on_prediction(self, msg: PushPrediction) -> None:
+        outline = self._outline(msg.object_id)
+        if outline is not None:
+            poses = np.array([planar_pose_of(pose.pose) for pose in msg.poses]).reshape(-1, 3)
+            self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, _NO_TOP))
+
+    def _on_next_push(self, object_id: str, msg: PathMsg) -> None:
+        way = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
+        self._scene.next_push(object_id, way, self._tops.get(object_id, _NO_TOP))
+
+    def _on_next_prediction(self, msg: PushPrediction) -> None:
+        outline = self._outline(msg.object_id)
+        if outline is not None and msg.poses:
+            end = planar_pose_of(msg.poses[-1].pose)
+            self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, _NO_TOP))
+
+    def _on_score(self, msg: PushScore) -> None:
+        self._scene.score(msg.error, msg.expected, msg.uniform)
+        words = self._words.setdefault(msg.object_id, {})
+        words["predicted before pushing"] = f"{1e3 * msg.mean_error:.1f} mm mean of {msg.n} (equal cells {1e3 * msg.mean_uniform:.1f} mm)"
+        words["in the 90 % region"] = f"{msg.share_within_ninety:.0%}"
+        self._show_words()
+
+    # ---- words
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        changed = False
+        for status in msg.status:
+            name = status.name.rsplit("/", 1)[-1]
+            text = status.message if status.level != DiagnosticStatus.OK else ""
+            changed |= self._warnings.get(name, "") != text
+            self._warnings[name] = text
+        if changed:
+            self._show_words()
+
+    def _show_words(self) -> None:
+        parts = []
+        for object_id, words in sorted(self._words.items()):
+            parts += [f"## {object_id}", *(f"**{key}** {value}  " for key, value in words.items())]
+        warnings = [f"**{name}** {text}  " for name, text in sorted(self._warnings.items()) if text]
+        if warnings:
+            parts += ["## Not well", *warnings]
+        self._scene.words("\n".join(parts))
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=5.0)
+
+
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    return run_node(ViewerNode)

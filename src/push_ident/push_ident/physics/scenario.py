@@ -1,0 +1,40 @@
+"""What is simulated beside the model: who pushes, where the object lies, when its pose is reported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.types import Float64Array, PusherPath
+
+__all__ = ["PushScenario"]
+
+
+@dataclass(frozen=True, slots=True)
+class PushScenario:
+    """One push of an object at rest.
+
+    Raises:
+        InputError: a pose or times that are not finite or have another shape, or times that descend.
+    """
+
+    pusher: PusherPath
+    """Path of the pusher. Before its first and after its last sample the pusher stands still."""
+    pose_object_in_table: Float64Array
+    """First pose (x, y, yaw), the true one also where effects change reported poses, shape (3,)."""
+    time: Float64Array
+    """When to report the pose [s], on the clock of `pusher`, in ascending order, shape (n_frames,)."""
+    order: float = 0.0
+    """Number of pushes made before this one."""
+
+    def __post_init__(self) -> None:
+        pose, time = np.array(self.pose_object_in_table, dtype=np.float64), np.array(self.time, dtype=np.float64)
+        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+            raise InputError(f"The first pose is {pose}, expected three finite numbers (x, y, yaw).")
+        if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
+            raise InputError("The times to report must be finite and ascend; sort them first.")
+        for name, array in (("pose_object_in_table", pose), ("time", time)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)

@@ -1,0 +1,455 @@
+"""The simulated cell as a ROS node: the topics of the real cell, and the truth on private ones for tests and scoring.
+
+With `camera_rate` 0 there is no camera. With `truth_as_perception` the cell itself publishes the topics of perception for an object
+`truth`: its shape and its true poses with a little noise, for work on what comes after perception.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import sys
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
+
+from push_ident.errors import InputError
+from push_ident.geometry.se3 import pose_of_quaternion
+from push_ident.nodes.convert import (
+    TABLE_FRAME,
+    depth_frame_to_msgs,
+    force_to_msg,
+    planar_pose_to_msg,
+    position_to_msg,
+    shape_to_msgs,
+    stamp_from_msg,
+    stamp_to_msg,
+)
+from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.run import run_node
+from push_ident.types import DepthFrame
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise
+from push_ident_sim.cell.robot import robot_description
+from push_ident_sim.cell.trajectory import JointTrajectory
+from push_ident_sim.cell.world import CellWorld, WorldConfig
+from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
+from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
+from push_ident_sim.recordings.truth import true_model
+
+__all__ = ["PARAMETERS", "SimCellNode", "main"]
+
+FloatArray = NDArray[np.float64]
+
+_EFFECT: Final = "effects."
+_SPAWNED: Final = "; takes effect with ~/spawn"
+
+PARAMETERS: Final = (
+    Parameter("object", "hammer", "what lies on the table" + _SPAWNED, choices=OBJECT_NAMES),
+    Parameter("seed", 0, "which ground truth of the object's masses and frictions" + _SPAWNED, 0, 2**31 - 1),
+    Parameter("start_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the object frame at the start" + _SPAWNED, -3.2, 3.2),
+    Parameter("pusher_friction", 0.3, "friction coefficient of the pusher on the object" + _SPAWNED, 0.0, 2.0),
+    Parameter("real_time_factor", 1.0, "simulated seconds per second at most; 0: as fast as it can", 0.0, 100.0),
+    Parameter("time_step", 1.0 / 240.0, "of the simulation [s]", 1e-3, 1e-2, read_only=True),
+    Parameter("state_rate", 100.0, "of joint states, wrench and clock, in simulated time [Hz]", 10.0, 240.0, read_only=True),
+    Parameter("camera_rate", 15.0, "of depth images, in simulated time [Hz]; 0: no camera", 0.0, 60.0, read_only=True),
+    Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),
+    Parameter(
+        "camera_quaternion",
+        [0.67815377, 0.67815377, -0.20026847, -0.20026847],
+        "orientation of the optical frame in the table frame, x y z w",
+        -1.0,
+        1.0,
+        read_only=True,
+    ),
+    Parameter("depth_noise", 1.0, "scale of the axial noise of the camera; 0: none, nor holes at edges", 0.0, 10.0, read_only=True),
+    Parameter("wrench_noise", 0.05, "standard deviation of the measured force, each axis [N]", 0.0, 10.0, read_only=True),
+    Parameter("noise_seed", 0, "of the noise of all sensors", 0, 2**31 - 1, read_only=True),
+    Parameter("truth_as_perception", False, "publish objects/truth/{pose,cells,outline} from the truth, without looking", read_only=True),
+    Parameter("truth_rate", 30.0, "of those poses, in simulated time [Hz]", 1.0, 240.0, read_only=True),
+    Parameter("truth_noise", [0.0005, 0.005], "standard deviation of those poses: x and y [m], yaw [rad]", 1e-6, 0.1, read_only=True),
+    *(
+        Parameter(
+            f"{_EFFECT}{effect.name}",
+            [p.default for p in effect.parameters],
+            f"injected effect: {effect.what}; " + ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters),
+            min(p.lowest for p in effect.parameters),
+            max(p.highest for p in effect.parameters),
+            read_only=True,
+        )
+        for effect in EFFECTS.values()
+    ),
+)
+_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_STOP_WITHIN: Final = 1.0
+"""Longest wait for a thread at the end [s]."""
+_LAG: Final = 0.1
+"""A simulation further behind its pace than this gives up catching up [s]."""
+_REPORT_PERIOD: Final = 1.0
+"""Between two reports of health [s], wall clock."""
+_TRUTH_ID: Final = "truth"
+"""Object whose poses no camera saw."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Snapshot:
+    """What the camera needs to know of one moment."""
+
+    stamp: float
+    """Of the image [s]; later than that moment where frames come late."""
+    thing: SimObject
+    pose_object: FloatArray
+    robot_link_poses: dict[str, FloatArray]
+
+
+class SimCellNode(Node):
+    """One thread steps the world and publishes its state, one renders; callbacks only hand requests to the first."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("sim_cell_node", **kwargs)
+        self._settings = Parameters(self, PARAMETERS)
+        values = self._settings.as_dict()
+        effects = Effects.of({name: values[_EFFECT + name] for name in EFFECTS})
+        thing = _object_of(values)
+        self._world = CellWorld(thing, WorldConfig(time_step=values["time_step"], effects=effects), pose=values["start_pose"])
+        self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
+        self._state_period, self._truth_period = 1.0 / values["state_rate"], 1.0 / values["truth_rate"]
+        self._state_rng, self._camera_rng, self._luck, self._truth_rng = np.random.default_rng(values["noise_seed"]).spawn(4)
+        self._camera: DepthCamera | None = None
+        if values["camera_rate"] > 0:
+            check_rendered(effects)
+            reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
+            self._camera = DepthCamera(thing, *true_camera(effects, reported, INTRINSICS))
+        (self._latency,), (self._dropped,) = effects["pose_latency"], effects["dropped_frames"]
+        self._noise = DepthNoise(scale=values["depth_noise"])
+        self._wrench_noise = float(values["wrench_noise"])
+        self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
+        self._as_perception = PoseSensor(effects, self._truth_std, self._truth_rng) if values["truth_as_perception"] else None
+
+        self._image_pub = self.create_publisher(Image, "depth/image_rect", qos_profile_sensor_data)
+        self._info_pub = self.create_publisher(CameraInfo, "depth/camera_info", qos_profile_sensor_data)
+        self._joint_pub = self.create_publisher(JointState, "joint_states", 10)
+        self._wrench_pub = self.create_publisher(WrenchStamped, "pusher/wrench", 10)
+        self._clock_pub = self.create_publisher(Clock, "/clock", 1)
+        self._truth_pub = self.create_publisher(PoseStamped, "~/ground_truth/pose", 10)
+        self._description_pub = self.create_publisher(String, "robot_description", _LATCHED)
+        self._object_pub = self.create_publisher(String, "~/ground_truth/object", _LATCHED)
+        self._diagnostics_pub = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        if self._as_perception is not None:
+            topic = f"objects/{_TRUTH_ID}/"
+            self._pose_pub = self.create_publisher(PoseWithCovarianceStamped, topic + "pose", 10)
+            self._cells_pub = self.create_publisher(OccupancyGrid, topic + "cells", _LATCHED)
+            self._outline_pub = self.create_publisher(PolygonStamped, topic + "outline", _LATCHED)
+        self._description_pub.publish(String(data=robot_description()))
+        self._publish_object(values["seed"])
+
+        self._trajectory = JointTrajectory.hold(self._world.joint_state()[0])
+        self._new_trajectories: queue.SimpleQueue[JointTrajectoryMsg] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
+        self._snapshots: queue.Queue[_Snapshot] = queue.Queue(maxsize=1)
+        self._stop = threading.Event()
+        self._failure: BaseException | None = None
+        self.create_subscription(JointTrajectoryMsg, "joint_trajectory", self._new_trajectories.put, 10)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/spawn", self._on_spawn)
+        self._meter = _Meter()
+        self.create_timer(_REPORT_PERIOD, self._report, clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self._threads = [threading.Thread(target=self._guard, args=(work,), daemon=True) for work in (self._simulate, self._render)]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop both threads; raises what ended one of them early."""
+        self._stop.set()
+        for thread in self._threads:
+            thread.join(_STOP_WITHIN)
+        if not any(thread.is_alive() for thread in self._threads):
+            self._world.close()
+        if self._failure is not None:
+            raise self._failure
+
+    def _guard(self, work: Any) -> None:
+        try:
+            work()
+        except BaseException as error:
+            self._failure = error
+            self._stop.set()
+            self.get_logger().fatal(f"The simulation ended: {error}")
+            self.context.try_shutdown()
+
+    # --- thread of the simulation --------------------------------------------------------------------------------------
+
+    def _simulate(self) -> None:
+        step = self._world.config.time_step
+        next_state = next_image = next_truth = 0.0
+        late: deque[_Snapshot] = deque()
+        pace = _Pace()
+        while not self._stop.is_set():
+            with self._meter.measure("physics"):
+                self._take_requests()
+                self._world.set_joint_targets(*self._trajectory.sample(self._world.time + step))
+                self._world.step()
+            now = self._world.time
+            self._meter.simulated = now
+            if now >= next_state - 0.5 * step:
+                next_state += self._state_period
+                with self._meter.measure("state topics"):
+                    self._publish_state(now)
+            if self._as_perception is not None and now >= next_truth - 0.5 * step:
+                next_truth += self._truth_period
+                self._publish_as_perception(now)
+            if now >= next_image - 0.5 * step and self._camera is not None:
+                next_image += self._camera_period
+                if self._luck.random() >= self._dropped:
+                    pose, links = self._world.object_pose(), self._world.robot_link_poses()
+                    late.append(_Snapshot(now + self._latency, self._world.object, pose, links))
+            while late and late[0].stamp <= now + 0.5 * step:
+                self._hand_over(late.popleft())
+            pace.wait(now, self._settings["real_time_factor"])
+
+    def _take_requests(self) -> None:
+        while not self._new_trajectories.empty():
+            msg = self._new_trajectories.get()
+            try:
+                self._trajectory = self._started(msg)
+            except InputError as error:
+                self.get_logger().error(f"joint_trajectory refused, the last one goes on: {error}")
+        while not self._requests.empty():
+            request = self._requests.get()
+            try:
+                request.work()
+            except InputError as error:
+                request.done.set_exception(error)
+            else:
+                request.done.set_result(None)
+
+    def _started(self, msg: JointTrajectoryMsg) -> JointTrajectory:
+        now = self._world.time
+        if not msg.points:
+            return JointTrajectory.hold(self._world.joint_state()[0])
+        trajectory = _trajectory_from_msg(msg, self._world.joint_names)
+        outside = (trajectory.position < self._world.joint_lower) | (trajectory.position > self._world.joint_upper)
+        if outside.any():
+            i, j = np.argwhere(outside)[0]
+            raise InputError(
+                f"{self._world.joint_names[j]} goes to {trajectory.position[i, j]:.3f} rad at point {i}, "
+                f"expected {self._world.joint_lower[j]:.3f} to {self._world.joint_upper[j]:.3f}."
+            )
+        return trajectory.from_state(now, *self._trajectory.sample(now))
+
+    def _publish_state(self, now: float) -> None:
+        stamp = stamp_to_msg(now)
+        position, velocity = self._world.joint_state()
+        joints = JointState(name=list(self._world.joint_names), position=position.tolist(), velocity=velocity.tolist())
+        joints.header.stamp = stamp
+        force = self._world.take_pusher_force()[:2] + self._wrench_noise * self._state_rng.standard_normal(2)
+        x, y, yaw = self._world.object_pose()
+        self._clock_pub.publish(Clock(clock=stamp))
+        self._joint_pub.publish(joints)
+        self._wrench_pub.publish(force_to_msg(stamp, force))
+        self._truth_pub.publish(position_to_msg(stamp, [x, y, 0.0], yaw=float(yaw), frame_id=TABLE_FRAME))
+
+    def _publish_object(self, seed: int) -> None:
+        thing = self._world.object
+        self._object_pub.publish(String(data=_truth_json(thing, seed)))
+        if self._as_perception is not None:
+            cells, outline = shape_to_msgs(true_model(thing).shape, _TRUTH_ID, stamp_to_msg(self._world.time))
+            self._cells_pub.publish(cells)
+            self._outline_pub.publish(outline)
+
+    def _publish_as_perception(self, now: float) -> None:
+        assert self._as_perception is not None
+        for stamp, pose in self._as_perception.see(now, self._world.object_pose()):
+            self._pose_pub.publish(planar_pose_to_msg(stamp_to_msg(stamp), pose, np.diag(self._truth_std**2)))
+
+    def _hand_over(self, snapshot: _Snapshot) -> None:
+        """Give a moment to the camera; while it is busy with the last one simulated time stands still, so that no image is left out."""
+        while not self._stop.is_set():
+            try:
+                return self._snapshots.put(snapshot, timeout=0.1)
+            except queue.Full:
+                continue
+
+    # --- thread of the camera ------------------------------------------------------------------------------------------
+
+    def _render(self) -> None:
+        while not self._stop.is_set():
+            try:
+                snapshot = self._snapshots.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            assert self._camera is not None
+            if snapshot.thing is not self._camera.sim_object:
+                self._camera.sim_object = snapshot.thing
+            with self._meter.measure("rays"):
+                depth = self._camera.render(snapshot.pose_object, snapshot.robot_link_poses)
+            with self._meter.measure("depth noise"):
+                depth = self._noise.apply(depth, self._camera_rng)
+            with self._meter.measure("images"):
+                # The camera reports the intrinsics that it should have.
+                image, info = depth_frame_to_msgs(DepthFrame(snapshot.stamp, depth, INTRINSICS), stamp_to_msg(snapshot.stamp))
+                self._info_pub.publish(info)
+                self._image_pub.publish(image)
+            self._meter.n_images += 1
+
+    # --- callbacks -----------------------------------------------------------------------------------------------------
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._asked(response, self._world.reset_object, "object at its start pose")
+
+    def _on_spawn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        values = self._settings.as_dict()
+
+        def spawn() -> None:
+            self._world.replace_object(_object_of(values), values["start_pose"])
+            self._publish_object(values["seed"])
+
+        return self._asked(response, spawn, f"{values['object']} of seed {values['seed']} at {values['start_pose']}")
+
+    def _asked(self, response: Trigger.Response, work: Callable[[], None], done: str) -> Trigger.Response:
+        """Have the thread of the simulation do `work` between two time steps."""
+        request = _Request(work)
+        self._requests.put(request)
+        try:
+            request.done.result(timeout=2.0)
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        except TimeoutError:
+            response.success, response.message = False, "The simulation did not answer within 2 s; it is stopping or too slow."
+        else:
+            response.success, response.message = True, done
+        return response
+
+    def _report(self) -> None:
+        values = self._meter.read()
+        effects = self._world.config.effects.as_dict()
+        factor = values["real time factor"]
+        text = f"{factor} simulated seconds per second"
+        if effects:
+            text += f"; injected: {', '.join(effects)}"
+        if self._as_perception is not None:
+            text += f"; objects/{_TRUTH_ID} is the truth, not seen"
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
+        values |= {f"effect {name}": str(size) for name, size in effects.items()}
+        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = stamp_to_msg(self._meter.simulated)
+        self._diagnostics_pub.publish(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class _Request:
+    """Work for the thread of the simulation."""
+
+    work: Callable[[], None]
+    done: Future[None] = field(default_factory=Future)
+
+
+class _Meter:
+    """How fast the simulation runs, and which part of it takes how much of the processor."""
+
+    def __init__(self) -> None:
+        self.simulated = 0.0
+        """Simulated time [s]."""
+        self.n_images = 0
+        self._used: defaultdict[str, float] = defaultdict(float)
+        self._last = (time.perf_counter(), 0.0, 0, self._used.copy())
+
+    @contextmanager
+    def measure(self, part: str) -> Iterator[None]:
+        """Count the time of the processor that this thread spends inside; of each part by one thread alone."""
+        begin = time.thread_time()
+        yield
+        self._used[part] += time.thread_time() - begin
+
+    def read(self) -> dict[str, str]:
+        """Since the last call, as text: real-time factor, images per simulated second, seconds of the processor per simulated second."""
+        before = self._last
+        self._last = now = (time.perf_counter(), self.simulated, self.n_images, self._used.copy())
+        wall, simulated = now[0] - before[0], now[1] - before[1]
+        values = {"real time factor": f"{simulated / wall:.3f}", "simulated time [s]": f"{now[1]:.2f}"}
+        if simulated > 0:
+            values["images [1/s]"] = f"{(now[2] - before[2]) / simulated:.1f}"
+            values |= {f"processor, {part} [s/s]": f"{(now[3][part] - before[3][part]) / simulated:.3f}" for part in sorted(now[3])}
+        return values
+
+
+class _Pace:
+    """Keeps simulated time from running ahead of the wall clock."""
+
+    def __init__(self) -> None:
+        self._wall: float | None = None
+        self._sim = self._factor = 0.0
+
+    def wait(self, now: float, factor: float) -> None:
+        """Sleep until `factor` times the wall time since the reference has reached `now` [s]; 0 never sleeps."""
+        if self._wall is None or factor != self._factor:
+            self._wall, self._sim, self._factor = time.perf_counter(), now, factor
+        if factor == 0:
+            return
+        ahead = (now - self._sim) / factor - (time.perf_counter() - self._wall)
+        if ahead > 0:
+            time.sleep(ahead)
+        elif ahead < -_LAG:
+            self._wall, self._sim = time.perf_counter(), now
+
+
+def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) -> JointTrajectory:
+    """Trajectory in the order of `joint_names`, on the clock of the message; raises InputError where it is not for these joints."""
+    names = list(msg.joint_names)
+    if sorted(names) != sorted(joint_names):
+        raise InputError(f"it is for joints {names}, expected {list(joint_names)} in any order.")
+    if stamp_from_msg(msg.header.stamp) != 0.0:
+        raise InputError(f"its stamp is {stamp_from_msg(msg.header.stamp)} s, expected 0: it starts when it arrives.")
+    order = [names.index(name) for name in joint_names]
+    with_velocity = all(len(point.velocities) > 0 for point in msg.points)
+    for i, point in enumerate(msg.points):
+        if len(point.positions) != len(names) or (with_velocity and len(point.velocities) != len(names)):
+            raise InputError(
+                f"point {i} has {len(point.positions)} positions and {len(point.velocities)} velocities, expected {len(names)}."
+            )
+    times = np.array([point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in msg.points])
+    positions = np.array([point.positions for point in msg.points])[:, order]
+    velocities = np.array([point.velocities for point in msg.points])[:, order] if with_velocity else None
+    return JointTrajectory(times, positions, velocities)
+
+
+def _object_of(values: dict[str, Any]) -> SimObject:
+    """The object that the parameters name."""
+    return make_object(values["object"], values["seed"], values["pusher_friction"])
+
+
+def _truth_json(thing: SimObject, seed: int) -> str:
+    """The object's truth: lengths in metres, masses in kilograms, object frame."""
+    arrays = ("cells", "height", "mass", "friction", "outline")
+    scalars = {"name": thing.name, "seed": seed, "cell_size": thing.cell_size, "pusher_friction": thing.pusher_friction}
+    return json.dumps({**scalars, **{name: getattr(thing, name).tolist() for name in arrays}})
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until SIGINT."""
+    return run_node(SimCellNode, args=args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

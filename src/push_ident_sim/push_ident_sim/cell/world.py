@@ -1,0 +1,271 @@
+"""The simulated cell in Bullet: arm, hand, table and one object (`bullet_object`)."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pybullet as bullet
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import InputError
+from push_ident.geometry.kinematics import ArmKinematics
+from push_ident_sim.cell.robot import CONTACT_LINK, HOME, JOINT_NAMES, bullet_description, robot_description
+from push_ident_sim.engines.bullet.bullet_object import (
+    ARM_GROUP,
+    OUTLINE_GROUP,
+    PUSHER_GROUP,
+    TABLE_GROUP,
+    BulletObject,
+    add_table,
+    checked_pose,
+    connect,
+)
+from push_ident_sim.injected import Effects
+from push_ident_sim.injected.actuation import ToolErrors, bearing_torque
+from push_ident_sim.objects import SimObject
+
+__all__ = ["CellWorld", "WorldConfig"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class WorldConfig:
+    """Numbers of the simulation that are no property of the object."""
+
+    time_step: float = 1.0 / 240.0
+    """[s]"""
+    solver_iterations: int = 50
+    gravity: float = 9.81
+    """[m/s^2]"""
+    position_gain: float = 0.3
+    """Share of the joint position error that the arm takes back in one time step."""
+    joint_effort: float = 300.0
+    """[N m], largest motor torque."""
+    effects: Effects = field(default_factory=Effects)
+    """Injected; those that act on what is seen are the camera's business."""
+
+
+_LOWERED = 0.06
+"""Below this the tool is beside its reported place in full [m], under effects that put it there, ..."""
+_RAISED = 0.10
+"""... and above this not at all."""
+_PAUSE = 0.5
+"""A push is over when the pusher has not touched the object for this long [s]."""
+
+
+class CellWorld:
+    """The cell at one moment; all poses in the `table` frame. Not safe to share between threads."""
+
+    def __init__(self, sim_object: SimObject, config: WorldConfig | None = None, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Put the object at `pose` (x, y, yaw) [m, m, rad] and the arm at its home."""
+        self.object = sim_object
+        self.config = config or WorldConfig()
+        self.joint_names = JOINT_NAMES
+        self._start_pose = checked_pose(pose)
+        effects = self.config.effects
+        self._client = connect(self.config.time_step, self.config.solver_iterations, self.config.gravity, effects)
+        self._table = add_table(self._client)
+        self._add_robot()
+        self._tool = _DrivenTool(effects, self.config.time_step) if ToolErrors.needed(effects) else None
+        self._thing = BulletObject(self._client, sim_object, self.config.gravity, effects)
+        self._thing.place(self._start_pose)
+        self._thing.start_push()
+        self._n_steps = 0
+        self.set_joint_targets(HOME, np.zeros(len(HOME)))
+        self._impulse = np.zeros(3)
+        self._impulse_steps = 0
+        self._force = np.zeros(3)
+        self._n_pushes = 0
+        self._last_touch = -np.inf
+
+    # --- what is in the cell -------------------------------------------------------------------------------------------
+
+    def _add_robot(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "robot.urdf"
+            path.write_text(bullet_description(turning_finger="rolling_finger" in self.config.effects))
+            # Without this flag a cylinder becomes a prism, which is no smooth pusher.
+            self._robot = self._client.loadURDF(str(path), useFixedBase=True, flags=bullet.URDF_USE_IMPLICIT_CYLINDER)
+        infos = [self._client.getJointInfo(self._robot, i) for i in range(self._client.getNumJoints(self._robot))]
+        joint_index = {info[1].decode(): info[0] for info in infos}
+        link_index = {info[12].decode(): info[0] for info in infos}
+        self._arm_joints = [joint_index[name] for name in self.joint_names]
+        self.joint_lower = np.array([infos[i][8] for i in self._arm_joints])
+        self.joint_upper = np.array([infos[i][9] for i in self._arm_joints])
+        self._link_names = list(link_index)
+        self._contact_link = link_index[CONTACT_LINK]
+        self._tip_link = link_index["tool_tip"]
+        for index in range(-1, len(infos)):
+            self._client.changeDynamics(self._robot, index, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
+            self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, 0)
+        for name, index in link_index.items():
+            if name.startswith("hand_") or name in {"lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7"}:
+                self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, TABLE_GROUP)
+        self._client.setCollisionFilterGroupMask(self._robot, self._contact_link, PUSHER_GROUP, OUTLINE_GROUP)
+        restitution = 1.0 if "restitution" in self.config.effects else 0.0
+        self._client.changeDynamics(self._robot, self._contact_link, lateralFriction=1.0, restitution=restitution)
+        if "rolling_finger" in self.config.effects:
+            torque = bearing_torque(self.config.effects)
+            self._client.setJointMotorControl2(self._robot, self._contact_link, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
+        for joint, position in zip(self._arm_joints, HOME, strict=True):
+            self._client.resetJointState(self._robot, joint, position)
+
+    # --- time ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the start [s]."""
+        return self._n_steps * self.config.time_step
+
+    def step(self) -> None:
+        """Advance by one time step."""
+        self._thing.prepare_step(self._force[:2], self.config.time_step)
+        self._client.stepSimulation()
+        self._n_steps += 1
+        self._force = self._thing.force_of(self._robot, self._contact_link)
+        self._impulse += self._force * self.config.time_step
+        self._impulse_steps += 1
+        self._count_pushes()
+
+    def _count_pushes(self) -> None:
+        """Count a push when it is over."""
+        if self._force.any():
+            self._last_touch = self.time
+        elif np.isfinite(self._last_touch) and self.time - self._last_touch > _PAUSE:
+            self._last_touch = -np.inf
+            self._n_pushes += 1
+            self._thing.set_pushes_done(self._n_pushes)
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._client.disconnect()
+
+    # --- arm -----------------------------------------------------------------------------------------------------------
+
+    def joint_state(self) -> tuple[FloatArray, FloatArray]:
+        """Positions [rad] and velocities [rad/s] that the arm reports, each shape (7,), in the order of `joint_names`."""
+        states = self._client.getJointStates(self._robot, self._arm_joints)
+        position, velocity = np.array([s[0] for s in states]), np.array([s[1] for s in states])
+        return (position, velocity) if self._tool is None else self._tool.reported(position, velocity)
+
+    def set_joint_targets(self, position: ArrayLike, velocity: ArrayLike) -> None:
+        """Where the arm should be after the next step [rad] and how fast it should then move [rad/s], each shape (7,)."""
+        position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+        n_joints = len(self.joint_names)
+        if position.shape != (n_joints,) or velocity.shape != (n_joints,) or not np.all(np.isfinite([position, velocity])):
+            raise InputError(f"Joint targets must be {n_joints} finite positions and velocities, got {position} and {velocity}.")
+        if self._tool is not None:
+            position, velocity = self._tool.driven(position, velocity)
+        # The motor works on the error at the start of the step; the target is for its end.
+        self._client.setJointMotorControlArray(
+            self._robot,
+            self._arm_joints,
+            bullet.POSITION_CONTROL,
+            targetPositions=(position - velocity * self.config.time_step).tolist(),
+            targetVelocities=velocity.tolist(),
+            positionGains=[self.config.position_gain] * n_joints,
+            velocityGains=[1.0] * n_joints,
+            forces=[self.config.joint_effort] * n_joints,
+        )
+
+    def tool_tip(self) -> FloatArray:
+        """True position of the tool tip [m], shape (3,)."""
+        return np.array(self._client.getLinkState(self._robot, self._tip_link, computeForwardKinematics=1)[4])
+
+    def robot_link_poses(self) -> dict[str, FloatArray]:
+        """Pose of each robot link's frame, homogeneous (4, 4), by link name."""
+        states = self._client.getLinkStates(self._robot, range(len(self._link_names)), computeForwardKinematics=1)
+        return {name: self._homogeneous(state[4], state[5]) for name, state in zip(self._link_names, states, strict=True)}
+
+    def _homogeneous(self, position: Sequence[float], quaternion: Sequence[float]) -> FloatArray:
+        pose = np.eye(4)
+        pose[:3, :3] = np.reshape(self._client.getMatrixFromQuaternion(quaternion), (3, 3))
+        pose[:3, 3] = position
+        return pose
+
+    # --- object --------------------------------------------------------------------------------------------------------
+
+    def object_pose(self) -> FloatArray:
+        """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
+        return self._thing.pose()
+
+    def object_velocity(self) -> FloatArray:
+        """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
+        return self._thing.velocity()
+
+    def place_object(self, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate).
+
+        Raises InputError where the pusher is in the way, and leaves the object where it was.
+        """
+        before = self.object_pose(), self.object_velocity()
+        self._thing.place(checked_pose(pose), velocity)
+        if self._thing.touches(self._robot, self._contact_link):
+            self._thing.place(*before)
+            raise InputError(f"The pusher stands where the object should go, {np.round(np.asarray(pose), 4)}; lift or move the tool first.")
+        self._thing.start_push()
+
+    def replace_object(self, thing: SimObject, pose: ArrayLike) -> None:
+        """Take the object away and put another one at `pose`, at rest; that is then its start pose.
+
+        Raises InputError where the pusher is in the way, and then leaves the old one where it is.
+        """
+        pose = checked_pose(pose)
+        new = BulletObject(self._client, thing, self.config.gravity, self.config.effects)
+        new.place(pose)
+        if new.touches(self._robot, self._contact_link):
+            self._client.removeBody(new.body)
+            raise InputError(f"The pusher stands where the object should go, {np.round(pose, 4)}; lift or move the tool first.")
+        self._client.removeBody(self._thing.body)
+        self.object, self._thing, self._start_pose = thing, new, pose
+        self._thing.start_push()
+        self._thing.set_pushes_done(self._n_pushes)
+
+    def reset_object(self) -> None:
+        """Put the object back to its start pose, at rest; raises InputError where the pusher is in the way."""
+        self.place_object(self._start_pose)
+
+    # --- forces --------------------------------------------------------------------------------------------------------
+
+    def cell_loads(self) -> FloatArray:
+        """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
+        return self._thing.cell_loads(self._table)
+
+    def take_pusher_force(self) -> FloatArray:
+        """Force of the pusher on the object [N], shape (3,): mean over the steps since the last call."""
+        force = self._impulse / (max(self._impulse_steps, 1) * self.config.time_step)
+        self._impulse = np.zeros(3)
+        self._impulse_steps = 0
+        return force
+
+
+class _DrivenTool:
+    """Leads the arm so that the tool is beside the place that the arm reports, once it is lowered."""
+
+    def __init__(self, effects: Effects, time_step: float) -> None:
+        self._errors = ToolErrors(effects, time_step)
+        self._time_step = time_step
+        self._kinematics = ArmKinematics(robot_description(), neutral=HOME)
+        self._bend = self._bend_rate = np.zeros(len(HOME))
+        """What the true joint positions are beyond the reported ones [rad], and how fast it changes [rad/s]."""
+
+    def driven(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Targets [rad], [rad/s] that the motors get when the arm believes in those given; once a time step."""
+        tip = self._kinematics.forward(position)[:3, 3]
+        if tip[2] > _RAISED:
+            self._errors.start(tip[:2])
+        share = float(np.clip((_RAISED - tip[2]) / (_RAISED - _LOWERED), 0.0, 1.0))
+        aside = share * (self._errors.true_position(tip[:2]) - tip[:2])
+        bend = np.linalg.pinv(self._kinematics.jacobian(position)) @ [*aside, 0.0, 0.0, 0.0, 0.0]
+        self._bend_rate = (bend - self._bend) / self._time_step
+        self._bend = bend
+        return position + bend, velocity + self._bend_rate
+
+    def reported(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the arm reports [rad], [rad/s] while its joints truly are and move as given."""
+        return position - self._bend, velocity - self._bend_rate

@@ -1,0 +1,241 @@
+"""One object in Bullet whose cells each rest on their own weight, and the engine and table that it needs.
+
+Cells that are fixed links of one body would share its load in a way that contacts leave open, and differently at each step. So the
+object is a chain: two sliding joints and a turning one carry a frame that moves in the plane, and below that frame every cell
+hangs on a vertical sliding joint of its own. Cells touch the table alone; the pusher touches the outline alone, which is a
+body of its own in that frame, so that it never catches on the edge between two cells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet as bullet
+from numpy.typing import ArrayLike, NDArray
+from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
+
+from push_ident.errors import InputError
+from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
+from push_ident_sim.engines.bullet.support import SupportEffects
+from push_ident_sim.injected import Effects
+from push_ident_sim.objects import SimObject, outline_rectangles
+
+__all__ = [
+    "ARM_GROUP",
+    "CELL_GROUP",
+    "OUTLINE_GROUP",
+    "OUTLINE_LINK",
+    "PUSHER_GROUP",
+    "TABLE_GROUP",
+    "BulletObject",
+    "add_table",
+    "checked_pose",
+    "connect",
+]
+
+FloatArray = NDArray[np.float64]
+
+TABLE_GROUP, CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, ARM_GROUP = (1 << bit for bit in range(8, 13))
+OUTLINE_LINK = 3
+"""Held up by little more than its weight: friction along z, which cannot push the object, then takes no share of the friction cone."""
+_N_PLANE_JOINTS = 3
+_FRAME_LINK = 2
+"""Link that moves in the plane (x, y, yaw); outline and cells hang below it."""
+_FIRST_CELL_LINK = 4
+_FRAME_MASS = 1e-4
+"""Of each link that is no cell [kg]: small against any cell."""
+_CORNER_RADIUS = 1e-4
+_NONE = Effects()
+_FOOT_RADIUS = 0.004
+"""A cell stands on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
+
+
+def connect(time_step: float, solver_iterations: int, gravity: float, effects: Effects = _NONE) -> BulletClient:
+    """A new engine of its own, with the settings that Coulomb friction needs; `disconnect()` frees it."""
+    client = BulletClient(connection_mode=bullet.DIRECT)
+    along = np.sin(effects["table_tilt"])
+    client.setGravity(*(gravity * along).tolist(), -_normal_gravity(gravity, effects))
+    client.setPhysicsEngineParameter(
+        fixedTimeStep=time_step,
+        numSolverIterations=solver_iterations,
+        # With the default pyramid, friction is stronger along some directions of the table than along others.
+        enableConeFriction=1,
+        # Contacts at rest would otherwise bounce at very low speed.
+        restitutionVelocityThreshold=0.0,
+        # Bullet keeps a contact with its old normal until it has moved by this [m]. At the default of 0.02 the normal of a face that has
+        # turned by 10 degrees stays beside the new one, and the pusher sticks where it should slide.
+        contactBreakingThreshold=2e-3,
+        deterministicOverlappingPairs=1,
+    )
+    return client
+
+
+def _normal_gravity(gravity: float, effects: Effects) -> float:
+    """Component along the table's normal."""
+    along = np.sin(effects["table_tilt"])
+    return float(gravity * np.sqrt(1.0 - along @ along))
+
+
+def add_table(client: BulletClient) -> int:
+    """Put a table of 1.6 x 1.4 m with its top at z = 0; returns its body."""
+    half = np.array([0.8, 0.7, 0.02])
+    shape = client.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist())
+    table: int = client.createMultiBody(0.0, shape, basePosition=[0.0, 0.0, -half[2]])
+    # Bullet multiplies the coefficients of the two bodies: the table and the pusher have 1, the object's side the coefficient itself.
+    client.changeDynamics(table, -1, lateralFriction=1.0, restitution=0.0)
+    client.setCollisionFilterGroupMask(table, -1, TABLE_GROUP, CELL_GROUP | ARM_GROUP)
+    return table
+
+
+def checked_pose(pose: ArrayLike) -> FloatArray:
+    """`pose` (x, y, yaw) as an array; raises InputError unless it is three finite numbers."""
+    pose = np.array(pose, dtype=np.float64)
+    if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+        raise InputError(f"An object pose is three finite numbers (x, y, yaw), got {pose}.")
+    return pose
+
+
+class BulletObject:
+    """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
+
+    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: Effects = _NONE) -> None:
+        """Put the object at (0, 0, 0), at rest. `gravity` [m/s^2], `client` from `connect` with the same gravity and effects."""
+        self.body: int
+        """The engine's number of the chain."""
+        self._client = client
+        self._thing = thing
+        gravity = _normal_gravity(gravity, effects)
+        self._limit = thing.friction * thing.mass * gravity
+        self._support = SupportEffects(thing, effects, gravity) if SupportEffects.needed(effects) else None
+        self._friction, self._mass = thing.friction, thing.mass
+        n_cells = len(thing)
+        (growth,) = effects["outline_error"]
+        outline = self._outline_shape(growth)
+        foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
+        n_links = _FIRST_CELL_LINK + n_cells
+        self.body = client.createMultiBody(
+            baseMass=0.0,
+            linkMasses=[_FRAME_MASS] * _FIRST_CELL_LINK + thing.mass.tolist(),
+            linkCollisionShapeIndices=[-1, -1, -1, outline] + [foot] * n_cells,
+            linkVisualShapeIndices=[-1] * n_links,
+            linkPositions=[[0.0, 0.0, 0.0]] * _FIRST_CELL_LINK + [[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
+            linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
+            linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n_links,
+            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
+            linkParentIndices=[0, 1, 2] + [_FRAME_LINK + 1] * (1 + n_cells),
+            linkJointTypes=[bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
+            + [bullet.JOINT_PRISMATIC] * (1 + n_cells),
+            linkJointAxis=[[1, 0, 0], [0, 1, 0], [0, 0, 1]] + [[0, 0, 1]] * (1 + n_cells),
+        )
+        client.setJointMotorControlArray(self.body, range(n_links), bullet.VELOCITY_CONTROL, forces=[0.0] * n_links)
+        for link in range(n_links):
+            client.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
+            client.setCollisionFilterGroupMask(self.body, link, CELL_GROUP, TABLE_GROUP)
+        for link in range(_FIRST_CELL_LINK):
+            client.changeDynamics(self.body, link, localInertiaDiagonal=[1e-8] * 3)
+        for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
+            client.changeDynamics(self.body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3)
+        pusher_friction = max(0.0, thing.pusher_friction + effects["pusher_friction"][0])
+        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=effects["restitution"][0])
+        client.setJointMotorControl2(
+            self.body, OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
+        )
+        client.setCollisionFilterGroupMask(self.body, OUTLINE_LINK, OUTLINE_GROUP, PUSHER_GROUP)
+
+    def _outline_shape(self, growth: float) -> int:
+        """Collision shape of the outline, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
+
+        Bullet rounds the edges of a box by its collision margin of 1 mm, which would put a pusher at a corner up to 0.4 mm off.
+        """
+        thing = self._thing
+        height = float(thing.height.max())
+        rectangles = outline_rectangles(thing.cells, thing.cell_size)
+        before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
+        outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
+        convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
+        posts = (thing.outline + (growth - _CORNER_RADIUS) * outward)[convex]
+        centres = [*(centre for centre, _ in rectangles), *posts]
+        shape: int = self._client.createCollisionShapeArray(
+            shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
+            halfExtents=[[edges[0] / 2 + growth, edges[1] / 2 + growth, height / 2] for _, edges in rectangles]
+            + [[0.0, 0.0, 0.0]] * len(posts),
+            radii=[0.0] * len(rectangles) + [_CORNER_RADIUS] * len(posts),
+            lengths=[0.0] * len(rectangles) + [height] * len(posts),
+            collisionFramePositions=[[float(x), float(y), height / 2] for x, y in centres],
+        )
+        return shape
+
+    def pose(self) -> FloatArray:
+        """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
+        return np.array([s[0] for s in self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))])
+
+    def velocity(self) -> FloatArray:
+        """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
+        return np.array([s[1] for s in self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))])
+
+    def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate), whatever stands there."""
+        for joint, speed in enumerate(np.asarray(velocity, dtype=np.float64)):
+            self._client.resetJointState(self.body, joint, pose[joint], speed)
+
+    def start_push(self) -> None:
+        """What remembers a push, under some effects, begins anew where the object is."""
+        if self._support is not None:
+            self._support.start(self.pose())
+
+    def set_pushes_done(self, n_pushes: int) -> None:
+        """How many pushes are over; some effects grow with them."""
+        if self._support is not None:
+            self._support.n_pushes = n_pushes
+
+    def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
+        """Apply, for the next time step, what Bullet's cone friction lacks of Coulomb's law, and the effects on table and object.
+
+        `push_force` is that of the pusher on the object in the last step [N], shape (2,); `time_step` [s].
+        """
+        states = self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))
+        velocity = np.array([state[1] for state in states])
+        if self._support is None:
+            cosine, sine = np.cos(states[2][0]), np.sin(states[2][0])
+            wrench = cone_friction_correction(
+                self._thing.cells @ np.array([[cosine, sine], [-sine, cosine]]),
+                self._thing.mass,
+                self._thing.cell_size,
+                self._limit,
+                velocity,
+            )
+        else:
+            action = self._support.advance(np.array([state[0] for state in states]), velocity, push_force, time_step)
+            wrench = action.wrench
+            self._set_cells(action.friction, action.mass)
+            cells = range(_FIRST_CELL_LINK, _FIRST_CELL_LINK + len(self._thing))
+            self._client.setJointMotorControlArray(self.body, cells, bullet.TORQUE_CONTROL, forces=(-action.load).tolist())
+        self._client.setJointMotorControlArray(self.body, range(_N_PLANE_JOINTS), bullet.TORQUE_CONTROL, forces=wrench.tolist())
+
+    def _set_cells(self, friction: FloatArray, mass: FloatArray) -> None:
+        if not np.array_equal(mass, self._mass):
+            self._mass = mass
+            for link, value in enumerate(mass.tolist(), start=_FIRST_CELL_LINK):
+                inertia = [value * self._thing.cell_size**2 / 6.0] * 3
+                self._client.changeDynamics(self.body, link, mass=value, localInertiaDiagonal=inertia)
+        if not np.array_equal(friction, self._friction):
+            self._friction = friction
+            for link, value in enumerate(friction.tolist(), start=_FIRST_CELL_LINK):
+                self._client.changeDynamics(self.body, link, lateralFriction=value)
+
+    def cell_loads(self, table: int) -> FloatArray:
+        """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
+        loads = np.zeros(len(self._thing))
+        for contact in self._client.getContactPoints(self.body, table):
+            loads[contact[3] - _FIRST_CELL_LINK] += contact[9]
+        return loads
+
+    def force_of(self, pusher: int, link: int) -> FloatArray:
+        """Force on the outline of one link of the body `pusher` in the last step [N], shape (3,)."""
+        force = np.zeros(3)
+        for contact in self._client.getContactPoints(self.body, pusher, OUTLINE_LINK, link):
+            force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
+        return force
+
+    def touches(self, pusher: int, link: int) -> bool:
+        """Whether the outline overlaps a link of the body `pusher`."""
+        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, OUTLINE_LINK))

@@ -1,0 +1,189 @@
+"""Table, object and a disc that pushes it in Bullet: pushes without arm and camera, for experiments that need many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pybullet as bullet
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.physics.support import GRAVITY
+from push_ident.types import PusherPath
+from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import Effects
+from push_ident_sim.injected.actuation import ToolErrors, bearing_torque
+from push_ident_sim.objects import SimObject
+
+__all__ = ["PushWorld"]
+
+FloatArray = NDArray[np.float64]
+
+_PUSHER_MASS = 1.0
+_FINGER_MASS = 0.02
+"""Of a finger that turns: little, so that it turns at once."""
+_PUSHER_EFFORT = 1e4
+"""[N]: the object cannot hold the pusher back."""
+_SWINGING_STEPS = 30
+"""Time steps for which an object on springs must stand still to count as at rest: it may only be turning back."""
+_SETTLING_STEPS = 10
+"""After the object was put down, so that every foot bears its load."""
+_ASIDE = np.array([10.0, 10.0])
+"""Far from any object [m]."""
+
+
+class PushWorld:
+    """An object on a table, and a disc that follows a path whatever the object does. Not safe to share between threads."""
+
+    def __init__(
+        self,
+        thing: SimObject,
+        pusher_radius: float,
+        *,
+        time_step: float = 1.0 / 240.0,
+        solver_iterations: int = 50,
+        effects: Effects | None = None,
+    ) -> None:
+        """`pusher_radius` [m] > 0, `time_step` [s]. Of the effects, those that act on what is seen are not this world's business."""
+        effects = effects or Effects()
+        self.pusher_radius = pusher_radius
+        self.time_step = time_step
+        self._client = connect(time_step, solver_iterations, GRAVITY, effects)
+        self._table = add_table(self._client)
+        self._object = BulletObject(self._client, thing, GRAVITY, effects)
+        self._tool = ToolErrors(effects, time_step) if ToolErrors.needed(effects) else None
+        self._add_pusher(float(thing.height.max()) / 2, effects)
+        self._still_steps = _SWINGING_STEPS if "compliant_table" in effects or "tether" in effects else 1
+        self._force = np.zeros(2)
+
+    def _add_pusher(self, height: float, effects: Effects) -> None:
+        """A ball with its centre at `height` [m], on two sliding joints.
+
+        Upright walls touch it where they would touch a disc, and at one point: of the contacts along a cylinder Bullet keeps some with the
+        normal that the wall had when it turned less, and the pusher then sticks where it should slide.
+        """
+        client = self._client
+        masses = [_PUSHER_MASS] * 2
+        joints = [(bullet.JOINT_PRISMATIC, [1, 0, 0]), (bullet.JOINT_PRISMATIC, [0, 1, 0])]
+        if "rolling_finger" in effects:
+            joints.append((bullet.JOINT_REVOLUTE, [0, 0, 1]))
+            masses.append(_FINGER_MASS)
+        n_links = len(joints)
+        shape = client.createCollisionShape(bullet.GEOM_SPHERE, radius=self.pusher_radius, collisionFramePosition=[0.0, 0.0, height])
+        self._pusher_link = n_links - 1
+        self._pusher: int = client.createMultiBody(
+            baseMass=0.0,
+            linkMasses=masses,
+            linkCollisionShapeIndices=[-1] * (n_links - 1) + [shape],
+            linkVisualShapeIndices=[-1] * n_links,
+            linkPositions=[[0.0, 0.0, 0.0]] * n_links,
+            linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
+            linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n_links,
+            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
+            linkParentIndices=list(range(n_links)),
+            linkJointTypes=[kind for kind, _ in joints],
+            linkJointAxis=[axis for _, axis in joints],
+        )
+        for link in range(n_links):
+            client.changeDynamics(self._pusher, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
+        client.changeDynamics(self._pusher, self._pusher_link, lateralFriction=1.0)
+        if "restitution" in effects:
+            client.changeDynamics(self._pusher, self._pusher_link, restitution=1.0)
+        if "rolling_finger" in effects:
+            torque = bearing_torque(effects)
+            client.setJointMotorControl2(self._pusher, self._pusher_link, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
+        client.setCollisionFilterGroupMask(self._pusher, self._pusher_link, PUSHER_GROUP, OUTLINE_GROUP)
+
+    def push(
+        self,
+        pose_object_in_table: ArrayLike,
+        path: PusherPath,
+        *,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        pushes_done: int = 0,
+        watch: Callable[[], None] | None = None,
+        rest_speed: float = 1e-4,
+        longest_rest: float = 1.0,
+    ) -> TrueMotion:
+        """Put the object down and lead the pusher along `path`, then wait until the object rests.
+
+        Args:
+            pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
+            path: of the pusher, as its arm reports it; its clock starts at the first sample. Beyond the last sample the pusher stands.
+            velocity: first velocity of its frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
+            pushes_done: how many went before this one; some effects grow with them.
+            watch: called after each time step, for what the motion does not tell.
+            rest_speed: the object rests when its frame is slower than this [m/s] and turns at less than ten times it [rad/s].
+            longest_rest: wait no longer than this after the path [s].
+        """
+        step = self.time_step
+        start = self._begin(path.position[0])
+        # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
+        # counts as a deep one, and shoots the object away. Bodies far apart have none.
+        self._place_pusher(start + _ASIDE)
+        self._object.place(checked_pose(pose_object_in_table))
+        self._client.performCollisionDetection()
+        self._place_pusher(start)
+        for _ in range(_SETTLING_STEPS):
+            self._step(start, np.zeros(2))
+        # Settling may creep by micrometres.
+        self._object.place(checked_pose(pose_object_in_table), velocity)
+        self._object.start_push()
+        self._object.set_pushes_done(pushes_done)
+        n_driven = int(np.ceil((path.time[-1] - path.time[0]) / step))
+        n_most = n_driven + int(np.ceil(longest_rest / step))
+        clock = path.time[0] + step * np.arange(n_most + 1)
+        targets = np.column_stack([np.interp(clock, path.time, path.position[:, axis]) for axis in (0, 1)])
+        n_still = 0
+        poses, positions, forces = [self._object.pose()], [self._pusher_position()], [np.zeros(2)]
+        for k in range(1, n_most + 1):
+            target = targets[k] if self._tool is None else self._tool.true_position(targets[k])
+            self._step(target, (target - positions[-1]) / step)
+            poses.append(self._object.pose())
+            positions.append(self._pusher_position())
+            forces.append(self._force)
+            if watch is not None:
+                watch()
+            speed = np.abs(self._object.velocity())
+            n_still = n_still + 1 if speed[:2].max() < rest_speed and speed[2] < 10 * rest_speed else 0
+            if k >= n_driven and n_still >= self._still_steps:
+                break
+        time, pusher = np.arange(len(poses)) * np.float64(step), np.array(positions)
+        reported = pusher if self._tool is None else targets[: len(poses)]
+        return TrueMotion(time, np.array(poses), pusher, reported, np.array(forces))
+
+    def cell_loads(self) -> FloatArray:
+        """Normal force of the table on each cell in the last time step [N], shape (n_cells,)."""
+        return self._object.cell_loads(self._table)
+
+    def object_velocity(self) -> FloatArray:
+        """(vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s], shape (3,)."""
+        return self._object.velocity()
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._client.disconnect()
+
+    def _step(self, target: FloatArray, velocity: FloatArray) -> None:
+        self._client.setJointMotorControlArray(
+            self._pusher, range(2), bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[_PUSHER_EFFORT] * 2
+        )
+        self._object.prepare_step(self._force, self.time_step)
+        self._client.stepSimulation()
+        self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
+
+    def _begin(self, reported: FloatArray) -> FloatArray:
+        """Where the tool really is when a path begins at `reported`."""
+        self._force = np.zeros(2)
+        if self._tool is None:
+            return reported
+        self._tool.start(reported)
+        return self._tool.true_position(reported)
+
+    def _place_pusher(self, position: FloatArray) -> None:
+        for joint in range(2):
+            self._client.resetJointState(self._pusher, joint, float(position[joint]), 0.0)
+
+    def _pusher_position(self) -> FloatArray:
+        return np.array([s[0] for s in self._client.getJointStates(self._pusher, range(2))])

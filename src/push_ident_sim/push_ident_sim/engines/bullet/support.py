@@ -1,0 +1,202 @@
+"""Effects between table and object: what the friction, load and mass of each cell become, and which forces come on top.
+
+Everything is read off the engine at the start of a time step and holds during that step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
+from push_ident_sim.injected.catalogue import Effects
+from push_ident_sim.objects import SimObject
+
+__all__ = ["SupportAction", "SupportEffects"]
+
+FloatArray = NDArray[np.float64]
+
+_LEAST = 0.05
+"""Share of its friction, load or mass that a cell keeps whatever the effects."""
+_MOVING = 5e-3
+"""Loose contents slide while the object is faster than this [m/s]."""
+_LEANING_TIME = 0.02
+"""In which the object leans over when it is pushed [s]: a contact force may last for one time step, a lean may not."""
+_BRISTLE_DAMPING = 0.5
+"""Of the table's skin, as a share of critical damping."""
+
+
+@dataclass(frozen=True, slots=True)
+class _CellMotion:
+    """The cells at one moment; `table` axes."""
+
+    position: FloatArray
+    """[m], shape (n_cells, 2)."""
+    slip: FloatArray
+    """Velocity on the table [m/s], shape (n_cells, 2)."""
+    speed: FloatArray
+    """[m/s], shape (n_cells,)."""
+    n_pushes: int
+    """Pushes that are over."""
+
+
+def _stribeck(values: FloatArray, cells: _CellMotion) -> FloatArray:
+    strength, speed = values
+    return np.asarray(1.0 + strength * np.exp(-((cells.speed / speed) ** 2)))
+
+
+_FRICTION_FACTORS: dict[str, Callable[[FloatArray, _CellMotion], FloatArray]] = {
+    "position_dependent_friction": lambda gradient, cells: 1.0 + cells.position @ gradient,
+    "speed_dependent_friction": lambda b, cells: 1.0 + b * np.log((cells.speed + 0.01) / 0.11),
+    "stribeck_friction": _stribeck,
+    "wear": lambda w, cells: np.full(len(cells.speed), 1.0 + w[0] * cells.n_pushes),
+}
+_ACTING = (
+    *_FRICTION_FACTORS,
+    "table_anisotropy",
+    "base_anisotropy",
+    "push_height",
+    "tether",
+    "moving_contents",
+    "compliant_table",
+    "viscous_film",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SupportAction:
+    """What the engine is to be told before a time step."""
+
+    friction: FloatArray
+    """Friction coefficient of each cell, shape (n_cells,)."""
+    mass: FloatArray
+    """Of each cell [kg], shape (n_cells,)."""
+    load: FloatArray
+    """Downward force on each cell beside its weight [N], shape (n_cells,)."""
+    wrench: FloatArray
+    """(fx, fy) [N] and torque about the frame origin [N m] on the object, shape (3,), axes of the table."""
+
+
+class SupportEffects:
+    """The support of one object under `effects`, step by step."""
+
+    def __init__(self, thing: SimObject, effects: Effects, gravity: float) -> None:
+        """`gravity` is its component along the table's normal [m/s^2]."""
+        self.n_pushes = 0
+        """Pushes that are over."""
+        self._thing = thing
+        self._effects = effects
+        self._gravity = gravity
+        self._centre = thing.mass @ thing.cells / thing.mass.sum()
+        self._factors = [(law, np.array(effects[name])) for name, law in _FRICTION_FACTORS.items() if name in effects]
+        self._grain = [_traceless(*effects[name]) for name in ("table_anisotropy", "base_anisotropy")]
+        self.start(np.zeros(3))
+
+    @staticmethod
+    def needed(effects: Effects) -> bool:
+        """Whether any effect acts between table and object."""
+        return any(name in effects for name in _ACTING)
+
+    def start(self, pose: FloatArray) -> None:
+        """The object was put down at `pose` (x, y, yaw)."""
+        self._anchor = pose[:2] + _rotation(pose[2]) @ self._centre
+        self._contents = np.zeros(2)
+        self._push_force = np.zeros(2)
+        self._shear = np.zeros((len(self._thing), 2))
+
+    def advance(self, pose: FloatArray, velocity: FloatArray, push_force: FloatArray, time_step: float) -> SupportAction:
+        """The next time step.
+
+        Args:
+            pose: (x, y, yaw) of the object frame.
+            velocity: (vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s].
+            push_force: of the pusher on the object in the last step [N], shape (2,).
+            time_step: [s].
+        """
+        thing = self._thing
+        turn = _rotation(pose[2])
+        arms = thing.cells @ turn.T
+        slip = velocity[:2] + velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
+        cells = _CellMotion(pose[:2] + arms, slip, np.hypot(slip[:, 0], slip[:, 1]), self.n_pushes)
+
+        friction = thing.friction.copy()
+        for law, values in self._factors:
+            friction *= np.maximum(law(values, cells), _LEAST)
+        mass = self._moved_mass(turn, velocity, time_step)
+        load = self._lean(arms, mass, push_force, time_step)
+        limit = friction * (mass * self._gravity + load)
+        anisotropy = self._grain[0] + turn @ self._grain[1] @ turn.T
+
+        if "compliant_table" in self._effects:
+            (travel,) = self._effects["compliant_table"]
+            force = self._sheared(slip, limit, mass, travel, time_step) @ (np.eye(2) + anisotropy).T
+            wrench = _sum(arms, force)
+            friction = np.zeros_like(friction)
+        else:
+            wrench = cone_friction_correction(arms, mass, thing.cell_size, limit, velocity, anisotropy=anisotropy)
+        if "viscous_film" in self._effects:
+            wrench += _sum(arms, -self._effects["viscous_film"][0] / len(thing) * slip)
+        if "tether" in self._effects:
+            arm = turn @ self._centre
+            wrench += _sum(arm[None], -self._effects["tether"][0] * (pose[:2] + arm - self._anchor)[None])
+        return SupportAction(friction, mass, load, wrench)
+
+    def _moved_mass(self, turn: FloatArray, velocity: FloatArray, time_step: float) -> FloatArray:
+        """Masses after the contents have slid back against the motion of the object."""
+        mass = self._thing.mass
+        if "moving_contents" not in self._effects:
+            return mass
+        distance, lag = self._effects["moving_contents"]
+        speed = float(np.hypot(*velocity[:2]))
+        if speed > _MOVING:
+            behind = -distance * (velocity[:2] / speed) @ turn
+            self._contents += (1.0 - np.exp(-time_step / lag)) * (behind - self._contents)
+        return _tilted(mass, self._thing.cells, self._contents)
+
+    def _lean(self, arms: FloatArray, mass: FloatArray, push_force: FloatArray, time_step: float) -> FloatArray:
+        """Load that a push above the table moves from the near to the far side."""
+        if "push_height" not in self._effects:
+            return np.zeros(len(mass))
+        (height,) = self._effects["push_height"]
+        self._push_force += (1.0 - np.exp(-time_step / _LEANING_TIME)) * (push_force - self._push_force)
+        weight = mass * self._gravity
+        return _tilted(weight, arms, height / weight.sum() * self._push_force) - weight
+
+    def _sheared(self, slip: FloatArray, limit: FloatArray, mass: FloatArray, travel: float, time_step: float) -> FloatArray:
+        """Force of the table's skin on each cell: a spring that follows once it is stretched by `travel`."""
+        self._shear += time_step * slip
+        length = np.hypot(self._shear[:, 0], self._shear[:, 1])
+        self._shear *= np.minimum(1.0, travel / np.maximum(length, 1e-12))[:, None]
+        stiffness = limit / travel
+        damping = 2.0 * _BRISTLE_DAMPING * np.sqrt(stiffness * mass)
+        force = -stiffness[:, None] * self._shear - damping[:, None] * slip
+        size = np.hypot(force[:, 0], force[:, 1])
+        return np.asarray(force * np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None])
+
+
+def _tilted(values: FloatArray, arms: FloatArray, shift: FloatArray) -> FloatArray:
+    """`values` on cells at `arms`, changed linearly across them so that their centre moves by `shift`.
+
+    Their sum stays, and none falls below a twentieth.
+    """
+    from_centre = arms - values @ arms / values.sum()
+    spread = (values[:, None] * from_centre).T @ from_centre / values.sum()
+    changed = values * np.maximum(1.0 + from_centre @ np.linalg.pinv(spread) @ shift, _LEAST)
+    return np.asarray(changed * (values.sum() / changed.sum()))
+
+
+def _sum(arms: FloatArray, force: FloatArray) -> FloatArray:
+    """Wrench (3,) about the frame origin of a force on each cell."""
+    return np.array([*force.sum(axis=0), np.sum(arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0])])
+
+
+def _traceless(e1: float, e2: float) -> FloatArray:
+    return np.array([[e1, e2], [e2, -e1]])
+
+
+def _rotation(yaw: float) -> FloatArray:
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    return np.array([[cosine, -sine], [sine, cosine]])

@@ -1,0 +1,144 @@
+"""The planar engine behind the interface of the other one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.types import PusherPath
+from push_ident_sim.engines.planar.integrator import bed_loads, integrate
+from push_ident_sim.engines.planar.laws import laws_of
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import Effects
+from push_ident_sim.injected.actuation import ToolErrors
+from push_ident_sim.objects import SimObject
+
+__all__ = ["PlanarWorld"]
+
+FloatArray = NDArray[np.float64]
+
+_GRAVITY = 9.81
+_TOOL_STEP = 1e-3
+"""In which effects on the tool are followed [s]."""
+_TOOL_REST = 0.4
+"""For which they are followed after the path [s]."""
+
+
+class PlanarWorld:
+    """An object on a table and a disc that follows a path, as `PushWorld`, by other laws. An object that tips over is an error."""
+
+    def __init__(
+        self,
+        thing: SimObject,
+        pusher_radius: float,
+        *,
+        time_step: float = 1.0 / 240.0,
+        inner_steps: int = 96,
+        effects: Effects | None = None,
+        outside: Mapping[str, float] | None = None,
+    ) -> None:
+        """`pusher_radius` [m] > 0. A row of a motion every `time_step` [s], of `inner_steps` steps each; `outside`: see `OUTSIDE`."""
+        self.pusher_radius = pusher_radius
+        self.time_step = time_step
+        self._inner_steps = inner_steps
+        self._thing = thing
+        self._effects = effects or Effects()
+        self._outside = dict(outside or {})
+        self._mass = float(thing.mass.sum())
+        self._centre = thing.mass @ thing.cells / self._mass
+        self._place = np.ascontiguousarray(thing.cells - self._centre)
+        self._outline = np.ascontiguousarray(thing.outline - self._centre)
+        self._inertia = float(thing.mass @ (np.sum(self._place**2, axis=1) + thing.cell_size**2 / 6.0))
+        self._anchor: tuple[float, float] | None = None
+
+    def push(
+        self,
+        pose_object_in_table: ArrayLike,
+        path: PusherPath,
+        *,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        pushes_done: int = 0,
+        rest_speed: float = 1e-4,
+        longest_rest: float = 1.0,
+    ) -> TrueMotion:
+        """Put the object down and lead the pusher along `path`, then wait until the object rests.
+
+        Args:
+            pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
+            path: of the pusher, as its arm reports it; its clock starts at the first sample. Beyond the last sample the pusher stands.
+            velocity: first velocity of the object's frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
+            pushes_done: how many went before this one; some effects grow with them.
+            rest_speed: the object rests when it is slower than this [m/s] and turns at less than ten times it [rad/s].
+            longest_rest: wait no longer than this after the path [s].
+
+        Raises:
+            InputError: a pose or velocity that is not three finite numbers.
+            PushIdentError: the object tips over.
+        """
+        pose, speed = _three(pose_object_in_table, "pose_object_in_table"), _three(velocity, "velocity")
+        arm = _turned(self._centre, pose[2])
+        first = np.array([*(pose[:2] + arm), pose[2]])
+        first_velocity = speed + np.array([-speed[2] * arm[1], speed[2] * arm[0], 0.0])
+        if self._anchor is None:
+            self._anchor = (float(first[0]), float(first[1]))
+        clock, true_path = self._true_path(path)
+        n_rows = 1 + int(np.ceil((clock[-1] + longest_rest) / self.time_step))
+        laws = laws_of(
+            self._effects,
+            self._outside,
+            pusher_radius=self.pusher_radius,
+            pusher_friction=self._thing.pusher_friction,
+            gravity=_GRAVITY,
+            n_cells=len(self._thing),
+            pushes_done=pushes_done,
+            anchor=self._anchor,
+        )
+        centres, pusher, force, stood = integrate(
+            laws, self._place, np.array(self._thing.friction), self._mass, self._inertia, self._outline,
+            first, first_velocity, clock, true_path, n_rows, self.time_step, self._inner_steps, rest_speed,
+        )  # fmt: skip
+        if not stood:
+            raise PushIdentError(f"{self._thing.name} tips over: its load leaves its base; push it lower or with less loose contents.")
+        poses = centres.copy()
+        poses[:, :2] -= np.array([_turned(self._centre, yaw) for yaw in centres[:, 2]])
+        time = np.arange(len(poses)) * np.float64(self.time_step)
+        since = path.time - path.time[0]
+        reported = np.column_stack([np.interp(time, since, path.position[:, axis]) for axis in (0, 1)])
+        return TrueMotion(time, poses, pusher, reported if ToolErrors.needed(self._effects) else pusher, force)
+
+    def _true_path(self, path: PusherPath) -> tuple[FloatArray, FloatArray]:
+        """Where the tool really goes: times from 0 [s], shape (n,), and places [m], shape (n, 2)."""
+        since = path.time - path.time[0]
+        if not ToolErrors.needed(self._effects):
+            return since, np.array(path.position)
+        tool = ToolErrors(self._effects, _TOOL_STEP)
+        tool.start(path.position[0])
+        # The tool follows late and may go on circling: it is watched for a while after the path.
+        clock = np.arange(0.0, since[-1] + _TOOL_REST, _TOOL_STEP)
+        reported = np.column_stack([np.interp(clock, since, path.position[:, axis]) for axis in (0, 1)])
+        return clock, np.array([tool.true_position(place) for place in reported])
+
+    def cell_loads(self) -> FloatArray:
+        """Normal force of the table on each cell at rest and without effects [N], shape (n_cells,)."""
+        bears, load = np.array(self._thing.friction) > 0.0, np.empty(len(self._thing))
+        weight = self._mass * _GRAVITY
+        bed_loads(self._place, bears, weight, np.zeros(2), np.array([weight / len(load), 0.0, 0.0]), load)
+        return load
+
+    def close(self) -> None:
+        """Nothing is held; as in `PushWorld`."""
+
+
+def _three(values: ArrayLike, name: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != (3,) or not np.all(np.isfinite(array)):
+        raise InputError(f"`{name}` is {array}, expected three finite numbers (x, y, yaw).")
+    return array
+
+
+def _turned(point: FloatArray, yaw: float) -> FloatArray:
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])

@@ -1,0 +1,22 @@
+"""The executables of this package."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Final
+
+from push_ident.nodes.executables import run_executable
+
+__all__ = ["NODES", "main"]
+
+NODES: Final = {
+    "sim_cell_node": "push_ident_sim.cell.sim_cell_node",
+    "sim_hand_node": "push_ident_sim.cell.sim_hand_node",
+}
+"""Executable and the module whose `main` it runs. `setup.py` names the same executables."""
+
+
+def main() -> None:
+    """Entry point of the executables of this package."""
+    run_executable(Path(sys.argv[0]).stem, NODES)

@@ -1,8 +1,0 @@
-"""A second engine: an object in the plane on bristles and springs. It shares no law and no code with the model that identifies."""
-
-from __future__ import annotations
-
-from push_ident_sim.planar.laws import OUTSIDE, Outside
-from push_ident_sim.planar.world import PlanarWorld
-
-__all__ = ["OUTSIDE", "Outside", "PlanarWorld"]

@@ -1,0 +1,158 @@
+"""Simulated pushes, with or without injected effects, as a bag of the contract: with poses, or as a depth camera sees them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.bags.records import write_records
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import InputError
+from push_ident.pushing.push import PushSettings
+from push_ident.types import PushRecord
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
+from push_ident_sim.cell.robot import PUSHER_LENGTH, PUSHER_RADIUS
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import Effects
+from push_ident_sim.injected.sensing import check_rendered, kept_frames, true_camera
+from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
+
+__all__ = ["RecordingSettings", "record_pushes", "seal", "standing_tool"]
+
+FloatArray = NDArray[np.float64]
+
+_PAUSE = 3.0
+"""Between two pushes [s]."""
+_LOOK = 2.0
+"""The camera looks for so long before the first push [s]."""
+_TIP_HEIGHT = 0.012
+"""Of the filmed tool above the table [m]."""
+_CAMERA_POSE = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSettings:
+    """What is recorded."""
+
+    object_name: str = "hammer"
+    model: int = 0
+    """Which ground truth of the object: `make_object(object_name, model)`."""
+    n_pushes: int = 14
+    seed: int = 0
+    """Of the pushes and of all noise."""
+    effects: Effects = field(default_factory=Effects)
+    speed_range: tuple[float, float] = (0.1, 0.2)
+    """Of the pushes [m/s]."""
+    noise: CameraNoise = field(default_factory=lambda: CameraNoise(force_std=0.05))
+    camera: bool = False
+    """Depth images in place of poses; the object is then pushed on from where it lies, and the tool is a bare rod."""
+
+    def __post_init__(self) -> None:
+        if self.object_name not in OBJECT_NAMES:
+            raise InputError(f"Object {self.object_name!r} is not known, expected one of {', '.join(OBJECT_NAMES)}.")
+        for name, lowest in (("n_pushes", 1), ("model", 0), ("seed", 0)):
+            if getattr(self, name) < lowest:
+                raise InputError(f"`{name}` is {getattr(self, name)}, expected at least {lowest}.")
+        if self.camera:
+            check_rendered(self.effects)
+
+
+def record_pushes(out: Path, settings: RecordingSettings) -> dict[str, Any]:
+    """Write a new bag. Raises BagError where it exists already or cannot be written.
+
+    Returns:
+        The truth, which is not in the bag: object, masses, frictions, effects.
+    """
+    if out.exists():
+        raise InputError(f"{out}: exists already and is not overwritten; give another name.")
+    thing = make_object(settings.object_name, settings.model)
+    drawn = TruthSettings(n_train=settings.n_pushes, n_test=0, effects=settings.effects)
+    pushes = replace(drawn.pushes, speed_range=settings.speed_range)
+    if settings.camera:
+        # Within sight, and with the tool that the camera knows.
+        pushes = PushSettings(speed_range=settings.speed_range, pusher_radius=PUSHER_RADIUS)
+    drawn = replace(drawn, pushes=pushes)
+    own = [settings.model, OBJECT_NAMES.index(settings.object_name), settings.seed]
+    motions = make_pushes(thing, own, drawn, in_a_row=settings.camera)
+    rngs = [np.random.default_rng([*own, i, 1]) for i in range(len(motions))]
+    if settings.camera:
+        _film(out, thing, motions, settings, pushes.pusher_radius, rngs)
+    else:
+        shape, name = true_model(thing).shape, settings.object_name
+        records = [
+            PushRecord(name, shape, *observe_motion(m, pushes.pusher_radius, settings.noise, rng, settings.effects))
+            for m, rng in zip(motions, rngs, strict=True)
+        ]
+        write_records(out, records)
+    return _truth(thing, settings)
+
+
+def seal(truth: dict[str, Any]) -> str:
+    """SHA-256 of a truth: to be stated before anything is scored against it."""
+    return hashlib.sha256(json.dumps(truth, sort_keys=True).encode()).hexdigest()
+
+
+def _truth(thing: SimObject, settings: RecordingSettings) -> dict[str, Any]:
+    return {
+        "object": settings.object_name,
+        "model": settings.model,
+        "seed": settings.seed,
+        "effects": {name: list(values) for name, values in settings.effects.values},
+        "cells_m": thing.cells.tolist(),
+        "mass_kg": thing.mass.tolist(),
+        "friction": thing.friction.tolist(),
+        "pusher_friction": thing.pusher_friction,
+    }
+
+
+def _film(
+    out: Path,
+    thing: SimObject,
+    motions: list[TrueMotion],
+    settings: RecordingSettings,
+    radius: float,
+    rngs: list[np.random.Generator],
+) -> None:
+    noise, effects = settings.noise, settings.effects
+    camera = DepthCamera(thing, *true_camera(effects, _CAMERA_POSE, INTRINSICS))
+    sensor, (delay,) = DepthNoise(), effects["pose_latency"]
+    with BagWriter(out) as writer:
+        start = 1.0
+        writer.write_extrinsics(start, _CAMERA_POSE)
+        writer.write_pusher_shape(start, radius, height=PUSHER_LENGTH)
+        start += _LOOK
+        for number, (motion, rng) in enumerate(zip(motions, rngs, strict=True)):
+            _, path, wrench = observe_motion(motion, radius, noise, rng, effects)
+            begin, end = noise.rest, noise.rest + float(motion.time[-1])
+            first = -_LOOK if number == 0 else 0.0
+            times = np.arange(first, end + noise.rest, 1.0 / noise.rate)
+            times = times[kept_frames(effects, len(times), rng)]
+            for time in times:
+                pose, tool = motion.pose_at(time - begin), motion.pusher_at(time - begin)
+                links = {"hand_pusher": standing_tool(tool)} if begin <= time <= end else {}
+                depth = sensor.apply(camera.render(pose, links), rng)
+                stamp = start + time + delay
+                writer.write_camera_info(stamp, INTRINSICS)
+                writer.write_depth(stamp, np.nan_to_num(np.rint(1e3 * depth), nan=0.0).astype(np.uint16))
+            inside = (path.time >= begin) & (path.time <= end)
+            for time, position in zip(path.time[inside], path.position[inside], strict=True):
+                writer.write_pusher(start + float(time), position, z=_TIP_HEIGHT)
+            if wrench is not None:
+                for time, force in zip(wrench.time, wrench.force, strict=True):
+                    writer.write_wrench(start + float(time), force)
+            writer.write_push_record(number + 1, "", start + begin, start + end)
+            start += end + noise.rest + _PAUSE
+
+
+def standing_tool(tool: FloatArray) -> FloatArray:
+    """Pose, shape (4, 4), of the pusher's link, which points down, with its tip over `tool` (x, y) [m]."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = [*tool, _TIP_HEIGHT + PUSHER_LENGTH]
+    return pose

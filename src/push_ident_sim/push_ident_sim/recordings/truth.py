@@ -1,0 +1,295 @@
+"""Ground truth for experiments: random pushes of known objects in Bullet, kept in files, and what a camera would see of them.
+
+What happened is simulated once and stored without noise; noise comes with reading, from a seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Protocol
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import InputError, PushIdentError
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.sampling import sample_push
+from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident_sim.code_digest import code_digest, files_behind
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import Effects
+from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, seen_poses
+from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
+
+__all__ = [
+    "CameraNoise",
+    "Engine",
+    "TruthSettings",
+    "generate_truth",
+    "load_truth",
+    "make_pushes",
+    "observe_motion",
+    "path_of_plan",
+    "true_model",
+    "truth_file",
+]
+
+FloatArray = NDArray[np.float64]
+
+_LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)
+_ARRAYS = ("time", "pose", "pusher", "force")
+_REPORTED = "reported"
+"""One more array, in files of pushes whose pusher is not where it is reported."""
+
+
+def _paper_pushes() -> PushSettings:
+    return PushSettings(
+        workspace=_LARGE_TABLE,
+        pusher_radius=0.008,
+        clearance=0.02,
+        distance_range=(0.06, 0.10),
+        speed_range=(0.1, 0.2),
+        cone=float(np.radians(40.0)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSettings:
+    """How pushes are drawn and simulated."""
+
+    n_train: int = 8
+    n_test: int = 12
+    """As in the paper."""
+    pushes: PushSettings = field(default_factory=_paper_pushes)
+    time_step: float = 1.0 / 240.0
+    """Of the engine [s]."""
+    placing: float = 0.15
+    """First positions of the object lie within this of the middle of the table along x and y [m]; its yaw is any."""
+    acceleration: float = 2.0
+    """Of the pusher at the start and at the end of a push [m/s^2]."""
+    least_way: float = 0.010
+    least_turn: float = 0.1
+    """A push that moves the object's frame by less than this [m] and turns it by less than this [rad] is drawn again."""
+    effects: Effects = field(default_factory=Effects)
+    """Injected into the simulation and into what is seen of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNoise:
+    """What a camera and a force sensor make of a true motion."""
+
+    position_std: float = 1e-3
+    """Of x and y, independent from frame to frame [m]."""
+    yaw_std: float = float(np.radians(0.5))
+    """[rad]"""
+    rate: float = 30.0
+    """[Hz]"""
+    rest: float = 0.4
+    """Frames are taken this long before and after the motion [s]."""
+    force_std: float | None = None
+    """Of the measured force [N]; None: there is no force sensor."""
+    force_rate: float = 120.0
+    """[Hz]"""
+
+
+class Engine(Protocol):
+    """What simulates one push: `PushWorld` or `PlanarWorld`."""
+
+    def push(self, pose_object_in_table: ArrayLike, path: PusherPath, *, pushes_done: int = 0) -> TrueMotion:
+        """Put the object down at (x, y, yaw) and lead the pusher along `path`."""
+        ...
+
+
+def true_model(thing: SimObject) -> ObjectModel:
+    """An object of the simulation as the model that identification should find."""
+    shape = ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline)
+    return ObjectModel(shape, thing.mass, thing.friction, thing.pusher_friction)
+
+
+def make_pushes(
+    thing: SimObject,
+    seed: Sequence[int],
+    settings: TruthSettings | None = None,
+    *,
+    in_a_row: bool = False,
+    engine: Engine | None = None,
+) -> list[TrueMotion]:
+    """Random pushes as in the paper: any pose on the table, contact uniform over the outline, direction in a cone about its normal.
+
+    Args:
+        thing: what is pushed; it is put down anew for each push.
+        seed: integers >= 0; push number i depends on them and on i alone.
+        settings: of the pushes.
+        in_a_row: the object is put down once, at (0, 0, 0), and each push starts from where the one before left it.
+        engine: that pushes `thing`, with the effects of the settings; Bullet by default.
+
+    Returns:
+        `settings.n_train + settings.n_test` motions.
+    """
+    settings = settings or TruthSettings()
+    if engine is not None:
+        return _in_turn(engine, thing, seed, settings, in_a_row)
+    # Here, so that reading pushes and drawing results does without Bullet.
+    from push_ident_sim.engines.bullet.push_world import PushWorld
+
+    world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
+    try:
+        return _in_turn(world, thing, seed, settings, in_a_row)
+    finally:
+        world.close()
+
+
+def _in_turn(engine: Engine, thing: SimObject, seed: Sequence[int], settings: TruthSettings, in_a_row: bool) -> list[TrueMotion]:
+    shape = true_model(thing).shape
+    motions: list[TrueMotion] = []
+    for i in range(settings.n_train + settings.n_test):
+        pose = (motions[-1].pose[-1] if motions else np.zeros(3)) if in_a_row else None
+        motions.append(_one_push(engine, shape, [*seed, i], i, settings, pose))
+    return motions
+
+
+def _one_push(
+    world: Engine, shape: ObjectShape, seed: Sequence[int], number: int, settings: TruthSettings, pose: FloatArray | None
+) -> TrueMotion:
+    rng = np.random.default_rng(seed)
+    while True:
+        start = pose
+        if start is None:
+            start = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
+        plan = sample_push(shape, start, rng, settings.pushes)
+        motion = world.push(start, path_of_plan(plan, settings), pushes_done=number)
+        way = np.abs(motion.pose[-1] - motion.pose[0])
+        if np.hypot(way[0], way[1]) >= settings.least_way or way[2] >= settings.least_turn:
+            return motion
+
+
+def path_of_plan(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
+    """Straight path with constant acceleration at both ends, sampled at each time step."""
+    length = settings.pushes.clearance + plan.distance
+    speed = min(plan.speed, float(np.sqrt(settings.acceleration * length)))
+    ramp = speed / settings.acceleration
+    total = length / speed + ramp
+    time = np.append(np.arange(0.0, total, settings.time_step), total)
+    gone = 0.5 * settings.acceleration * np.minimum(time, ramp) ** 2
+    cruise = speed * np.clip(time - ramp, 0.0, total - 2 * ramp)
+    left = np.clip(time - (total - ramp), 0.0, ramp)
+    way = gone + cruise + speed * left - 0.5 * settings.acceleration * left**2
+    return PusherPath(time, plan.tool_start(settings.pushes.clearance) + way[:, None] * plan.heading, settings.pushes.pusher_radius)
+
+
+# --- files ---------------------------------------------------------------------------------------------------------------
+
+
+def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
+    """Where the pushes of `make_object(name, seed)` are kept; another name for other settings, another object or other code."""
+    thing = make_object(name, seed)
+    values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
+    code = code_digest(files_behind(Path(__file__)))
+    content = json.dumps([code, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
+    return folder / f"{name}-{seed:04d}-{hashlib.sha256(content).hexdigest()[:12]}.npz"
+
+
+def generate_truth(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
+    """Simulate the pushes of `make_object(name, seed)` into `folder`, unless they are there already.
+
+    The file appears whole or not at all. Raises PushIdentError where it cannot be written.
+    """
+    path = truth_file(folder, name, seed, settings)
+    if path.exists():
+        return path
+    motions = make_pushes(make_object(name, seed), [seed, OBJECT_NAMES.index(name)], settings)
+    keys = _ARRAYS if all(m.reported is m.pusher for m in motions) else (*_ARRAYS, _REPORTED)
+    arrays = {key: np.concatenate([getattr(m, key) for m in motions]) for key in keys}
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, n_rows=np.array([len(m.time) for m in motions]), **arrays)
+        partial.replace(path)
+    except OSError as error:
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder that can be written to.") from None
+    return path
+
+
+def _read_motions(path: Path) -> list[TrueMotion]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            ends = np.cumsum(file["n_rows"])[:-1]
+            columns = {key: np.split(file[key], ends) for key in _ARRAYS}
+            columns[_REPORTED] = np.split(file[_REPORTED], ends) if _REPORTED in file else columns["pusher"]
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise InputError(f"Cannot read the pushes in {path}: {error}; delete the file to simulate them again.") from None
+    return [TrueMotion(**dict(zip(columns, arrays, strict=True))) for arrays in zip(*columns.values(), strict=True)]
+
+
+def load_truth(
+    folder: Path, name: str, seed: int, settings: TruthSettings | None = None, noise: CameraNoise | None = None
+) -> tuple[list[PushRecord], list[PushRecord], SimObject]:
+    """Pushes to learn from, pushes to test on, and the truth, of `make_object(name, seed)`; simulated first where the folder has none.
+
+    Args:
+        folder: of the files.
+        name: one of `OBJECT_NAMES`.
+        seed: of the object, its pushes and their noise.
+        settings: of the pushes.
+        noise: of what is seen of them.
+    """
+    settings, noise = settings or TruthSettings(), noise or CameraNoise()
+    thing = make_object(name, seed)
+    motions = _read_motions(generate_truth(folder, name, seed, settings))
+    shape = true_model(thing).shape
+    radius, own = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
+    records = []
+    for i, motion in enumerate(motions):
+        seen = observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1]), settings.effects)
+        records.append(PushRecord(name, shape, *seen, f"{name} {seed}, push {i}"))
+    return records[: settings.n_train], records[settings.n_train :], thing
+
+
+def observe_motion(
+    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: Effects | None = None
+) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
+    """What is seen of a motion; before and after it everything stands still.
+
+    Args:
+        motion: what happened.
+        radius: of the pusher [m].
+        noise: of camera and force sensor.
+        rng: of the noise.
+        effects: of which those are taken that act on what is seen.
+    """
+    effects = effects or Effects()
+    # Of its own, so that the noise is the same whatever is lost.
+    luck = rng.spawn(1)[0]
+    rest, end = noise.rest, float(motion.time[-1])
+    clock = np.concatenate([[0.0], rest + motion.time, [2 * rest + end]])
+    hold = np.r_[0, 0 : len(motion.time), len(motion.time) - 1]
+
+    def at(time: FloatArray, values: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(time, clock, column) for column in values[hold].T])
+
+    frames = np.arange(0.0, clock[-1], 1.0 / noise.rate)
+    std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
+    (delay,) = effects["pose_latency"]
+    seen = at(frames - delay, motion.pose)
+    if effects.acting_on("camera"):
+        seen = seen_poses(effects, seen)
+    seen = seen + std * correlated(effects, rng.normal(size=(len(frames), 3)))
+    seen = flipped(effects, seen, luck)
+    kept = kept_frames(effects, len(frames), luck)
+    poses = PoseTrack(frames[kept], seen[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
+    wrench = None
+    if noise.force_std is not None:
+        # The sensor averages over its sampling time: a difference of the impulse so far.
+        steps = np.diff(motion.time, prepend=0.0)
+        impulse = np.cumsum(motion.force * steps[:, None], axis=0)
+        bounds = np.arange(0.0, clock[-1], 1.0 / noise.force_rate)
+        force = np.diff(at(bounds, impulse), axis=0) * noise.force_rate
+        wrench = WrenchTrack(bounds[1:], force + noise.force_std * rng.normal(size=force.shape))
+    return poses, PusherPath(clock, motion.reported[hold], radius), wrench

@@ -1,0 +1,1 @@
+"""Benchmark: the compiled engine against automatic differentiation."""

@@ -1,0 +1,225 @@
+"""The cases of the blind check: which engine pushes, which effects are in it, how large; all drawn from the case's seed alone."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from push_ident.identification.next_push import PlannedPush
+from push_ident.offline.loading import load_pushes
+from push_ident.physics.effects import EFFECTS as NAMED
+from push_ident.types import PushRecord
+from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
+from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
+from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
+from push_ident_sim.recordings.truth import (
+    CameraNoise,
+    Engine,
+    TrueMotion,
+    TruthSettings,
+    make_pushes,
+    observe_motion,
+    path_of_plan,
+    true_model,
+)  # fmt: skip
+from push_ident_sim.studies.common.experiment import Json
+
+__all__ = ["CATALOGUE", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
+
+FIRST_REPORT_MODEL = 1000
+"""Ground truths from this seed on are scored once; those below are there to set thresholds."""
+CATALOGUE = tuple(name for name, effect in NAMED.items() if not effect.is_unknown_cause)
+"""Effects that a diagnosis can name."""
+_SIZES = (0.15, 0.5, 1.2, 3.0)
+"""Times the typical size."""
+_JITTER = 0.2
+"""Deviation of the logarithm of a size."""
+_N_NULLS = 20
+"""Of each engine, in one round of the plan."""
+_N_PAIRS = 12
+_HARDLY_SEEN = ("restitution", "stribeck_friction", "wear", "speed_dependent_friction", "tether", "camera_translation")
+_PAIRABLE = tuple(name for name in CATALOGUE if name not in _HARDLY_SEEN)
+"""Effects that slow pushes show, and of two that are the same to them one."""
+_ELSEWHERE = ("pose_flips", "compliant_table", "viscous_film", "rolling_finger", "pusher_wobble")
+"""Effects that both engines have and that no diagnosis can name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """What one case is about; signs, directions and the last digits of sizes are drawn with the case."""
+
+    engine: str
+    """`bullet`, `planar`, or `camera`: Bullet seen through rendered depth images."""
+    kind: str
+    """`null`, `single`, `pair`, `outside`."""
+    names: tuple[str, ...] = ()
+    size: float = 1.0
+    """Times the typical one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is in one case."""
+
+    scenario: Scenario
+    effects: Effects
+    """Of the catalogue of injected effects, with what merely disturbs (correlated noise, dropped frames)."""
+    outside: tuple[tuple[str, float], ...]
+    """Effects of the planar engine alone."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that a diagnosis should name."""
+        return self.scenario.names if self.scenario.kind in ("single", "pair") else ()
+
+    def as_json(self) -> Json:
+        """For the seal, and for the tables."""
+        return {
+            "engine": self.scenario.engine,
+            "kind": self.scenario.kind,
+            "names": list(self.scenario.names),
+            "size": self.scenario.size,
+            "effects": {name: list(values) for name, values in self.effects.values},
+            "outside": dict(self.outside),
+        }
+
+
+def phase_of(model: int) -> str:
+    """`tune` or `report`."""
+    return "report" if model >= FIRST_REPORT_MODEL else "tune"
+
+
+@cache
+def _plan() -> tuple[Scenario, ...]:
+    """One round of scenarios in an order in which any part of it holds some of each."""
+    plan: list[Scenario] = []
+    rng = np.random.default_rng(20)
+    for engine in ("bullet", "planar"):
+        plan += [Scenario(engine, "null")] * _N_NULLS
+        # Bullet's spring is anchored anew at every push: no tether of the catalogue, which has one place on the table.
+        plan += [Scenario(engine, "single", (name,), s) for name in CATALOGUE for s in _SIZES if (engine, name) != ("bullet", "tether")]
+        for _ in range(_N_PAIRS):
+            first, second = rng.choice(len(_PAIRABLE), 2, replace=False)
+            plan.append(Scenario(engine, "pair", (_PAIRABLE[first], _PAIRABLE[second]), 1.5))
+        plan += [Scenario(engine, "outside", (name,), s) for name in _ELSEWHERE for s in (1.0, 3.0)]
+    plan += [Scenario("planar", "outside", (name,), s) for name in OUTSIDE for s in (1.0, 2.0)]
+    return tuple(plan[i] for i in rng.permutation(len(plan)))
+
+
+def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
+    """What is in a case: the plan tells the scenario, the seed the rest. What no camera can film becomes a null there."""
+    # A report begins at the other end of the plan than tuning did.
+    first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
+    scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
+    if camera:
+        filmed = all(name in EFFECTS and name != "tether" and EFFECTS[name].acts_on != "poses" for name in scenario.names)
+        scenario = replace(scenario, engine="camera") if filmed else Scenario("camera", "null")
+    rng = np.random.default_rng([model, OBJECT_NAMES.index(object_name), 77])
+    values: dict[str, tuple[float, ...]] = {}
+    outside: list[tuple[str, float]] = []
+    for name in scenario.names:
+        size = scenario.size * float(np.exp(_JITTER * rng.normal()))
+        if name in OUTSIDE:
+            outside.append((name, min(size * OUTSIDE[name].typical, OUTSIDE[name].largest)))
+        else:
+            values[name] = _drawn(name, size, rng)
+    # What every camera may do to anyone.
+    disturbance = rng.random(2)
+    if scenario.kind == "null" and disturbance[0] < 0.4 and not camera:
+        values["noise_correlation"] = (float(rng.uniform(0.3, 0.6)),)
+    if scenario.kind == "null" and disturbance[1] < 0.25:
+        values["dropped_frames"] = (float(rng.uniform(0.05, 0.2)),)
+    return Truth(scenario, Effects.of(values), tuple(outside))
+
+
+def _drawn(name: str, size: float, rng: np.random.Generator) -> tuple[float, ...]:
+    """Parameters of an effect of so many times its typical size, in any direction or of either sign, within its range."""
+    parameters = EFFECTS[name].parameters
+    acting = [p for p in parameters if p.default == 0.0]
+    length = size * acting[0].typical
+    if len(acting) == 2:
+        angle = rng.uniform(-np.pi, np.pi)
+        drawn = [length * np.cos(angle), length * np.sin(angle)]
+    else:
+        drawn = [length * (rng.choice([-1.0, 1.0]) if acting[0].lowest < 0 else 1.0)]
+    kept = [float(np.clip(v, max(p.lowest, -0.9 * p.highest), 0.9 * p.highest)) for v, p in zip(drawn, acting, strict=True)]
+    kept = [float(np.sign(v) * max(abs(v), p.smallest)) for v, p in zip(kept, acting, strict=True)]
+    return (*kept, *(p.default for p in parameters[len(acting) :]))
+
+
+def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, noise: CameraNoise) -> list[PushRecord]:
+    """The pushes of a case as they are seen; the first ones are the same whatever their number.
+
+    Args:
+        truth: what is in it.
+        object_name: what is pushed.
+        model: seed of the object, of the pushes and of all noise.
+        n_pushes: how many.
+        noise: of poses and forces; a rendered camera has its own.
+
+    Raises:
+        PushIdentError: the object tips over, or was not perceived.
+    """
+    if truth.scenario.engine == "camera":
+        return _filmed(truth, object_name, model, n_pushes)
+    thing = make_object(object_name, model)
+    settings = replace(TruthSettings(n_train=n_pushes, n_test=0), effects=truth.effects)
+    own = [model, OBJECT_NAMES.index(object_name), 5]
+    engine = _planar(truth, thing, settings) if truth.scenario.engine == "planar" else None
+    motions = make_pushes(thing, own, settings, engine=engine)
+    return [_seen(truth, thing, motion, [*own, i, 1], i, noise) for i, motion in enumerate(motions)]
+
+
+def make_asked_record(truth: Truth, object_name: str, model: int, asked: PlannedPush, number: int, noise: CameraNoise) -> PushRecord | None:
+    """A push that a diagnosis asked for, of an object that is put down where the diagnosis says; other arguments as in `make_records`.
+
+    Args:
+        asked: the push.
+        number: of pushes before it.
+
+    Returns:
+        None through a rendered camera, where the object lies where it came to rest.
+    """
+    if truth.scenario.engine == "camera" or asked.plan is None:
+        return None
+    # Here, so that drawing results does without Bullet.
+    from push_ident_sim.engines.bullet.push_world import PushWorld
+
+    thing = make_object(object_name, model)
+    settings = replace(TruthSettings(), effects=truth.effects)
+    path = path_of_plan(asked.plan, settings)
+    with ExitStack() as stack:
+        engine: Engine
+        if truth.scenario.engine == "planar":
+            engine = _planar(truth, thing, settings)
+        else:
+            world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
+            stack.callback(world.close)
+            engine = world
+        motion = engine.push(asked.pose_object_in_table, path, pushes_done=number)
+    return _seen(truth, thing, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
+
+
+def _planar(truth: Truth, thing: SimObject, settings: TruthSettings) -> PlanarWorld:
+    radius = settings.pushes.pusher_radius
+    return PlanarWorld(thing, radius, time_step=settings.time_step, effects=truth.effects, outside=dict(truth.outside))
+
+
+def _seen(truth: Truth, thing: SimObject, motion: TrueMotion, seed: list[int], number: int, noise: CameraNoise) -> PushRecord:
+    seen = observe_motion(motion, TruthSettings().pushes.pusher_radius, noise, np.random.default_rng(seed), truth.effects)
+    return PushRecord(thing.name, true_model(thing).shape, *seen, f"push {number + 1}", number)
+
+
+def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[PushRecord]:
+    """Depth images of Bullet's world, in which object and poses are then perceived."""
+    settings = RecordingSettings(object_name, model, n_pushes, model, truth.effects, camera=True)
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "pushes"
+        record_pushes(bag, settings)
+        return load_pushes([bag]).records

@@ -1,0 +1,123 @@
+"""Tables and the confusion matrix of the blind check, made of its summary alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from push_ident.physics.effects import EFFECTS
+from push_ident_sim.studies.common.drawing import markdown_table, new_figure, save
+from push_ident_sim.studies.common.experiment import Json
+
+__all__ = ["draw", "tables"]
+
+_ROWS = (
+    ("false_alarms", "false alarms on nulls", "<= 5 %"),
+    ("nulls_not_trusted", "nulls not trusted", ""),
+    ("top1_detectable", "first name right, detectable sizes", ">= 90 %"),
+    ("top1_surely", "first name right, sizes that would be seen nine times in ten", ">= 90 %"),
+    ("top1_plain", "first name right, noncentrality >= 25", ">= 95 %"),
+    ("wrong_names", "named without a doubt and wrong, all sizes", "<= 3 %"),
+    ("wrong_names_detectable", "the same, detectable sizes", ""),
+    ("in_set", "truth among what is left open", ">= 95 %"),
+    ("set_size", "how many are left open", "<= 1.3"),
+    ("ties_settled", "left open: settled rightly by <= 2 pushes that it asked for", ">= 90 %"),
+    ("ties_settled_as_expected", "the same, of those where one push was said to be enough", ">= 90 %"),
+    ("ties_beyond_pushes", "left open, and no push within its limits would tell", ""),
+    ("ties_asked", "pushes it asked for", "<= 2"),
+    ("silent_undetectable", "undetectable sizes: no gap", ""),
+    ("wrong_undetectable", "undetectable sizes: wrongly named", ""),
+    ("pairs_both", "two effects: both named", ">= 75 %"),
+    ("pairs_one", "two effects: one named", ">= 95 %"),
+    ("unknown_flagged", "outside the catalogue, visible: said so", ">= 80 %"),
+    ("unknown_misnamed", "outside the catalogue: named without a doubt", "<= 10 %"),
+    ("outside_invisible", "outside the catalogue: not visible", ""),
+    ("shrink", "shrink S, median", ">= 0.85"),
+    ("shrink_oracle", "S of the true effect, median", ""),
+    ("shrink_of_oracle", "S of S of the true effect, median", ">= 0.95"),
+    ("shrink_tuned", "S of tuning existing parameters only", ""),
+    ("size_error", "error of the size, median (where the law is the world's)", ""),
+    ("sizes_within_tenth", "sizes within 10 %", ""),
+    ("size_intervals", "90 % intervals of sizes that hold", "85-95 %"),
+    ("baseline_evidence", "first by evidence, whatever its size", ""),
+    ("baseline_training_fit", "baseline: best training fit", ""),
+    ("baseline_largest_residual", "baseline: largest residual", ""),
+    ("baseline_random", "baseline: random", ""),
+    ("seconds", "seconds a case, one core, median", ""),
+)
+
+
+def _number(figure: Json) -> str:
+    value, as_share = figure.get("share"), "share" in figure
+    value = value if as_share else figure["value"]
+    if value is None:
+        return "–"
+    scale, unit = (100.0, " %") if as_share else (1.0, "")
+    form = "{:.0f}" if as_share else "{:.2f}"
+    between = "" if figure["low"] is None else f" ({form.format(scale * figure['low'])}-{form.format(scale * figure['high'])})"
+    return f"{form.format(scale * value)}{unit}{between}, n {figure['n']}"
+
+
+def tables(summary: Json) -> str:
+    """Markdown of a summary."""
+    parts = []
+    if sealed := summary.get("sealed"):
+        parts.append(
+            f"Set: {sealed['phase']}, {sealed['n_cases']} cases. SHA-256 of the truth `{sealed['truth_sha256']}`, "
+            f"of the thresholds `{sealed['thresholds_sha256']}`. Intervals hold at 90 %."
+        )
+    if found := summary.get("figures"):
+        groups = list(found)
+        rows = [[text, target, *(_number(found[group][key]) for group in groups)] for key, text, target in _ROWS]
+        parts.append(markdown_table(["figure", "target", *groups], rows))
+        bins = [
+            [f">= {row['from']:g}", *(_number(row[key]) for key in ("top1", "in_set", "wrong", "silent"))]
+            for row in summary["by_noncentrality"]
+        ]
+        parts.append(markdown_table(["noncentrality", "first name right", "truth left open", "wrong", "silent"], bins))
+        smallest = summary["smallest"]
+        rows = [
+            [
+                name,
+                EFFECTS[name].parameters[0].unit or "1",
+                *("–" if smallest[p][name] is None else f"{smallest[p][name]:.2g}" for p in smallest),
+            ]
+            for name in next(iter(smallest.values()), {})
+        ]
+        parts.append("Smallest size that nulls would have shown, median:\n\n" + markdown_table(["effect", "unit", *smallest], rows))
+    if engines := summary.get("engines"):
+        rows = [
+            [name.replace("_", " "), str(own["n"]), *(f"{1e3 * own[key]:.2f}" for key in ("median_m", "q90_m", "largest_m"))]
+            for name, own in engines.items()
+        ]
+        parts.append(
+            "The engines apart by themselves, cell error at the end of a push without effects:\n\n"
+            + markdown_table(["engines", "pushes", "median [mm]", "90 % [mm]", "largest [mm]"], rows)
+        )
+    return "\n\n".join(parts)
+
+
+def draw(summary: Json, folder: Path) -> dict[str, str]:
+    """Write the confusion matrix into a folder."""
+    confusion: dict[str, dict[str, int]] = summary.get("confusion", {})
+    if not confusion:
+        return {}
+    rows = list(confusion)
+    answers = {name for own in confusion.values() for name in own}
+    columns = [name for name in rows if name in answers] + sorted(answers - set(rows))
+    counts = np.array([[confusion[row].get(column, 0) for column in columns] for row in rows])
+    figure, (ax,) = new_figure(1, width=0.42 * len(columns) + 3.2, height=0.34 * len(rows) + 2.4)
+    ax.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        share = counts[i, j] / counts[i].sum()
+        ax.text(j, i, str(counts[i, j]), ha="center", va="center", fontsize=8, color="white" if share > 0.5 else "black")
+    ax.set_xticks(range(len(columns)), columns, rotation=60, ha="right", fontsize=8)
+    ax.set_yticks(range(len(rows)), rows, fontsize=8)
+    ax.set_xlabel("first name given")
+    ax.set_ylabel("truth")
+    save(figure, folder / "blind.png")
+    return {
+        "blind.png": "Cases by truth and by the first name given; colours are shares of a row. "
+        "Single effects of detectable size, nulls, and effects outside the catalogue."
+    }

@@ -1,0 +1,274 @@
+"""Figures of the blind check, each with an interval that holds at 90 %."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from push_ident.physics.effects import EFFECTS
+from push_ident_sim.studies.blind.cases import CATALOGUE
+from push_ident_sim.studies.blind.scoring import TWINS
+from push_ident_sim.studies.common.experiment import CaseResult, Json
+
+__all__ = ["Judged", "figures", "interval", "judge", "summarise_cases"]
+
+_Z90 = 1.6449
+_NINE_OF_TEN = 1.2816
+"""A normal deviate is larger than minus this nine times out of ten."""
+_SEEN = 5.0
+"""An effect is detectable where its true size brings so much log evidence on average [nat]."""
+_PLAIN = 25.0
+"""Noncentrality from which a confusion is rare."""
+_SIZED = (
+    "outline_error", "pusher_lag", "pusher_speed_scale", "pose_latency", "tool_offset", "camera_translation", "camera_rotation",
+    "camera_scale", "pusher_friction", "table_anisotropy", "base_anisotropy",
+)  # fmt: skip
+"""Effects whose law is the same in the world and in the model."""
+_N_BOOTSTRAP = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A diagnosis against the truth; twins count as one."""
+
+    engine: str
+    kind: str
+    pushes: str
+    truth: tuple[str, ...]
+    verdict: str
+    named: tuple[str, ...]
+    """Effects that were added, in their order."""
+    set: frozenset[str]
+    """All that the verdict leaves open."""
+    noncentrality: float
+    """Of the weakest true effect, beside its hardest rival; by slopes at null, and of a single one by fits of both as well."""
+    detectable: bool
+    """Every true effect would be seen on average."""
+    surely: bool
+    """Each would be seen nine times out of ten."""
+    values: Json
+
+    @property
+    def right(self) -> bool:
+        """The first effect that was named is there."""
+        return bool(self.named) and self.named[0] in self.truth
+
+    @property
+    def wrong(self) -> bool:
+        """Named without a doubt, and not there."""
+        return self.verdict in ("named", "several") and any(name not in self.truth for name in self.named)
+
+
+def _one_of_twins(name: str) -> str:
+    return min(name, TWINS.get(name, name))
+
+
+def judge(result: CaseResult) -> Judged:
+    """Compare a case's outcome with its truth."""
+    values = result.values
+    truth = values["truth"]
+    names = tuple(map(_one_of_twins, truth["names"])) if truth["kind"] in ("single", "pair") else ()
+    named = tuple(_one_of_twins(effect["name"]) for effect in values["effects"])
+    told = values.get("detectability", {}).values()
+    return Judged(
+        engine=truth["engine"],
+        kind=truth["kind"],
+        pushes=result.case.variant,
+        truth=names,
+        verdict=values["verdict"],
+        named=named,
+        set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
+        noncentrality=_noncentrality(values),
+        detectable=bool(told) and all((t["gain"] or 0.0) >= _SEEN for t in told),
+        surely=bool(told) and all(_in_nine_of_ten(t) >= _SEEN for t in told),
+        values=values,
+    )
+
+
+def _noncentrality(values: Json) -> float:
+    hardest = min((t["hardest"] or 0.0 for t in values.get("detectability", {}).values()), default=0.0)
+    apart = values.get("oracle", {}).get("apart")
+    return float(hardest if apart is None else min(hardest, apart))
+
+
+def _in_nine_of_ten(told: Json) -> float:
+    """Log evidence [nat] that a true size exceeds nine times out of ten: the root of twice what the data say is normal, of deviation 1."""
+    root = float(np.sqrt(told["alone"] or 0.0))
+    return (told["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - _NINE_OF_TEN) ** 2)
+
+
+def interval(hits: int, n: int) -> Json:
+    """A share with Wilson's interval at 90 %."""
+    if n == 0:
+        return {"share": None, "n": 0, "low": None, "high": None}
+    share, z2 = hits / n, _Z90**2
+    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+    half = _Z90 / (1 + z2 / n) * np.sqrt(share * (1 - share) / n + z2 / (4 * n * n))
+    return {"share": share, "n": n, "low": float(max(0.0, middle - half)), "high": float(min(1.0, middle + half))}
+
+
+def _share(cases: Iterable[Judged], holds: Callable[[Judged], Any]) -> Json:
+    found = [bool(holds(case)) for case in cases]
+    return interval(sum(found), len(found))
+
+
+def _statistic(values: Sequence[Any], of: Callable[..., Any] = np.median) -> Json:
+    """A median or mean over the rows of `values` with its bootstrap interval at 90 %."""
+    if not len(values):
+        return {"value": None, "n": 0, "low": None, "high": None}
+    rows, rng = np.array(values, dtype=np.float64), np.random.default_rng(0)
+    drawn = [of(rows[i], axis=0) for i in rng.integers(len(rows), size=(_N_BOOTSTRAP, len(rows)))]
+    low, high = np.quantile(drawn, [0.05, 0.95])
+    return {"value": float(of(rows, axis=0)), "n": len(rows), "low": float(low), "high": float(high)}
+
+
+def figures(cases: Sequence[Judged]) -> Json:
+    """All figures of one group of cases."""
+    nulls, singles, pairs, outside = ([c for c in cases if c.kind == kind] for kind in ("null", "single", "pair", "outside"))
+    seen = [c for c in singles if c.detectable]
+    plain = [c for c in seen if c.noncentrality >= _PLAIN]
+    below = [c for c in singles if not c.detectable]
+    both_seen = [c for c in pairs if c.detectable]
+    surely = [c for c in singles if c.surely]
+    # Where not even the base model could be trusted, that was seen.
+    visible = [c for c in outside if c.values.get("visibility") is None or c.values["visibility"] >= _PLAIN]
+    shrunk = [c for c in (*seen, *both_seen) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]
+    shrinks = [(c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"]) for c in shrunk]
+    sized = [s for c in seen if c.right for s in _size_errors(c)]
+    ties = [c for c in seen if "asked" in c.values]
+    tuned = [c.values["baselines"]["tuned_gap"]["shrink"] for c in shrunk]
+    return {
+        "false_alarms": _share(nulls, lambda c: c.verdict not in ("no_gap", "not_trustworthy")),
+        "nulls_not_trusted": _share(nulls, lambda c: c.verdict == "not_trustworthy"),
+        "top1_detectable": _share(seen, lambda c: c.right),
+        "top1_surely": _share(surely, lambda c: c.right),
+        "top1_plain": _share(plain, lambda c: c.right),
+        "wrong_names": _share(singles, lambda c: c.wrong),
+        "wrong_names_detectable": _share(seen, lambda c: c.wrong),
+        "in_set": _share([c for c in seen if c.set], lambda c: c.truth[0] in c.set),
+        "set_size": _statistic([len(c.set) for c in seen if c.set], np.mean),
+        "ties_settled": _share(ties, _settled_rightly),
+        "ties_settled_as_expected": _share([c for c in ties if c.values["asked"].get("expected", False)], _settled_rightly),
+        "ties_beyond_pushes": _share(ties, lambda c: c.values["asked"]["n"] == 0),
+        "ties_asked": _statistic([c.values["asked"]["n"] for c in ties], np.mean),
+        "silent_undetectable": _share(below, lambda c: c.verdict == "no_gap"),
+        "wrong_undetectable": _share(below, lambda c: c.wrong),
+        "pairs_both": _share(both_seen, lambda c: set(c.truth) <= set(c.named)),
+        "pairs_one": _share(both_seen, lambda c: set(c.truth) & set(c.named)),
+        "unknown_flagged": _share(visible, lambda c: c.verdict in ("unknown", "not_trustworthy")),
+        "unknown_misnamed": _share(outside, lambda c: c.verdict in ("named", "several")),
+        "outside_invisible": interval(len(outside) - len(visible), len(outside)),
+        "shrink": _statistic([own for own, _ in shrinks]),
+        "shrink_oracle": _statistic([oracle for _, oracle in shrinks]),
+        "shrink_of_oracle": _statistic([own / oracle for own, oracle in shrinks if oracle > 0.1]),
+        "shrink_tuned": _statistic([t for t in tuned if t is not None]),
+        "size_error": _statistic([error for error, _ in sized]),
+        "sizes_within_tenth": interval(sum(error <= 0.1 for error, _ in sized), len(sized)),
+        "size_intervals": interval(sum(held for _, inside in sized for held in inside), sum(len(inside) for _, inside in sized)),
+        "baseline_evidence": _share(seen, lambda c: _baseline(c, "evidence") in c.truth),
+        "baseline_training_fit": _share(seen, lambda c: _baseline(c, "training_fit") in c.truth),
+        "baseline_largest_residual": _share(seen, lambda c: _baseline(c, "largest_residual") in c.truth),
+        "baseline_random": {"share": 1.0 / len(CATALOGUE), "n": len(seen), "low": None, "high": None},
+        "seconds": _statistic([c.values["seconds"] for c in cases]),
+    }
+
+
+def _settled_rightly(case: Judged) -> bool:
+    """Whether the pushes that were asked for left the true effect alone."""
+    asked = case.values["asked"]
+    return asked["settled"] and [_one_of_twins(name) for name in asked["named"]] == list(case.truth)
+
+
+def _baseline(case: Judged, name: str) -> str:
+    return _one_of_twins(case.values["baselines"][name] or "")
+
+
+def _size_errors(case: Judged) -> list[tuple[float, list[bool]]]:
+    """Relative error of an effect that was rightly named, and whether each parameter lies in its interval at 90 %; none where the law of
+    the world is not that of the model."""
+    effect = case.values["effects"][0]
+    name = effect["name"]
+    if name not in _SIZED or name not in case.values["true_parameters"]:
+        return []
+    shown = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
+    true = np.array(case.values["true_parameters"][name])[shown]
+    found, std = (np.array(list(effect[key].values()))[shown] for key in ("parameters", "std"))
+    error = float(np.linalg.norm(found - true) / np.linalg.norm(true))
+    return [(error, [bool(v) for v in np.abs(found - true) <= _Z90 * std])]
+
+
+def summarise_cases(results: Sequence[CaseResult]) -> Json:
+    """Figures by engine and by number of pushes, the confusion matrix, what can be seen at all, and every case in a line."""
+    cases = [judge(result) for result in results]
+    groups: dict[str, list[Judged]] = {"all": cases}
+    for case in cases:
+        # The camera is an engine and a variant.
+        for name in {case.pushes, case.engine}:
+            groups.setdefault(name, []).append(case)
+    return {
+        "figures": {name: figures(own) for name, own in groups.items()},
+        "by_noncentrality": _by_noncentrality(cases),
+        "confusion": _confusion(cases),
+        "smallest": _smallest(cases),
+        "cases": [
+            {
+                "case": result.case.key,
+                "truth": "+".join(result.values["truth"]["names"]) or "nothing",
+                "size": result.values["truth"]["size"],
+                "engine": case.engine,
+                "kind": case.kind,
+                "detectable": case.detectable,
+                "noncentrality": case.noncentrality,
+                "verdict": case.verdict,
+                "named": list(case.named),
+                "confusable": result.values["confusable"],
+            }
+            for result, case in zip(results, cases, strict=True)
+        ],
+    }
+
+
+def _by_noncentrality(cases: Sequence[Judged]) -> list[Json]:
+    edges = (0.0, 9.0, 25.0, 100.0, 400.0, np.inf)
+    rows = []
+    for low, high in pairwise(edges):
+        own = [c for c in cases if c.kind == "single" and c.truth and low <= c.noncentrality < high and "detectability" in c.values]
+        rows.append(
+            {
+                "from": low,
+                "top1": _share(own, lambda c: c.right),
+                "in_set": _share(own, lambda c: set(c.truth) & c.set),
+                "wrong": _share(own, lambda c: c.wrong),
+                "silent": _share(own, lambda c: c.verdict == "no_gap"),
+            }
+        )
+    return rows
+
+
+def _confusion(cases: Sequence[Judged]) -> Json:
+    """How often each truth got each name; truths of one effect that could be seen, nulls, and effects outside the catalogue."""
+    counts: dict[str, Counter[str]] = {}
+    for case in cases:
+        if case.kind == "pair" or (case.kind == "single" and not case.detectable):
+            continue
+        truth = case.truth[0] if case.truth else ("outside" if case.kind == "outside" else "nothing")
+        answer = case.named[0] if case.named else {"no_gap": "nothing"}.get(case.verdict, case.verdict)
+        counts.setdefault(truth, Counter())[answer] += 1
+    return {truth: dict(own) for truth, own in sorted(counts.items())}
+
+
+def _smallest(cases: Sequence[Judged]) -> Json:
+    """Median of the smallest size of each effect that nulls would have shown, by number of pushes; None where most would not."""
+    table: Json = {}
+    for pushes in sorted({c.pushes for c in cases}):
+        seen = [c.values["steps"][0]["smallest"] for c in cases if c.kind == "null" and c.pushes == pushes and c.values["steps"]]
+        table[pushes] = {}
+        for name in CATALOGUE:
+            middle = float(np.median([own.get(name, np.inf) for own in seen])) if seen else np.inf
+            table[pushes][name] = middle if np.isfinite(middle) else None
+    return table

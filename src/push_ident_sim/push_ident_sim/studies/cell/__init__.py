@@ -1,0 +1,1 @@
+"""Experiment: checks of the simulated cell."""

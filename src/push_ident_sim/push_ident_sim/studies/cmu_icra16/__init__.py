@@ -1,0 +1,1 @@
+"""Real pushes of which only the end poses are known."""

@@ -1,0 +1,86 @@
+"""A square plate cut into any number of cells: the same object at each resolution, and pushes of one second."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from push_ident.geometry.outline import outline_of_cells
+from push_ident.physics.simulation import PoseLoss
+from push_ident.pushing.push import PushSettings
+from push_ident.pushing.sampling import sample_push
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.objects import SimObject
+from push_ident_sim.recordings.truth import CameraNoise
+
+__all__ = ["FRAMES", "distance_to", "plate", "plate_in_bullet", "plate_pushes", "record_of"]
+
+_SIDE = 0.12
+_LEVER = 0.05
+"""Turns angles into lengths: about the distance of a cell from the middle [m]."""
+_PUSHES = PushSettings(
+    workspace=(-0.6, 0.6, -0.6, 0.6),
+    pusher_radius=0.008,
+    clearance=0.01,
+    distance_range=(0.09, 0.09),
+    speed_range=(0.1, 0.1),
+    cone=float(np.radians(40.0)),
+)
+FRAMES = np.linspace(0.0, 1.0, 31)
+"""When the pose is asked for [s]: at the rate of a camera."""
+
+
+def plate(cells_along: int, seed: int) -> ObjectModel:
+    """`cells_along`² cells with wavy maps of mass and friction that depend on `seed` and on the place alone; 0.5 kg."""
+    rng = np.random.default_rng(seed)
+    size = _SIDE / cells_along
+    along = (np.arange(cells_along) - (cells_along - 1) / 2) * size
+    centres = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
+    mass = np.exp(_waves(centres, 0.5, rng))
+    friction = 0.3 * np.exp(_waves(centres, 0.3, rng))
+    shape = ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size))
+    return ObjectModel(shape, 0.5 * mass / mass.sum(), friction, 0.3)
+
+
+def _waves(centres: Float64Array, amplitude: float, rng: np.random.Generator) -> Float64Array:
+    """Three plane waves, one to two wavelengths long on the plate."""
+    angle, length, phase = rng.uniform(0, 2 * np.pi, 3), rng.uniform(_SIDE / 2, _SIDE, 3), rng.uniform(0, 2 * np.pi, 3)
+    across = centres @ np.array([np.cos(angle), np.sin(angle)])
+    return np.asarray(amplitude * np.cos(2 * np.pi * across / length + phase).sum(axis=1))
+
+
+def plate_pushes(n: int, seed: int) -> list[PusherPath]:
+    """`n` random pushes of the plate at the origin, as in the paper but for their speed: each lasts one second."""
+    rng, shape = np.random.default_rng([seed, 1]), plate(4, seed).shape
+    plans = [sample_push(shape, np.zeros(3), rng, _PUSHES) for _ in range(n)]
+    return [
+        PusherPath(np.array([0.0, 1.0]), np.array([p.tool_at_contact - _PUSHES.clearance * p.heading, p.tool_end]), _PUSHES.pusher_radius)
+        for p in plans
+    ]
+
+
+def distance_to(target: Float64Array) -> PoseLoss:
+    """Half the sum of squared differences to poses, an angle taken at a lever of 5 cm [m²]; `target` of shape (n_frames, 3)."""
+    weight = np.array([1.0, 1.0, _LEVER**2])
+
+    def loss(poses: Float64Array) -> tuple[float, Float64Array]:
+        off = poses - target
+        return 0.5 * float(np.sum(weight * off**2)), weight * off
+
+    return loss
+
+
+def plate_in_bullet(model: ObjectModel) -> SimObject:
+    """The plate as an object of the simulated cell."""
+    cells = model.shape.cells
+    return SimObject("plate", cells.size, cells.centres, np.full(len(cells), 0.03), model.mass, model.friction, model.pusher_friction)
+
+
+def record_of(motion: TrueMotion, model: ObjectModel, radius: float, noise: CameraNoise, rng: np.random.Generator) -> PushRecord:
+    """What a camera sees of a motion; before and after it everything stands still."""
+    frames = np.arange(-noise.rest, motion.time[-1] + noise.rest, 1.0 / noise.rate)
+    std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
+    seen = np.column_stack([np.interp(frames, motion.time, column) for column in motion.pose.T])
+    seen += std * rng.normal(size=seen.shape)
+    poses = PoseTrack(frames, seen, np.broadcast_to(np.diag(std**2), (len(frames), 3, 3)))
+    return PushRecord("plate", model.shape, poses, PusherPath(motion.time, motion.pusher, radius))

@@ -1,0 +1,1 @@
+"""Experiment: error against budget for every solver."""

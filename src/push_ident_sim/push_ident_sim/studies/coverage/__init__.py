@@ -1,0 +1,1 @@
+"""Experiment: calibration of the stated uncertainty."""

@@ -1,0 +1,173 @@
+"""Whether the stated uncertainty is right: how often the truth lies within the regions that the posterior gives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammainc
+
+from push_ident.identification.observation import observe_push
+from push_ident.identification.prediction import cell_error, predict
+from push_ident.identification.result import ModelPosterior
+from push_ident.types import ObjectModel, PushRecord, SolveStatus
+from push_ident_sim.recordings.truth import load_truth, true_model
+from push_ident_sim.studies.common.drawing import label_below, markdown_table, millimetres, new_figure, save
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.measuring import fit_errors, grouped
+
+__all__ = ["EXPERIMENT"]
+
+FloatArray = NDArray[np.float64]
+
+_N_TRAIN = 4
+_N_SAMPLES = 500
+_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+_NOMINAL = 0.9
+_QUANTITIES = {
+    "ends": "end poses of unseen pushes",
+    "centre": "centre of friction",
+    "pusher_friction": "friction of the pusher",
+    "cells": "mass times friction of the cells",
+}
+
+
+def _level(squared_distance: ArrayLike, dimension: int) -> FloatArray:
+    """Smallest probability of a Gaussian region about the mean that holds a point at this Mahalanobis distance."""
+    return np.asarray(gammainc(dimension / 2, np.asarray(squared_distance, dtype=np.float64) / 2), dtype=np.float64)
+
+
+def _run(case: Case, settings: CaseSettings) -> Json:
+    train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
+    exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
+    _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
+    result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
+    truth, posterior = true_model(thing), result.posterior
+    ends = [end for seen, true in zip(test, clean, strict=True) if (end := _end(posterior, seen, true))]
+    samples = _samples(posterior, np.random.default_rng([case.model, 2]))
+    pusher = posterior.pusher_friction
+    distance = np.log(truth.pusher_friction / pusher.value) * pusher.value / pusher.std
+    return values | {
+        "not_predicted": len(test) - len(ends),
+        "levels": {
+            "ends": [level for level, _, _ in ends],
+            "centre": [_centre(truth, samples)],
+            "pusher_friction": [round(float(_level(distance**2, 1)), 4)],
+            "cells": _cells(truth, samples, posterior),
+        },
+        "expected_m": [expected for _, expected, _ in ends],
+        "actual_m": [actual for _, _, actual in ends],
+    }
+
+
+def _end(posterior: ModelPosterior, seen: PushRecord, true: PushRecord) -> tuple[float, float, float] | None:
+    """Level of the true end of a push in its prediction, and the expected and the actual cell error [m]; None without a prediction."""
+    start = observe_push(seen)
+    time = np.append(start.time, seen.poses.time[-1])
+    prediction = predict(posterior, seen.pusher, start.pose[0], time, first_covariance=start.first_covariance)
+    if prediction.status is SolveStatus.SIMULATION_FAILED:
+        return None
+    end = true.poses.pose[-1]
+    off = end - prediction.pose[-1]
+    level = _level(off @ np.linalg.solve(prediction.covariance[-1], off), 3)
+    return round(float(level), 4), round(prediction.cell_error_std, 6), round(cell_error(seen.shape.cells, prediction.pose[-1], end), 6)
+
+
+def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
+    z = rng.multivariate_normal(posterior.z, posterior.covariance, size=_N_SAMPLES, method="eigh")
+    return [posterior.parameters.model(row) for row in z]
+
+
+def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
+    centres = np.array([model.centre_of_friction for model in samples])
+    off = truth.centre_of_friction - centres.mean(axis=0)
+    return round(float(_level(off @ np.linalg.solve(np.cov(centres.T), off), 2)), 4)
+
+
+def _cells(truth: ObjectModel, samples: Sequence[ObjectModel], posterior: ModelPosterior) -> list[float]:
+    """Levels of the cells' shares in the logarithm; a cell that bears nothing lies outside every region."""
+    shares = np.log([model.mass * model.friction / np.mean(model.mass * model.friction) for model in samples])
+    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.parameters.map_remainder
+    product = truth.mass * truth.friction
+    with np.errstate(divide="ignore"):
+        off = np.log(product / product.mean()) - shares.mean(axis=0)
+    return np.round(_level(off**2 / (shares.var(axis=0) + left_out), 1), 4).tolist()
+
+
+def _summarise(results: Sequence[CaseResult]) -> Json:
+    return {
+        "curves": {quantity: [_share(results, quantity, level) for level in _LEVELS] for quantity in _QUANTITIES},
+        "objects": {name: _row(own) for name, own in grouped(results, "object_name").items()} | {"all": _row(results)},
+    }
+
+
+def _share(results: Sequence[CaseResult], quantity: str, level: float) -> float:
+    return round(float(np.mean([u <= level for r in results for u in r.values["levels"][quantity]])), 4)
+
+
+def _row(results: Sequence[CaseResult]) -> Json:
+    row: Json = {quantity: _share(results, quantity, _NOMINAL) for quantity in _QUANTITIES}
+    for key in ("expected_m", "actual_m"):
+        row[key] = round(float(np.sqrt(np.mean([v**2 for r in results for v in r.values[key]]))), 6)
+    return row | {
+        "pushes": sum(len(r.values["actual_m"]) for r in results),
+        "not_predicted": sum(r.values["not_predicted"] for r in results),
+    }
+
+
+def _tables(summary: Json) -> str:
+    head = [
+        f"share within the {100 * _NOMINAL:.0f} % region",
+        *_QUANTITIES.values(),
+        "error expected [mm]",
+        "error found [mm]",
+        "pushes",
+        "not predicted",
+    ]
+    return markdown_table(
+        head,
+        [
+            [
+                name,
+                *(f"{100 * own[quantity]:.0f} %" for quantity in _QUANTITIES),
+                *(millimetres(own[key]) for key in ("expected_m", "actual_m")),
+                str(own["pushes"]),
+                str(own["not_predicted"]),
+            ]
+            for name, own in summary["objects"].items()
+        ],
+    )
+
+
+def _draw(summary: Json, folder: Path) -> dict[str, str]:
+    figure, (ax,) = new_figure(1, width=5.2, height=5.0)
+    ax.plot([0, 1], [0, 1], color="black", linestyle=":", linewidth=1)
+    for (quantity, label), colour in zip(_QUANTITIES.items(), ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=True):
+        ax.plot(_LEVELS, summary["curves"][quantity], "o-", color=colour, markersize=4, label=label)
+    ax.set_xlabel("probability of the region")
+    ax.set_ylabel("share of truths within it")
+    ax.grid(alpha=0.3)
+    label_below(ax, 2)
+    save(figure, folder / "coverage.png")
+    return {"coverage.png": "Below the dotted line the stated uncertainty is too small, above it too large."}
+
+
+EXPERIMENT = Experiment(
+    name="coverage",
+    title="Is the stated uncertainty right?",
+    question=(
+        "After 4 training pushes, how often does the truth lie within the 90 % region that the posterior states: of the end pose of an "
+        "unseen push (the true one, three dimensions), of the centre of friction, of the friction of the pusher, and of mass times "
+        "friction of each cell as a share of the mean cell? The regions of a cell are those of a logarithm, so that a cell that bears "
+        "nothing, as the handle of the wrench, lies outside all of them. Errors expected and found are root mean squares of the cell "
+        "error."
+    ),
+    variants=("four-pushes",),
+    run=_run,
+    summarise=_summarise,
+    tables=_tables,
+    draw=_draw,
+)

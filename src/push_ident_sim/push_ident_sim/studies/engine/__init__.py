@@ -1,0 +1,1 @@
+"""Benchmark: time and memory of the compiled engine."""

@@ -1,0 +1,1 @@
+"""Experiment: live identification against the library."""

@@ -1,0 +1,1 @@
+"""Experiment: learned maps beside the truth."""

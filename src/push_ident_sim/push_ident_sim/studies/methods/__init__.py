@@ -1,0 +1,1 @@
+"""Benchmark: all solvers with the same budget."""

@@ -1,0 +1,1 @@
+"""Experiment: choosing the next push against random pushes."""

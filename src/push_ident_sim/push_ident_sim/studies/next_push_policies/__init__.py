@@ -1,0 +1,1 @@
+"""Random pushes against pushes ranked first, on simulated objects."""

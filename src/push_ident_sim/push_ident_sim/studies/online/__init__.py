@@ -1,0 +1,1 @@
+"""Experiment: learning an object online from depth images."""

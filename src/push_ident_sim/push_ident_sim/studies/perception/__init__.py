@@ -1,0 +1,1 @@
+"""Experiment: errors and times of perception."""

@@ -1,0 +1,1 @@
+"""Experiment: the real executor on the simulated cell."""

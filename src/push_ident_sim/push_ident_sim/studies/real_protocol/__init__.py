@@ -1,0 +1,1 @@
+"""Experiment: the protocol of the paper's robot experiment."""

@@ -1,0 +1,1 @@
+"""Experiment: the live cell settles a diagnosis by itself."""

@@ -1,0 +1,1 @@
+"""Benchmark: the default solver to convergence."""

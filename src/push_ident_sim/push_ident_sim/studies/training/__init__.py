@@ -1,0 +1,1 @@
+"""Experiment: error against the number of training pushes."""

@@ -1,0 +1,81 @@
+"""Bags that tests write, push by push or message by message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from push_ident.bags.contract import Role
+from push_ident.bags.reader import read_bag
+from push_ident.bags.typestore import jazzy_typestore
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import BagError
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.types import ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+
+COVARIANCE = np.array([[2e-6, 3e-7, 1e-7], [3e-7, 1e-6, 2e-7], [1e-7, 2e-7, 8e-5]])
+L_OUTLINE = np.array([[0.0, 0.0], [0.06, 0.0], [0.06, 0.02], [0.02, 0.02], [0.02, 0.05], [0.0, 0.05]])
+L_SHAPE = ObjectShape(cells_in_outline(L_OUTLINE, 0.01), L_OUTLINE)
+
+
+def make_record(start: float, *, object_id: str = "7", n_poses: int = 6, wrench: bool = True) -> PushRecord:
+    """A push of 1 s; the numbers follow no physics, they only have to come back."""
+    time = start + np.linspace(0.0, 1.0, 31)
+    pose_time = start + np.linspace(0.0, 1.0, n_poses)
+    pose = np.column_stack([0.1 + 0.02 * (pose_time - start), 0.3 - 0.01 * (pose_time - start), 3.1 + 0.2 * (pose_time - start)])
+    force = WrenchTrack(time, np.column_stack([np.sin(time), np.cos(time)])) if wrench else None
+    return PushRecord(
+        object_id,
+        L_SHAPE,
+        PoseTrack(pose_time, pose, np.tile(COVARIANCE, (n_poses, 1, 1))),
+        PusherPath(time, np.column_stack([0.05 * (time - start), np.full_like(time, 0.31)]), 0.0085),
+        force,
+    )
+
+
+def write_push(writer: BagWriter, start: float, *, n: int = 31, poses: bool = True, pusher: bool = True) -> None:
+    for time in start + np.linspace(0.0, 1.0, n):
+        if poses:
+            writer.write_pose("7", time, (0.1, 0.2, time), COVARIANCE)
+        if pusher:
+            writer.write_pusher(time, (time, 0.0))
+
+
+def write_raw(writer: BagWriter, role: Role, topic: str, stamp_ns: int, *fields: object) -> None:
+    store = jazzy_typestore()
+    message = store.types[role.msgtype](*fields)  # type: ignore[arg-type]
+    writer.write_raw(topic, role.msgtype, stamp_ns, store.serialize_cdr(message, role.msgtype))
+
+
+def write_pusher_logged(writer: BagWriter, stamp_ns: int, log_ns: int, topic: str = "/pusher/pose") -> None:
+    """A pusher pose whose log time is not its stamp."""
+    types = jazzy_typestore().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9)), "table")
+    point, turn = types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    write_raw(writer, Role.PUSHER, topic, log_ns, header, types["geometry_msgs/msg/Pose"](point, turn))
+
+
+def bag_error(path: Path) -> str:
+    with pytest.raises(BagError) as caught:
+        read_bag(path)
+    text = str(caught.value)
+    assert "\n" not in text and str(path) in text
+    return text
+
+
+def assert_same_record(got: PushRecord, expected: PushRecord) -> None:
+    shift = got.pusher.time[0] - expected.pusher.time[0]
+    assert (got.object_id, got.pusher.radius) == (expected.object_id, expected.pusher.radius)
+    np.testing.assert_allclose(got.shape.cells.centres, expected.shape.cells.centres, atol=1e-9)
+    assert got.shape.cells.size == pytest.approx(expected.shape.cells.size, rel=1e-9)
+    np.testing.assert_allclose(got.shape.outline, expected.shape.outline, atol=1e-8)  # float32 on the wire
+    for name in ("time", "pose", "covariance"):
+        offset = shift if name == "time" else 0.0
+        np.testing.assert_allclose(getattr(got.poses, name) - offset, getattr(expected.poses, name), atol=2e-9)
+    np.testing.assert_allclose(got.pusher.time - shift, expected.pusher.time, atol=2e-9)
+    np.testing.assert_array_equal(got.pusher.position, expected.pusher.position)
+    assert (got.wrench is None) == (expected.wrench is None)
+    if got.wrench is not None and expected.wrench is not None:
+        np.testing.assert_array_equal(got.wrench.force, expected.wrench.force)

@@ -1,0 +1,222 @@
+"""An arm, a hand and an object played on the topics of push_executor_node, and the node as a process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.se2 import transform_points
+from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs
+from push_ident.types import ObjectShape
+from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import HandStatus, PushRecord
+from push_ident_sim.cell.robot import HOME, robot_description
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RADIUS = 0.018
+BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
+PARKED = [0.5, *HOME[1:]]
+ARM_TIMEOUT = 0.5  # five times the default: the processes of this test may have to share one core with other tests
+QUICK = {
+    "max_joint_velocity": 2.0,
+    "max_joint_acceleration": 10.0,
+    "free_speed": 0.5,
+    "settle": 0.2,
+    "rest": 0.4,
+    "home_posture": PARKED,
+    "workspace": [-0.1, 0.2, -0.25, 0.25],
+    "arm_timeout": ARM_TIMEOUT,
+    "tracking_lag": ARM_TIMEOUT,
+    "lost_timeout": 0.4,  # twice the arm timeout, where that is more
+    "force_limit": 30.0,
+    "hand": "simulated",
+    "hand_timeout": 2.0,
+}
+FIST = {"g_act": 1, "g_mod": 0, "g_gto": 1, "g_imc": 3, "g_sta": 2, "g_flt": 0, "g_pra": 255}
+
+
+class Cell(Node):
+    """An arm that follows every trajectory exactly, a hand that is a fist, and a box that the tool carries along while it overlaps."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("cell", context=context)
+        self.kinematics = ArmKinematics(robot_description(), neutral=HOME)
+        self.q = np.array(PARKED)
+        self.offset = np.zeros(7)
+        self._n_ticks = 0
+        self.silent = False
+        self.box_sticks = True
+        self.sees_box = True
+        self.force = 1.0
+        self.feels = True
+        self.fist = dict(FIST)
+        self.box = np.array([0.0, 0.02, 0.3])
+        self.commands: list[tuple[float, JointTrajectory]] = []
+        self.tool: list[PoseStamped] = []
+        self.pusher: list[PoseStamped] = []
+        self.records: list[PushRecord] = []
+        self.shapes: list[SolidPrimitive] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        self._tip = self.kinematics.forward(self.q)[:3, 3]
+        shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
+        cells, outline = shape_to_msgs(shape, "box", self.get_clock().now().to_msg())
+        self._publish_once(String, "robot_description", String(data=robot_description()))
+        self._publish_once(OccupancyGrid, "objects/box/cells", cells)
+        self._publish_once(PolygonStamped, "objects/box/outline", outline)
+        self._states = self.create_publisher(JointState, "joint_states", 10)
+        self._poses = self.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+        self._wrenches = self.create_publisher(WrenchStamped, "pusher/wrench", qos_profile_sensor_data)
+        self._hand = self.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
+        self.recording = self.create_publisher(DiagnosticStatus, "recording", LATCHED)
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_command, 10)
+        for kind, topic, kept, qos in (
+            (PoseStamped, "tool/pose", self.tool, 10),
+            (PoseStamped, "pusher/pose", self.pusher, 10),
+            (PushRecord, "push_record", self.records, 10),
+            (SolidPrimitive, "pusher/shape", self.shapes, LATCHED),
+            (DiagnosticArray, "/diagnostics", self.diagnostics, 10),
+        ):
+            self.create_subscription(kind, topic, kept.append, qos)
+        self.create_timer(0.01, self._tick)
+        self.client = ActionClient(self, ExecutePush, "execute_push")
+
+    def reset(self) -> None:
+        """As at the start: at home, all sensors alive, nothing recorded yet."""
+        self.silent, self.box_sticks, self.offset = False, True, np.zeros(7)
+        self.sees_box, self.feels, self.force, self.fist = True, True, 1.0, dict(FIST)
+        self.box[:] = 0.0, 0.02, 0.3
+        for kept in (self.commands, self.tool, self.pusher, self.records):
+            kept.clear()
+        self.place_arm(np.array(PARKED))
+
+    def place_arm(self, q: np.ndarray) -> None:
+        """Joint positions [rad], shape (7,), without a motion that would carry the box along."""
+        self.q = q
+        self._tip = self.kinematics.forward(q)[:3, 3]
+
+    def _publish_once(self, kind: type, topic: str, msg: object) -> None:
+        self.create_publisher(kind, topic, LATCHED).publish(msg)
+
+    def _on_command(self, msg: JointTrajectory) -> None:
+        received = time.monotonic()
+        self._times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+        self._positions = np.array([p.positions for p in msg.points])
+        self.commands.append((received, msg))
+
+    def _tick(self) -> None:
+        if self.commands:
+            elapsed = time.monotonic() - self.commands[-1][0]
+            self.q = np.array([np.interp(elapsed, self._times, column) for column in self._positions.T])
+        before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
+        if self.box_sticks and self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
+            self.box[:2] += self._tip[:2] - before[:2]
+        stamp = self.get_clock().now().to_msg()
+        if not self.silent:
+            state = JointState(name=list(self.kinematics.joint_names), position=(self.q + self.offset).tolist())
+            state.header.stamp = stamp
+            self._states.publish(state)
+        if self.feels:
+            self._wrenches.publish(force_to_msg(stamp, np.array([0.6 * self.force, -0.8 * self.force])))
+        self._n_ticks += 1
+        if self._n_ticks % 10 == 0:
+            self._hand.publish(HandStatus(**self.fist))
+        if self._n_ticks % 3 == 0 and self.sees_box:
+            self._poses.publish(planar_pose_to_msg(stamp, self.box, np.eye(3) * 1e-6))
+
+
+@dataclass
+class Call:
+    """One goal that was sent."""
+
+    handle: object
+    result: object
+    feedback: list[int] = field(default_factory=list)
+
+    def end(self, timeout: float = 20.0) -> ExecutePush.Result:
+        wait_for(lambda: self.result.done(), timeout)
+        return self.result.result().result
+
+
+def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "timed out"
+        time.sleep(0.002)
+
+
+def send(cell: Cell, **fields: object) -> Call:
+    feedback: list[int] = []
+    sent = cell.client.send_goal_async(ExecutePush.Goal(**fields), feedback_callback=lambda m: feedback.append(int(m.feedback.phase)))
+    wait_for(sent.done)
+    handle = sent.result()
+    assert handle.accepted
+    return Call(handle, handle.get_result_async(), feedback)
+
+
+def start_node(domain: int, **parameters: object) -> subprocess.Popen[str]:
+    arguments = [item for name, value in (QUICK | parameters).items() for item in ("-p", f"{name}:={value}")]
+    return subprocess.Popen(
+        [sys.executable, "-m", "push_ident.nodes", "push_executor_node", "--ros-args", *arguments],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def summary(msg: DiagnosticArray) -> str:
+    return "; ".join(f"{v.key}: {v.value}" for v in msg.status[0].values)
+
+
+CONTACT = {
+    "object_id": "box",
+    "contact_point": Point(x=0.05, y=0.0),
+    "frame_id": "object_box",
+    "direction": np.pi,
+    "distance": 0.06,
+    "speed": 0.2,
+}
+
+
+class Stalls:
+    """How long this machine let a thread wait that wanted to run: what a bound on latency must be granted on a busy one."""
+
+    def __init__(self) -> None:
+        self.worst = 0.0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def _watch(self) -> None:
+        last = time.monotonic()
+        while not self._stop.wait(0.005):
+            now = time.monotonic()
+            self.worst = max(self.worst, now - last - 0.005)
+            last = now
+
+    def __enter__(self) -> Stalls:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join()

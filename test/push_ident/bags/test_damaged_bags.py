@@ -1,0 +1,189 @@
+"""What is wrong with a bag is refused in one line; what a kill or a flipped byte leaves is recovered."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from helpers.bags import (
+    L_SHAPE,
+    bag_error,
+    make_record,
+    write_push,
+    write_pusher_logged,
+)
+from push_ident.bags.contract import Role
+from push_ident.bags.pushes import split_pushes
+from push_ident.bags.reader import read_bag
+from push_ident.bags.records import write_records
+from push_ident.bags.salvage import salvage
+from push_ident.bags.typestore import jazzy_typestore
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import BagError, PushIdentError
+
+
+def test_paths_that_hold_no_bag_are_named(tmp_path: Path) -> None:
+    assert "no such bag" in bag_error(tmp_path / "absent")
+    (tmp_path / "empty").mkdir()
+    assert "holds no bag" in bag_error(tmp_path / "empty")
+    (tmp_path / "notes.txt").write_text("hello")
+    assert "not a bag by its name" in bag_error(tmp_path / "notes.txt")
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x.db3", "x.bag", "metadata.yaml"])
+@pytest.mark.parametrize("size", [0, 1, 4096])
+def test_random_bytes_are_refused_in_one_line(tmp_path: Path, name: str, size: int) -> None:
+    (tmp_path / name).write_bytes(random.Random(size).randbytes(size))
+    assert "cannot be read" in bag_error(tmp_path / name)
+
+
+def test_a_bag_without_pusher_poses_lists_what_is_missing_and_present(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0, pusher=False)
+    assert "`pusher/pose` (geometry_msgs/msg/PoseStamped)" in (text := bag_error(tmp_path / "bag"))
+    assert "/objects/7/pose (31)" in text
+
+
+def test_a_bag_with_neither_poses_nor_depth_is_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0, poses=False)
+    assert "`objects/<id>/pose`" in bag_error(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_bag_of_zero_messages_is_refused(tmp_path: Path, plugin: StoragePlugin) -> None:
+    with Writer(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
+        writer.add_connection("/pusher/pose", Role.PUSHER.msgtype, typestore=jazzy_typestore())
+    assert "no messages at all" in bag_error(tmp_path / "bag")
+
+
+def test_a_bag_whose_index_promises_more_than_can_be_read_is_refused(tmp_path: Path) -> None:
+    store = jazzy_typestore()
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as sqlite:
+        connection = sqlite.add_connection("/pusher/pose", Role.PUSHER.msgtype, typestore=store)
+        header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 0), "table")
+        pose = store.types["geometry_msgs/msg/Pose"](
+            store.types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), store.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        )
+        sqlite.write(connection, 1, store.serialize_cdr(store.types[Role.PUSHER.msgtype](header, pose), Role.PUSHER.msgtype))
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 1", "message_count: 9"))
+    assert "promises 9 messages" in bag_error(tmp_path / "bag")
+
+
+def test_two_cells_in_one_bag_are_not_mixed(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0)
+        write_pusher_logged(writer, 10**9, 10**9, topic="/cell2/pusher/pose")
+    assert "/cell2/pusher/pose and /pusher/pose" in bag_error(tmp_path / "bag")
+
+
+def test_a_clock_that_was_set_back_is_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0)
+        for log in range(50):
+            write_pusher_logged(writer, (log % 25) * 10**9, log * 10**9)
+    assert "jumps back by 24 s" in bag_error(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+def test_a_bag_cut_short_names_what_can_be_recovered_and_salvage_recovers_it(tmp_path: Path, share: float) -> None:
+    with BagWriter(tmp_path / "bag", chunk_size=2000) as writer:
+        writer.write_shape("7", L_SHAPE, 1.0)
+        write_push(writer, 2.0, n=200)
+    file = tmp_path / "bag" / "bag.mcap"
+    whole = file.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: int(len(whole) * share)])
+    text = bag_error(cut)
+    report = salvage(cut, tmp_path / "new")
+    assert f"{report.total} messages can be recovered: `push-ident salvage {cut} --out NEW`" in text
+    assert 0 < report.total <= 402 and report.damaged_chunks == 0 and report.end
+    assert cut.read_bytes() == whole[: int(len(whole) * share)]
+    contents = read_bag(tmp_path / "new")
+    assert sum(contents.topics.values()) == report.total
+    assert contents.topics == report.messages
+
+
+def test_salvage_leaves_a_chunk_with_a_flipped_byte_out(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag.mcap", chunk_size=2000) as writer:
+        write_push(writer, 2.0, n=200)
+    data = bytearray((tmp_path / "bag.mcap").read_bytes())
+    data[len(data) // 2] ^= 0x10
+    (tmp_path / "flipped.mcap").write_bytes(data)
+    report = salvage(tmp_path / "flipped.mcap", tmp_path / "new")
+    assert report.damaged_chunks <= 1 and 380 <= report.total <= 400
+
+
+def test_salvage_leaves_messages_out_that_are_not_what_their_type_says(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0)
+        writer.write_raw("/pusher/pose", Role.PUSHER.msgtype, 2 * 10**9, b"\x00\x01\x00\x00" + bytes(5))
+    assert "cannot be read" in bag_error(tmp_path / "bag")
+    report = salvage(tmp_path / "bag", tmp_path / "new")
+    assert (report.undecodable, report.total) == (1, 62)
+    assert len(read_bag(tmp_path / "new").pusher) == 31
+
+
+def test_salvage_of_nothing_makes_no_bag(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    with pytest.raises(BagError, match="no message can be recovered"):
+        salvage(tmp_path / "x.mcap", tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_flipped_bytes_end_in_a_typed_error_or_a_readable_bag(tmp_path: Path) -> None:
+    write_records(tmp_path / "bag.mcap", [make_record(1.0), make_record(5.0)])
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    rng = random.Random(3)
+    refused = 0
+    for trial in range(80):
+        data = bytearray(whole)
+        for _ in range(rng.choice([1, 1, 8])):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        file = tmp_path / f"{trial}.mcap"
+        file.write_bytes(data)
+        try:
+            split_pushes(read_bag(file), "7")
+        except PushIdentError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 40
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from push_ident.bags.writer import BagWriter
+with BagWriter(Path(sys.argv[1])) as writer:
+    for n in range(5000):
+        writer.write_pose("7", 1.0 + 0.01 * n, (0.1, 0.2, 0.3), np.eye(3) * 1e-6)
+        if n == 4000:
+            time.sleep(1.1)
+        if n == 4001:
+            print("written", flush=True)
+            time.sleep(60)
+"""
+
+
+def test_what_was_written_a_second_before_a_kill_is_recovered(tmp_path: Path) -> None:
+    child = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path / "bag")],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+    try:
+        assert child.stdout is not None and child.stdout.readline() == b"written\n"
+    finally:
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+    assert "4002 messages can be recovered" in bag_error(tmp_path / "bag")
+    assert salvage(tmp_path / "bag", tmp_path / "new").messages == {"/objects/7/pose": 4002}

@@ -1,0 +1,109 @@
+"""Recordings by others: the geometry of the import is checked against contact and friction, which fix every sign in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.paths import recording
+from push_ident.bags.importers import ImportReport, import_cmu_icra16, import_cmu_mocap
+from push_ident.bags.pushes import split_pushes
+from push_ident.bags.reader import read_bag
+from push_ident.errors import BagError
+from push_ident.geometry.outline import points_in_polygon, signed_distance
+from push_ident.geometry.se2 import inverse, rotation, transform_points
+from push_ident.types import PushRecord
+
+
+@pytest.fixture(scope="module")
+def icra16(tmp_path_factory: pytest.TempPathFactory) -> tuple[ImportReport, list[PushRecord]]:
+    file = recording("cmu_icra16/30_90_30_30_30_90__exp_08_11_30.txt")
+    report = import_cmu_icra16(file, tmp_path_factory.mktemp("icra16") / "bag")
+    return report, split_pushes(read_bag(report.bag), "1")
+
+
+@pytest.fixture(scope="module")
+def mocap(tmp_path_factory: pytest.TempPathFactory) -> tuple[ImportReport, list[PushRecord]]:
+    report = import_cmu_mocap(recording("cmu_mocap/robot_multi_push_3out_3.bag"), tmp_path_factory.mktemp("mocap") / "bag")
+    return report, split_pushes(read_bag(report.bag), "1")
+
+
+def inward_normal(record: PushRecord, frame: int) -> np.ndarray:
+    """Of the outline edge nearest to the pusher at the last sample, table frame."""
+    outline = transform_points(record.poses.pose[frame], record.shape.outline)
+    edge = np.roll(outline, -1, axis=0) - outline
+    inward = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+    depth = np.sum((record.pusher.position[-1] - outline) * inward, axis=1)
+    return inward[np.argmin(depth)]
+
+
+def test_icra16_gives_thirty_pushes_known_at_their_ends(icra16: tuple[ImportReport, list[PushRecord]]) -> None:
+    report, pushes = icra16
+    assert report.n_pushes == len(pushes) == 30
+    assert {len(push.poses.time) for push in pushes} == {2}
+    assert 100 <= len(pushes[0].shape.cells) <= 120 and pushes[0].pusher.radius == 0.0
+    for push in pushes:
+        assert np.linalg.norm(push.pusher.position[-1] - push.pusher.position[0]) == pytest.approx(0.0163, abs=3e-4)
+        assert push.poses.time[-1] - push.poses.time[0] == pytest.approx(6.65, abs=0.1)
+    # The mean motion of all cells that the recording's description states.
+    moved = [np.linalg.norm(np.diff(transform_points(p.poses.pose, p.shape.cells.centres), axis=0), axis=2).mean() for p in pushes]
+    assert np.mean(moved) == pytest.approx(8.2e-3, rel=0.1)
+    np.testing.assert_allclose(report.centre_of_mass, pushes[0].shape.outline.mean(axis=0))
+    assert points_in_polygon(report.supports, pushes[0].shape.outline).all()
+
+
+def test_icra16_pusher_starts_outside_and_touches_the_outline_when_force_sets_in(icra16: tuple[ImportReport, list[PushRecord]]) -> None:
+    report, pushes = icra16
+    start = [signed_distance(transform_points(inverse(p.poses.pose[0]), p.pusher.position[:1]), p.shape.outline)[0] for p in pushes]
+    assert min(start) > 1.3e-3 and max(start) < 2.7e-3
+    assert np.sqrt(np.mean(report.contact_distance**2)) < 1.3e-3 and np.abs(report.contact_distance).max() < 2.1e-3
+
+
+def test_icra16_force_stays_in_a_friction_cone_about_the_inward_normal(icra16: tuple[ImportReport, list[PushRecord]]) -> None:
+    for push in icra16[1]:
+        assert push.wrench is not None
+        assert np.linalg.norm(push.wrench.force[:20].mean(axis=0)) < 5e-3  # bias removed
+        force = push.wrench.force[-60:].mean(axis=0)
+        along, across = rotation(-np.arctan2(*inward_normal(push, -1)[::-1])) @ force
+        assert along > 1.0 and abs(across / along) < np.tan(np.radians(35))
+
+
+def test_icra16_refuses_files_of_another_form(tmp_path: Path) -> None:
+    for name, text in (("words", "no numbers here"), ("empty", ""), ("short", "30 1 2 3"), ("nan", "nan " * 40), ("long", "1e300 " * 99)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(BagError, match=name):
+            import_cmu_icra16(tmp_path / name, tmp_path / "bag")
+    with pytest.raises(BagError, match="no such file"):
+        import_cmu_icra16(tmp_path / "absent.txt", tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_mocap_is_cut_into_its_pushes_with_every_pose_kept(mocap: tuple[ImportReport, list[PushRecord]]) -> None:
+    report, pushes = mocap
+    assert report.n_pushes == len(pushes) == 5
+    assert read_bag(report.bag).topics["/objects/1/pose"] == 4996
+    for push in pushes:
+        assert np.median(np.diff(push.poses.time)) == pytest.approx(1 / 60, rel=0.01)
+        assert push.poses.time[0] <= push.pusher.time[0] and push.poses.time[-1] >= push.pusher.time[-1]
+    turned = [push.poses.pose[-20:, 2].mean() - push.poses.pose[:20, 2].mean() for push in pushes]
+    assert np.degrees(max(turned)) == pytest.approx(10.7, abs=0.5)
+    assert 45 <= len(pushes[0].shape.cells) <= 55
+
+
+def test_mocap_pusher_keeps_to_the_outline_in_contact(mocap: tuple[ImportReport, list[PushRecord]]) -> None:
+    report, pushes = mocap
+    assert np.abs(report.contact_distance).max() < 2e-3
+    # All pushes are against the hypotenuse, the edge after the leg along x.
+    for push in pushes:
+        start, end = transform_points(push.poses.pose[-1], push.shape.outline)[1:]
+        travel = push.pusher.position[-1] - push.pusher.position[0]
+        across = rotation(np.pi / 2) @ (end - start)
+        assert across @ travel > 0.4 * np.linalg.norm(across) * np.linalg.norm(travel)
+
+
+def test_mocap_refuses_a_bag_without_its_topics(tmp_path: Path, mocap: tuple[ImportReport, list[PushRecord]]) -> None:
+    with pytest.raises(BagError, match="/Mocap"):
+        import_cmu_mocap(mocap[0].bag, tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()

@@ -1,0 +1,186 @@
+"""Bags: what is written reads back, and what is dropped or assumed is counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.bags import (
+    COVARIANCE,
+    L_OUTLINE,
+    L_SHAPE,
+    assert_same_record,
+    make_record,
+    write_push,
+    write_pusher_logged,
+    write_raw,
+)
+from helpers.paths import recording
+from push_ident.bags.contract import Role, TopicRole, role_of
+from push_ident.bags.decode import DEFAULT_COVARIANCE
+from push_ident.bags.pushes import split_pushes
+from push_ident.bags.reader import read_bag
+from push_ident.bags.records import write_records
+from push_ident.bags.typestore import jazzy_typestore
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import BagError, FrameError, InputError
+from push_ident.geometry.outline import outline_of_cells, polygon_area
+from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.types import CameraIntrinsics, CellGrid, ObjectShape, PushRecord
+
+
+@pytest.mark.parametrize("prefix", ["", "/", "/cell1/", "/lab/cell_2/"])
+def test_topics_are_recognised_under_any_namespace(prefix: str) -> None:
+    assert role_of(prefix + "objects/7/pose") == TopicRole(Role.POSE, "7")
+    assert role_of(prefix + "pusher/pose") == TopicRole(Role.PUSHER)
+    assert role_of(prefix + "objects/7/prediction") is None
+    assert role_of(prefix + "my_pusher/pose") is None
+
+
+@pytest.mark.parametrize("name", ["bag", "bag.mcap", "day.bag"])
+def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
+    # The second starts before the first ends, the third knows its end poses only.
+    records = [make_record(0.0), make_record(0.5), make_record(9.0, n_poses=2)]
+    write_records(tmp_path / name, records)
+    contents = read_bag(tmp_path / name)
+    assert contents.notes == []
+    got = split_pushes(contents, "7")
+    assert [record.source for record in got] == [f"{name} push {n}" for n in range(3)]
+    for one, other in zip(got, records, strict=True):
+        assert_same_record(one, other)
+
+
+def test_one_push_seen_on_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
+    records = [make_record(1.0, object_id="a", wrench=False), make_record(1.0, object_id="b", wrench=False)]
+    write_records(tmp_path / "bag", records)
+    contents = read_bag(tmp_path / "bag")
+    assert list(contents.objects) == ["a", "b"] and len(contents.pusher) == 31
+    assert_same_record(split_pushes(contents, "b")[0], records[1])
+
+
+def test_records_that_cannot_share_a_bag_are_refused(tmp_path: Path) -> None:
+    other = make_record(5.0)
+    smaller = ObjectShape(CellGrid(L_SHAPE.cells.centres[:3], 0.01), L_OUTLINE)
+    with pytest.raises(InputError, match="one shape"):
+        write_records(tmp_path / "bag", [other, PushRecord("7", smaller, other.poses, other.pusher)])
+    assert not (tmp_path / "bag").exists()
+
+
+def test_an_existing_bag_is_never_overwritten(tmp_path: Path) -> None:
+    write_records(tmp_path / "bag.mcap", [make_record(1.0)])
+    before = (tmp_path / "bag.mcap").read_bytes()
+    with pytest.raises(BagError, match="not overwritten"):
+        write_records(tmp_path / "bag.mcap", [make_record(2.0)])
+    assert (tmp_path / "bag.mcap").read_bytes() == before
+
+
+def test_times_of_a_date_keep_their_nanoseconds(tmp_path: Path) -> None:
+    stamps = [1_435_544_025_000_000_007 + n * 1_000_003 for n in range(40)]
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 1435544025.0, pusher=False)
+        for stamp in stamps:
+            write_pusher_logged(writer, stamp, stamp)
+    np.testing.assert_allclose(np.diff(read_bag(tmp_path / "bag").pusher.time), 1_000_003e-9, rtol=0, atol=1e-13)
+
+
+def test_what_is_dropped_or_assumed_is_counted(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_shape("7", L_SHAPE, 1.0)
+        write_push(writer, 2.0)
+        writer.write_pose("7", 3.2, (np.nan, 0.0, 0.0), COVARIANCE)
+        writer.write_pose("7", 2.5, (0.5, 0.5, 0.5), COVARIANCE)
+        writer.write_pose("7", 3.4, (0.5, 0.5, 0.5), np.zeros((3, 3)))
+        write_pusher_logged(writer, 2_900_000_001, 3 * 10**9)
+        write_pusher_logged(writer, 0, 3_100_000_000)
+    contents = read_bag(tmp_path / "bag")
+    notes = " ".join(contents.notes)
+    assert "`objects/7/pose`: 1 of 34 messages hold values that are not finite" in notes
+    assert "`objects/7/pose`: 1 of 34 messages repeat a stamp" in notes
+    assert "`pusher/pose`: 1 of 33 messages came out of order" in notes
+    assert "`pusher/pose`: 1 of 33 messages have no stamp; their log time is used" in notes
+    assert contents.pusher.time[-1] == pytest.approx(1.1)
+    assert "1 of 32 poses lack a covariance" in notes
+    np.testing.assert_array_equal(contents.objects["7"].covariance[-1], DEFAULT_COVARIANCE)
+    np.testing.assert_allclose(contents.objects["7"].covariance[0], COVARIANCE)
+
+
+def test_cells_follow_the_origin_and_yaw_of_their_grid(tmp_path: Path) -> None:
+    store = jazzy_typestore()
+    x, y, z, w = quaternion_of_yaw(np.pi / 2)
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 0), "object_7")
+    origin = store.types["geometry_msgs/msg/Pose"](
+        store.types["geometry_msgs/msg/Point"](0.1, -0.2, 0.0), store.types["geometry_msgs/msg/Quaternion"](x, y, z, w)
+    )
+    info = store.types["nav_msgs/msg/MapMetaData"](header.stamp, 0.02, 3, 2, origin)  # type: ignore[attr-defined]
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0)
+        write_raw(writer, Role.CELLS, "/objects/7/cells", 10**9, header, info, np.array([0, 0, 100, -1, 49, 50], dtype=np.int8))
+    contents = read_bag(tmp_path / "bag")
+    shape = contents.objects["7"].shape
+    assert shape is not None and any("no outline" in note for note in contents.notes)
+    # Column 2 is 5 cells of 1 cm along the grid's x, which points along the object's y.
+    np.testing.assert_allclose(shape.cells.centres, [[0.09, -0.15], [0.07, -0.15]], atol=1e-9)
+    assert polygon_area(shape.outline) == pytest.approx(2 * 0.02**2)
+
+
+def test_depth_frames_come_one_by_one_in_metres(tmp_path: Path) -> None:
+    camera = CameraIntrinsics(5, 3, 4.0, 4.5, 2.0, 1.0)
+    millimetres = np.arange(15, dtype=np.uint16).reshape(3, 5) * 100
+    metres = millimetres.astype(np.float32) / 1000
+    metres[0, 0] = np.nan
+    camera_in_table = np.array([[0.0, 1.0, 0.0, 0.3], [1.0, 0.0, 0.0, -0.1], [0.0, 0.0, -1.0, 0.9], [0.0, 0.0, 0.0, 1.0]])
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_extrinsics(1.0, camera_in_table)
+        write_push(writer, 2.0, poses=False)
+        for time, image in ((2.0, millimetres), (2.1, metres)):
+            writer.write_camera_info(time, camera)
+            writer.write_depth(time, image)
+        writer.write_depth(2.2, metres[:2])
+    contents = read_bag(tmp_path / "bag")
+    assert not contents.has_poses and contents.n_depth == 3
+    assert contents.camera_in_table is not None
+    np.testing.assert_allclose(contents.camera_in_table, camera_in_table, atol=1e-12)
+    frames = list(contents.depth_frames())
+    assert [round(frame.stamp, 9) for frame in frames] == [0.0, 0.1] and frames[0].intrinsics == camera
+    np.testing.assert_allclose(frames[0].depth, metres, rtol=1e-6)
+    np.testing.assert_array_equal(frames[1].depth, metres)
+    assert any("1 of 3 images are not usable" in note for note in contents.notes)
+
+
+@pytest.mark.parametrize(("bigendian", "pad"), [(0, 0), (1, 0), (0, 6), (1, 6)])
+def test_depth_honours_step_and_byte_order(tmp_path: Path, bigendian: int, pad: int) -> None:
+    values = np.array([[300, 1000], [2, 65535]], dtype=">u2" if bigendian else "<u2")
+    rows = np.hstack([values.view(np.uint8).reshape(2, 4), np.full((2, pad), 7, dtype=np.uint8)])
+    self_described(tmp_path / "bag", "16UC1", bigendian, rows)
+    (frame,) = read_bag(tmp_path / "bag").depth_frames()
+    np.testing.assert_allclose(frame.depth, [[0.3, 1.0], [0.002, 65.535]], rtol=1e-6)
+
+
+def test_depth_of_another_encoding_is_refused_by_name(tmp_path: Path) -> None:
+    self_described(tmp_path / "bag", "mono16", 0, np.zeros((2, 4), dtype=np.uint8))
+    with pytest.raises(FrameError, match="'mono16'.*16UC1"):
+        list(read_bag(tmp_path / "bag").depth_frames())
+
+
+def self_described(path: Path, encoding: str, bigendian: int, rows: np.ndarray) -> None:
+    store = jazzy_typestore()
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](2, 0), "camera_depth_optical_frame")
+    with BagWriter(path) as writer:
+        write_push(writer, 2.0)
+        writer.write_camera_info(2.0, CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5))
+        write_raw(writer, Role.DEPTH, "/depth/image_rect", 2 * 10**9, header, 2, 2, encoding, bigendian, rows.shape[1], rows.ravel())
+
+
+def test_contract_sample_of_another_maker_is_read() -> None:
+    contents = read_bag(recording("contract_sample", "bag"))
+    pushes = split_pushes(contents, "1")
+    assert contents.notes == [] and len(pushes) == 8
+    assert sum(len(push.poses.time) for push in pushes) == sum(len(push.pusher.time) for push in pushes) == 359
+    shape = pushes[0].shape
+    assert len(shape.cells) == 70 and shape.cells.size == 0.011 and pushes[0].pusher.radius == 0.008
+    # The outline it states is the one of its cells.
+    assert polygon_area(shape.outline) == pytest.approx(70 * 0.011**2, rel=1e-5)
+    assert polygon_area(outline_of_cells(shape.cells.centres, 0.011)) == pytest.approx(70 * 0.011**2)
+    np.testing.assert_allclose(np.sqrt(np.diag(pushes[0].poses.covariance[0])), [1e-3, 1e-3, np.radians(0.5)])

@@ -1,0 +1,143 @@
+"""Known maps are found again; what the pushes cannot tell is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.objects import hammer, random_records
+from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.identify import identify, prior_posterior
+from push_ident.identification.model_file import load_model, save_model
+from push_ident.identification.observation import observe_push
+from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.identification.prediction import held_out_errors, predict
+from push_ident.identification.problem import FitProblem
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import simulate
+from push_ident.types import PoseTrack, PushRecord, SolveStatus, WrenchTrack
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_four_noisy_pushes_predict_others_within_three_millimetres(seed: int) -> None:
+    truth = hammer(seed)
+    records = random_records(truth, 12, seed)
+    result = identify(records[:4])
+    assert result.status is SolveStatus.CONVERGED
+    uniform, identified = (float(np.mean(held_out_errors(m, records[4:]))) for m in (result.uniform, result.model))
+    assert identified < 3e-3
+    assert identified < 0.5 * uniform
+
+
+def test_end_poses_alone_are_enough() -> None:
+    truth = hammer(4)
+    records = [_ends_only(r) for r in random_records(truth, 14, 4)]
+    result = identify(records[:8])
+    uniform, identified = (float(np.mean(held_out_errors(m, records[8:]))) for m in (result.uniform, result.model))
+    assert identified < 0.6 * uniform
+
+
+def test_jacobian_of_the_fit_equals_central_differences() -> None:
+    records = random_records(hammer(1), 2, 1)
+    problem = FitProblem(records, MapParameters(records[0].shape, Prior()))
+    x = 0.3 * np.random.default_rng(0).normal(size=problem.size)
+    gradient = problem.evaluate(x).gradient
+    for i in [0, 5, 41, 60, *range(problem.parameters.size - 2, problem.size)]:
+        step = np.zeros(problem.size)
+        step[i] = 1e-5
+        difference = (problem.evaluate(x + step).cost - problem.evaluate(x - step).cost) / 2e-5
+        assert gradient[i] == pytest.approx(difference, rel=1e-3, abs=1e-2)
+
+
+def test_total_mass_is_open_without_a_wrench_and_pinned_with_one() -> None:
+    truth = hammer(2)
+    records = random_records(truth, 4, 2)
+    without = identify(records).posterior
+    assert not without.total_mass_identifiable
+    assert without.total_mass.std > 0.3 * without.total_mass.value
+    measured = [_with_wrench(r, truth) for r in records]
+    known_friction = Prior(friction=float(truth.mass @ truth.friction / truth.mass.sum()), friction_std=0.05)
+    posterior = identify(measured, known_friction).posterior
+    assert posterior.total_mass_identifiable
+    assert posterior.total_mass.value == pytest.approx(truth.total_mass, rel=0.15)
+
+
+def test_given_weight_is_kept() -> None:
+    posterior = identify(random_records(hammer(2), 2, 2), Prior(total_mass=0.6, total_mass_std=0.0)).posterior
+    assert posterior.total_mass_identifiable
+    assert posterior.model.total_mass == pytest.approx(0.6)
+
+
+def test_cells_that_nothing_excited_stay_uncertain_and_pushes_narrow_the_rest() -> None:
+    records = random_records(hammer(6), 6, 6)
+    before = prior_posterior(records[0].shape)
+    after = identify(records).posterior
+    relative = after.mass_friction_std / (after.model.mass * after.model.friction)
+    assert np.all(relative > 0)
+    assert np.median(relative) < np.median(before.mass_friction_std / (before.model.mass * before.model.friction))
+    spread = predict(after, records[0].pusher, records[0].poses.pose[0], records[0].poses.time)
+    wide = predict(before, records[0].pusher, records[0].poses.pose[0], records[0].poses.time)
+    assert spread.cell_error_std < 0.5 * wide.cell_error_std
+    assert np.all(np.linalg.eigvalsh(spread.covariance) >= -1e-15)
+
+
+def test_pushes_that_never_touch_give_a_status_and_the_prior() -> None:
+    record = random_records(hammer(), 1, 0)[0]
+    away = PushRecord(
+        "1", record.shape, PoseTrack(record.poses.time, record.poses.pose * 0 + [1.0, 1.0, 0.0], record.poses.covariance), record.pusher
+    )
+    result = identify([away])
+    assert result.status is SolveStatus.NO_CONTACT
+    assert result.model.mass == pytest.approx(result.uniform.mass, rel=1e-3)
+
+
+def test_no_push_is_refused() -> None:
+    with pytest.raises(InputError, match="no push"):
+        identify([])
+
+
+def test_unknown_method_is_refused_with_the_names_there_are() -> None:
+    with pytest.raises(InputError, match="gauss_newton"):
+        identify(random_records(hammer(), 1, 0), method="magic")
+
+
+def test_observation_condenses_rest_frames() -> None:
+    record = random_records(hammer(1), 1, 7)[0]
+    seen = observe_push(record)
+    assert len(seen.time) <= 12
+    assert np.linalg.inv(seen.whitening[0])[0, 0] < 0.6e-3
+
+
+def test_model_file_round_trip(tmp_path: Path) -> None:
+    posterior = identify(random_records(hammer(1), 2, 1)).posterior
+    save_model(tmp_path / "model.json", posterior, object_id="7", sources=["bag push 0"])
+    object_id, again = load_model(tmp_path / "model.json")
+    assert object_id == "7"
+    assert again.model.mass == pytest.approx(posterior.model.mass, rel=1e-12)
+    assert again.mass_friction_std == pytest.approx(posterior.mass_friction_std, rel=1e-9)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"\x80\x04garbage", b'{"format": "push_ident/model/1"}'])
+def test_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "model.json"
+    path.write_bytes(content)
+    with pytest.raises(ModelFileError, match="not a model file"):
+        load_model(path)
+
+
+def _ends_only(record: PushRecord) -> PushRecord:
+    poses = record.poses
+    return PushRecord("1", record.shape, PoseTrack(poses.time[[0, -1]], poses.pose[[0, -1]], poses.covariance[[0, -1]]), record.pusher)
+
+
+def _first_half(record: PushRecord) -> PushRecord:
+    poses, n = record.poses, len(record.poses.time) // 2
+    return PushRecord("1", record.shape, PoseTrack(poses.time[:n], poses.pose[:n], poses.covariance[:n]), record.pusher)
+
+
+def _with_wrench(record: PushRecord, truth) -> PushRecord:  # type: ignore[no-untyped-def]
+    motion = simulate(truth, PushScenario(record.pusher, record.poses.pose[0], record.pusher.time[-1:]))
+    force = np.column_stack([np.interp(record.pusher.time, motion.force_time, motion.force[:, a]) for a in (0, 1)])
+    return PushRecord("1", record.shape, record.poses, record.pusher, WrenchTrack(record.pusher.time, force))

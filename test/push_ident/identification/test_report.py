@@ -1,0 +1,98 @@
+"""The page of an identification: one file, complete, honest about what was not held out or not converged."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.objects import hammer, random_records
+from push_ident.errors import InputError
+from push_ident.identification.identify import identify
+from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.report import Provenance, PushErrors, write_report
+from push_ident.identification.result import Identification
+from push_ident.identification.running_record import running_record
+from push_ident.types import PushRecord, SolveStatus
+
+RECORDS = random_records(hammer(3), 5, 3)
+RESULT = identify(RECORDS[:3])
+SOURCE = Provenance("o<1>", ("bag a, push 1", "bag a, push 2", "bag a, push 3"), ("two stamps repeated",))
+
+
+def test_page_stands_alone_and_says_everything(tmp_path: Path) -> None:
+    page = _write(tmp_path, RESULT, _errors(RESULT, [3, 4]))
+    loaded = [value for tag, attributes in _tags(page) for key, value in attributes if key in ("src", "href") and tag != "use"]
+    assert not [value for value in loaded if value and not value.startswith("#")]
+    assert page.count("<svg") == 3
+    for text in (
+        "2 pushes that they never saw",
+        "held out",
+        "pinned down",
+        "Next push",
+        "bag a, push 2",
+        "two stamps repeated",
+        "push_ident 0.1.0",
+    ):
+        assert text in page
+    assert "o&lt;1&gt;" in page and "o<1>" not in page
+    assert "Do not trust" not in page
+
+
+def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
+    scores = running_record(RECORDS)
+    assert [score.number for score in scores] == list(range(1, len(RECORDS) + 1))
+    assert np.mean([score.error for score in scores[2:]]) < np.mean([score.uniform for score in scores[2:]])
+    errors = _errors(RESULT, [3])
+    write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), errors, SOURCE, 0.01, scores)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 4 and "How soon it was known" in page
+
+
+def test_page_says_when_nothing_was_held_out(tmp_path: Path) -> None:
+    page = _write(tmp_path, RESULT, _errors(RESULT, []))
+    assert "No push was held out" in page
+    assert "never saw" not in page
+
+
+def test_page_of_a_solve_that_failed_warns_first(tmp_path: Path) -> None:
+    page = _write(tmp_path, replace(RESULT, status=SolveStatus.POOR_FIT), _errors(RESULT, [3]))
+    assert page.index("Do not trust these maps") < page.index("<svg")
+
+
+def test_same_result_gives_the_same_page(tmp_path: Path) -> None:
+    first, second = (_write(tmp_path / name, RESULT, _errors(RESULT, [3])) for name in ("a", "b"))
+    assert first == second
+
+
+def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"file/report\.html"):
+        _write(tmp_path / "file", RESULT, _errors(RESULT, []))
+
+
+def _write(folder: Path, result: Identification, test: PushErrors) -> str:
+    write_report(folder / "report.html", result, _errors(result, [0, 1, 2]), test, SOURCE, 0.015)
+    return (folder / "report.html").read_text()
+
+
+def _errors(result: Identification, pushes: list[int]) -> PushErrors:
+    chosen: list[PushRecord] = [RECORDS[i] for i in pushes]
+    uniform, scalar, identified = (np.array(held_out_errors(m, chosen)) for m in (result.uniform, result.scalar, result.model))
+    return PushErrors(tuple(pushes), uniform, scalar, identified)
+
+
+def _tags(page: str) -> list[tuple[str, list[tuple[str, str | None]]]]:
+    tags = []
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            tags.append((tag, attrs))
+
+    Reader().feed(page)
+    assert not re.findall(r"url\(\s*['\"]?https?:", page)
+    return tags

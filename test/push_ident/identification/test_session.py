@@ -1,0 +1,151 @@
+"""An object while it is pushed: predicted before, scored after, and remembered through kills, loops and exchanges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.objects import hammer, random_records
+from push_ident.errors import InputError
+from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
+from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.state_file import load_state, save_state
+from push_ident.pushing.push import PushSettings
+from push_ident.types import CellGrid, ObjectShape, PoseTrack, PusherPath, PushRecord
+
+TRUTH = hammer(3)
+RECORDS = random_records(TRUTH, 6, 3)
+
+
+def test_each_push_is_predicted_by_the_model_that_had_not_seen_it() -> None:
+    session = _session()
+    scores = [session.finish(record) for record in RECORDS]
+    assert [s.number for s in scores if s] == [1, 2, 3, 4, 5, 6]
+    first, *later = session.record.latest
+    # Before the first push the prior is all there is.
+    assert first.error == pytest.approx(first.uniform, rel=0.5)
+    assert np.mean([s.error for s in later[1:]]) < 0.5 * np.mean([s.uniform for s in later[1:]])
+    assert all(s.expected > 0 for s in session.record.latest)
+    assert session.record.summary == summarise_scores([s for s in scores if s])
+    assert session.record.summary.n == 6
+
+
+def test_killed_at_any_push_the_maps_are_those_of_the_uninterrupted_run(tmp_path: Path) -> None:
+    """The bag is played again from its start after each kill: known pushes are left out."""
+    lived = _session(tmp_path / "lived")
+    for record in RECORDS:
+        lived.finish(record)
+    for n_before in (1, 3, 5):
+        folder = tmp_path / f"killed-{n_before}"
+        killed = _session(folder)
+        for record in RECORDS[:n_before]:
+            killed.finish(record)
+        killed.update(RECORDS[n_before])  # in the middle of a push
+        del killed
+        again = _session(folder)
+        assert again.restored
+        for record in RECORDS:
+            again.finish(record)
+        assert again.n_known_again == n_before
+        assert np.array_equal(again.posterior.z, lived.posterior.z)
+        assert again.record == lived.record
+
+
+def test_looped_bag_counts_once() -> None:
+    session = _session()
+    for record in (*RECORDS[:2], *RECORDS[:2]):
+        session.finish(record)
+    assert (session.n_pushes, session.n_known_again) == (2, 2)
+
+
+def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("push_ident.identification.session._KNOWN", 2)
+    session = _session()
+    for record in RECORDS[:3]:
+        session.finish(record)
+    assert [session.knows(record) for record in RECORDS[:4]] == [False, True, True, False]
+
+
+def test_another_object_under_the_same_id_begins_anew_and_the_first_is_put_aside(tmp_path: Path) -> None:
+    session = _session(tmp_path)
+    session.finish(RECORDS[0])
+    other = _moved(TRUTH.shape)
+    session = session.replaced_by(other)
+    assert session.n_pushes == 0
+    assert load_state(tmp_path / "o1-before-1.state.json").state.n_pushes == 1
+    session.finish(replace(RECORDS[1], shape=other))
+    # The process comes back and meets the first object again: the file is of the other one.
+    assert not ObjectSession("o1", TRUTH.shape, SessionOptions(folder=tmp_path)).restored
+    assert (tmp_path / "o1-before-2.state.json").exists()
+
+
+def test_prediction_of_a_push_under_way_follows_the_pusher() -> None:
+    session = _session()
+    for record in RECORDS[:3]:
+        session.finish(record)
+    record = RECORDS[3]
+    driving = np.linalg.norm(np.diff(record.pusher.position, axis=0), axis=1) > 1e-6
+    middle = float(record.pusher.time[np.flatnonzero(driving)[-1]]) - 0.25
+    seen, moved = record.poses.time <= middle, record.pusher.time <= middle
+    partial = PushRecord(
+        "o1",
+        record.shape,
+        PoseTrack(record.poses.time[seen], record.poses.pose[seen], record.poses.covariance[seen]),
+        PusherPath(record.pusher.time[moved], record.pusher.position[moved], record.pusher.radius),
+    )
+    assert session.update(partial) is not None
+    prediction = session.predict_under_way(partial, 0.2)
+    later = np.array([np.interp(middle + 0.2, record.poses.time, record.poses.pose[:, axis]) for axis in range(3)])
+    assert np.linalg.norm(prediction.pose[-1][:2] - later[:2]) < 4e-3
+    assert prediction.time[-1] == pytest.approx(middle + 0.2, abs=0.02)
+
+
+def test_next_push_is_suggested_with_its_prediction() -> None:
+    session = _session()
+    session.finish(RECORDS[0])
+    suggestion = session.suggest(np.zeros(3), PushSettings(pusher_radius=0.015), n_candidates=6)
+    assert suggestion is not None
+    push, prediction = suggestion
+    assert push.plan is not None
+    assert np.all(np.isfinite(prediction.pose))
+
+
+def test_model_of_another_object_is_refused() -> None:
+    first, second = _session(), ObjectSession("o2", _moved(TRUTH.shape), SessionOptions())
+    with pytest.raises(InputError, match="another object"):
+        second.adopt(first.posterior, "model.json")
+
+
+def test_score_of_a_push_that_could_not_be_simulated_survives_the_file(tmp_path: Path) -> None:
+    session = _session()
+    session.finish(RECORDS[0])
+    lost = PushScore(2, "push", 1.0, np.nan, np.nan, np.nan, 0.01)
+    file = tmp_path / "s.json"
+    save_state(file, session.online.state, object_id="o1", record=session.record.add(lost))
+    kept = load_state(file).record
+    assert kept.latest[0] == session.record.latest[0]
+    assert np.isnan(kept.latest[1].error)
+    assert kept.summary.n == 1
+
+
+def test_running_record_means_all_pushes_and_holds_the_latest() -> None:
+    scores = [PushScore(n, "push", float(n), 1e-3 * n, 1e-3, 2.0 if n % 2 else 20.0, 0.01) for n in range(1, 501)]
+    record = RunningRecord()
+    for score in scores:
+        record = record.add(score)
+    assert record.summary.mean_error == pytest.approx(0.2505)
+    assert (record.summary.n, record.summary.share_within_ninety) == (500, 0.5)
+    assert record.latest[0].number > 1
+    assert record.latest[-1] is scores[-1]
+
+
+def _session(folder: Path | None = None) -> ObjectSession:
+    return ObjectSession("o1", TRUTH.shape, SessionOptions(folder=folder))
+
+
+def _moved(shape: ObjectShape) -> ObjectShape:
+    shift = np.array([0.03, 0.0])
+    return ObjectShape(CellGrid(shape.cells.centres + shift, shape.cells.size), shape.outline + shift)

@@ -1,0 +1,134 @@
+"""gap_diagnosis_node as a real process: pushes played from a bag, diagnosed on request."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from push_ident_msgs.action import DiagnoseGap
+from push_ident_msgs.msg import GapReport
+from push_ident_sim.injected import Effects
+from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
+
+pytestmark = pytest.mark.alone
+
+N_PUSHES = 6
+TILT = 0.03
+
+
+class Cell:
+    """The node, a bag that is played to it, and somebody who asks."""
+
+    def __init__(self, bag: Path) -> None:
+        self.environment = os.environ | {"ROS_DOMAIN_ID": str(random.randint(1, 100))}
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=int(self.environment["ROS_DOMAIN_ID"]))
+        self.node = Node("user", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.client = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
+        self.said: dict[str, str] = {}
+        self.reports: list[GapReport] = []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(GapReport, "gap_report", self.reports.append, latched)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        # The outline of the bag is exact: no camera traced it.
+        self.process = self.start("gap_diagnosis_node", outline_is_seen=False)
+        player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=30.0)
+        assert player.wait(60.0) == 0
+        self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 30.0)
+
+    def start(self, name: str, **parameters: object) -> subprocess.Popen[str]:
+        arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+        command = [sys.executable, "-m", "push_ident.nodes", name, "--ros-args", *arguments]
+        return subprocess.Popen(command, env=self.environment, stderr=subprocess.PIPE, text=True)
+
+    def wait_for(self, condition: Callable[[], object], timeout: float) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f"timed out; the node says {self.said}"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def result_of(self, future: Any, timeout: float) -> Any:
+        self.wait_for(future.done, timeout)
+        return future.result()
+
+    def send(self, on_stage: Callable[[str], None] = lambda stage: None, **goal: object) -> Any:
+        self.wait_for(self.client.server_is_ready, 20.0)
+        request = DiagnoseGap.Goal(**goal)
+        return self.result_of(self.client.send_goal_async(request, feedback_callback=lambda m: on_stage(m.feedback.stage)), 10.0)
+
+    def close(self) -> None:
+        self.process.send_signal(signal.SIGINT)
+        _, said = self.process.communicate(timeout=5.0)
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+        assert self.process.returncode == 0 and "Traceback" not in said, said
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            if status.name.endswith("gap_diagnosis_node"):
+                self.said = {value.key: value.value for value in status.values} | {"message": status.message}
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    bag = tmp_path_factory.mktemp("bags") / "tilted"
+    record_pushes(bag, RecordingSettings(n_pushes=N_PUSHES, seed=2, effects=Effects.of({"table_tilt": (TILT, 0.0)})))
+    cell = Cell(bag)
+    yield cell
+    cell.close()
+
+
+def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
+    stages: list[str] = []
+    handle = cell.send(stages.append)
+    assert handle.accepted
+    result = cell.result_of(handle.get_result_async(), 120.0).result
+    report = result.report
+    assert result.success and result.message == report.verdict
+    assert report.n_pushes == N_PUSHES and report.verdict in ("named", "one_of", "several")
+    assert "table_tilt" in [*(e.name for e in report.effects), *report.confusable]
+    assert report.after < report.before
+    assert report.ranking[0] and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
+    assert json.loads(report.json)["verdict"] == report.verdict
+    assert "fitting the base model" in stages
+    cell.wait_for(lambda: cell.reports, 5.0)
+    assert cell.reports[-1] == report
+
+
+def test_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:
+    started: list[str] = []
+    handle = cell.send(started.append)
+    cell.wait_for(lambda: started, 30.0)
+    second = cell.send()
+    assert not second.accepted, "one at a time"
+    asked = time.monotonic()
+    cell.result_of(handle.cancel_goal_async(), 5.0)
+    assert cell.result_of(handle.get_result_async(), 5.0).status == GoalStatus.STATUS_CANCELED
+    assert time.monotonic() - asked < 3.0
+
+
+def test_what_cannot_be_diagnosed_is_refused_with_the_reason(cell: Cell) -> None:
+    for goal, why in (({"object_id": "o9"}, "no pushes of object `o9`"), ({"base_effects": ["ghosts"]}, "no effect `ghosts`")):
+        result = cell.result_of(cell.send(**goal).get_result_async(), 20.0).result
+        assert not result.success and why in result.message

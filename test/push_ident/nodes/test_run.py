@@ -1,0 +1,148 @@
+"""A node process stops cleanly, whatever it is busy with."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import push_ident.nodes.executables
+import push_ident_sim.executables
+from helpers.paths import ROOT
+
+pytestmark = pytest.mark.alone
+
+
+SCRIPT = """
+import sys, time
+from rclpy.node import Node
+from push_ident.errors import InputError
+from push_ident.nodes.run import run_node
+
+class Tested(Node):
+    def __init__(self):
+        super().__init__("tested")
+        self.create_timer(0.05, self.tick)
+        self.started = False
+    def tick(self):
+        if not self.started:
+            self.started = True
+            print("ticking", flush=True)
+        if MODE == "busy":
+            while True:
+                time.sleep(0.01)
+    def close(self):
+        print("held while the context is", self.context.ok(), flush=True)
+
+def factory():
+    if MODE == "refusing":
+        raise InputError("speed is 9, expected 0 to 1.")
+    return Tested()
+
+sys.exit(run_node(factory, n_threads=N))
+"""
+
+
+def start(mode: str, n_threads: int = 1) -> subprocess.Popen[str]:
+    script = f"MODE, N = {mode!r}, {n_threads}\n" + SCRIPT
+    return subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+@pytest.mark.parametrize(("number", "n_threads"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGINT, 3)])
+def test_a_signal_closes_the_node_while_it_can_still_publish(number, n_threads):
+    process = start("idle", n_threads)
+    assert process.stdout is not None and "ticking" in process.stdout.readline()
+    asked = time.monotonic()
+    process.send_signal(number)
+    output, _ = process.communicate(timeout=5.0)
+    assert time.monotonic() - asked < 2.0
+    assert process.returncode == 0
+    assert output.strip() == "held while the context is True"
+
+
+def test_a_callback_that_never_returns_does_not_keep_the_process():
+    process = start("busy")
+    assert process.stdout is not None and "ticking" in process.stdout.readline()
+    asked = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=5.0)
+    assert time.monotonic() - asked < 2.2
+    assert process.returncode == 1 and "Traceback" not in output
+
+
+def test_a_node_that_cannot_start_says_why_in_one_line():
+    output, _ = (process := start("refusing")).communicate(timeout=10.0)
+    assert process.returncode == 1
+    assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output
+
+
+@pytest.mark.parametrize("command", [("push_ident.nodes", "perception_node"), ("push_ident_sim", "sim_cell_node")], ids=lambda c: c[1])
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 1.0, 2.0])
+def test_interrupt_while_a_node_is_loaded_ends_it_quietly(command, delay, tmp_path):
+    # The import times tell when Python itself is up: before that no code of a package runs.
+    said = tmp_path / "stderr"
+
+    def listen_to_interrupts():
+        # A shell in the background lets what it starts ignore them.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with said.open("w") as stderr:
+        argv = [sys.executable, "-X", "importtime", "-m", *command]
+        process = subprocess.Popen(argv, stdout=stderr, stderr=stderr, preexec_fn=listen_to_interrupts)
+        try:
+            while "push_ident.nodes.executables\n" not in said.read_text():
+                time.sleep(0.005)
+            time.sleep(delay)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=5.0) == 0
+        finally:
+            process.kill()
+    assert "Traceback" not in said.read_text()
+
+
+IMPORT_ALL = """
+import importlib, os, pkgutil, signal, sys, threading
+import cv2, rclpy  # their loaders set the environment; our modules must not
+environment, path = dict(os.environ), list(sys.path)
+handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
+interval = sys.getswitchinterval()
+import push_ident.nodes
+names = [module.name for module in pkgutil.walk_packages(push_ident.nodes.__path__, "push_ident.nodes.")]
+assert len(names) > 20, names
+for name in names:
+    importlib.import_module(name)
+    assert not rclpy.ok(), f"{name} initialises ROS"
+    assert dict(os.environ) == environment, f"{name} changes the environment"
+    assert sys.path == path, f"{name} changes the path of imports"
+    assert {number: signal.getsignal(number) for number in signal.valid_signals()} == handlers, f"{name} sets signal handlers"
+    assert sys.getswitchinterval() == interval, f"{name} changes the switch interval"
+    assert threading.active_count() == 1, f"{name} starts a thread"
+"""
+
+
+def test_nothing_happens_when_a_module_of_the_nodes_is_imported():
+    done = subprocess.run([sys.executable, "-c", IMPORT_ALL, "some_node"], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize("package", ["push_ident", "push_ident_sim"])
+def test_every_executable_of_the_packages_is_in_the_table(package):
+    nodes = push_ident.nodes.executables.NODES if package == "push_ident" else push_ident_sim.executables.NODES
+    setup = (ROOT / "src" / package / "setup.py").read_text()
+    assert set(re.findall(r'"(\w+_node) = ', setup)) == set(nodes)
+    for module in nodes.values():
+        assert importlib.util.find_spec(module) is not None
+
+
+def test_an_unknown_executable_is_refused_in_one_line():
+    done = subprocess.run(
+        [sys.executable, "-m", "push_ident.nodes", "camera_node"], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1
+    assert "camera_node" in done.stderr and "perception_node" in done.stderr and "Traceback" not in done.stderr

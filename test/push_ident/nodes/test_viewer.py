@@ -1,0 +1,169 @@
+"""viewer_node as a real process: what it is told on topics ends up in a Rerun recording."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import Path as PathMsg
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+from yaml import safe_load
+
+from helpers.paths import CONFIG, ROOT
+from push_ident.identification.identify import prior_posterior
+from push_ident.identification.prediction import predict
+from push_ident.identification.scoring import PushScore, ScoreSummary
+from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg, transform_to_msg
+from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
+from push_ident.types import DepthFrame, PusherPath
+from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+from push_ident_msgs.msg import PushScore as PushScoreMsg
+from push_ident_sim.cell.camera import DepthCamera
+from push_ident_sim.objects import make_object
+from push_ident_sim.recordings.truth import true_model
+from push_ident_sim.studies.common.seeing import CAMERA_POSE
+
+pytestmark = pytest.mark.alone
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Cell:
+    """Publishes all that a viewer shows of one hammer."""
+
+    def __init__(self) -> None:
+        self.domain = random.randint(1, 100)
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=self.domain)
+        self.node = Node("cell", context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        thing = make_object("hammer", 0)
+        camera = DepthCamera(thing, CAMERA_POSE)
+        frame = DepthFrame(0.0, camera.render((0.0, 0.0, 0.3), {}), camera.intrinsics)
+        self.shape = true_model(thing).shape
+        self.posterior = prior_posterior(self.shape)
+        self.path = PusherPath(np.array([0.0, 1.0]), np.array([[-0.2, 0.0], [-0.05, 0.0]]), 0.018)
+        stamp = stamp_to_msg(1.0)
+        cells, outline = shape_to_msgs(self.shape, "o1", stamp)
+        image, info = depth_frame_to_msgs(frame, stamp)
+        prediction = prediction_to_msg(
+            predict(self.posterior, self.path, np.array([0.0, 0.0, 0.3]), np.linspace(0, 1, 5)), "o1", (1, "fine"), push_id=1
+        )
+        score = score_to_msg(PushScore(1, "push 1", 1.0, 0.002, 0.003, 2.0, 0.009), ScoreSummary(1, 0.002, 0.003, 0.009, 1.0), "o1", 1.0)
+        self._sent = [
+            (self.node.create_publisher(kind, topic, qos), msg)
+            for kind, topic, qos, msg in (
+                (PoseStamped, "depth/camera_pose", LATCHED, transform_to_msg(stamp, CAMERA_POSE)),
+                (CameraInfo, "depth/camera_info", qos_profile_sensor_data, info),
+                (PoseWithCovarianceStamped, "objects/o1/pose", 10, planar_pose_to_msg(stamp, [0.0, 0.0, 0.3], 1e-6 * np.eye(3))),
+                (OccupancyGrid, "objects/o1/cells", LATCHED, cells),
+                (PolygonStamped, "objects/o1/outline", LATCHED, outline),
+                (MassFrictionMap, "objects/o1/mass_friction_map", LATCHED, map_to_msg(self.posterior, "o1", stamp, None, 0)),
+                (PushPrediction, "objects/o1/prediction", LATCHED, prediction),
+                (PathMsg, "objects/o1/next_push", LATCHED, path_to_msg(self.path)),
+                (PushPrediction, "objects/o1/next_push_prediction", LATCHED, prediction),
+                (PushScoreMsg, "objects/o1/push_score", LATCHED, score),
+                (PoseStamped, "tool/pose", 10, position_to_msg(stamp, [-0.2, 0.0, 0.1])),
+                (Image, "depth/image_rect", qos_profile_sensor_data, image),
+            )
+        ]
+
+    def publish(self, at: float) -> None:
+        for publisher, msg in self._sent:
+            if hasattr(msg, "header"):
+                msg.header.stamp = stamp_to_msg(at)
+            publisher.publish(msg)
+        self._executor.spin_once(timeout_sec=0.01)
+
+    def wait_for(self, condition: Callable[[], object], timeout: float = 20.0) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, "timed out"
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def is_heard(self) -> bool:
+        return all(publisher.get_subscription_count() > 0 for publisher, _ in self._sent)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    cell = Cell()
+    yield cell
+    cell.close()
+
+
+def start(domain: int, **parameters: object) -> subprocess.Popen[str]:
+    arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+    command = [sys.executable, "-m", "push_ident.nodes", "viewer_node", "--ros-args", *arguments]
+    return subprocess.Popen(command, env=os.environ | {"ROS_DOMAIN_ID": str(domain)}, stderr=subprocess.PIPE, text=True)
+
+
+def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: Path) -> None:
+    file = tmp_path / "view.rrd"
+    viewer = start(cell.domain, output="file", file=str(file))
+    try:
+        cell.wait_for(cell.is_heard)
+        for step in range(20):
+            cell.publish(1.0 + 0.3 * step)
+            time.sleep(0.05)
+    finally:
+        viewer.send_signal(signal.SIGINT)
+        _, said = viewer.communicate(timeout=5.0)
+    assert viewer.returncode == 0, said
+    assert "Traceback" not in said
+    printed = subprocess.run(
+        [str(Path(sys.executable).parent / "rerun"), "rrd", "print", str(file)], capture_output=True, text=True, check=True
+    )
+    for entity in (
+        "/table/camera/depth",
+        "/table/tool",
+        "/table/objects/o1/seen",
+        "/table/objects/o1/predicted",
+        "/table/objects/o1/next_push/tool",
+        "/table/objects/o1/next_push/end",
+        "/table/load/o1/cells",
+        "/table/uncertainty/o1/cells",
+        "/error_mm/error",
+        "/status",
+    ):
+        assert entity in printed.stdout, f"{entity} was not recorded; {said}"
+
+
+def test_a_file_that_is_no_recording_is_refused_with_one_line(cell: Cell) -> None:
+    viewer = start(cell.domain, output="file", file="view.txt")
+    _, said = viewer.communicate(timeout=20.0)
+    assert viewer.returncode == 1
+    assert "expected a path that ends with .rrd" in said and "Traceback" not in said
+
+
+def test_layouts_name_topics_that_the_nodes_publish() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    rviz = safe_load((CONFIG / "push_ident.rviz").read_text(encoding="utf-8"))
+    displays = [d for group in rviz["Visualization Manager"]["Displays"] for d in (group.get("Displays") or [group])]
+    topics = {d["Topic"]["Value"] for d in displays if "Topic" in d}
+    topics |= set(json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))["configById"]["3D!table"]["topics"])
+    for topic in topics:
+        name = topic.rsplit("/", 1)[-1]
+        assert f"/{name}`" in readme or f"…/{name}`" in readme or f"`{topic[1:]}`" in readme, topic

@@ -1,0 +1,368 @@
+"""The paper's engine: mechanics against closed forms and laws, derivatives against differences, motion against the compiled engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from helpers.objects import straight_push
+from push_ident.errors import InputError
+from push_ident.geometry.outline import outline_of_cells
+from push_ident.physics.lcp import LcpStatus, solve_lcp
+from push_ident.physics.reference import ReferenceModel, StepProblem, StepResult, reference_lcp, reference_rollout, reference_step
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import GRAVITY, SimulationSettings, simulate
+from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus
+
+torch.set_num_threads(1)
+DT = 1 / 240
+
+
+def tensor(values: object) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def block(n: int = 4, size: float = 0.02, seed: int = 0) -> ObjectModel:
+    """A square of n x n cells of unlike mass and friction, the same on both sides of each of its middle lines."""
+    rng = np.random.default_rng(seed)
+    centres = (np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2) - (n - 1) / 2) * size
+    quarter = rng.uniform(0.5, 2.0, (2, n, n))
+    mass, friction = ((q + q[::-1] + q[:, ::-1] + q[::-1, ::-1]).ravel() / 4 for q in quarter)
+    return ObjectModel(ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size)), 0.03 * mass, 0.3 * friction, 0.25)
+
+
+def uneven_block(n: int = 3, size: float = 0.02, seed: int = 0) -> ObjectModel:
+    """A square of cells of unlike mass and friction without any symmetry."""
+    rng = np.random.default_rng(seed)
+    shape = block(n, size).shape
+    return ObjectModel(shape, rng.uniform(0.02, 0.05, n * n), rng.uniform(0.2, 0.5, n * n), 0.3)
+
+
+def free_step(model: ObjectModel, twist: Tensor) -> StepProblem:
+    """Bodies without a pusher, one for each row of `twist`."""
+    batch = len(twist)
+    mass = tensor(model.mass).expand(batch, -1)
+    return StepProblem(
+        mass=mass,
+        inertia=mass * (model.shape.cells.size**2 / 6),
+        cells=tensor(model.shape.cells.centres).expand(batch, -1, -1),
+        twist=twist,
+        limit=mass * tensor(model.friction) * GRAVITY,
+        normal=torch.zeros(batch, 2, 2).double(),
+        point=torch.zeros(batch, 2, 2).double(),
+        gap=torch.zeros(batch, 2).double(),
+        active=torch.zeros(batch, 2, dtype=torch.bool),
+        pusher_velocity=torch.zeros(batch, 2).double(),
+        pusher_friction=torch.full((batch,), model.pusher_friction).double(),
+        restitution=torch.zeros(batch).double(),
+        force=torch.zeros(batch, 3).double(),
+        dt=DT,
+    )
+
+
+def touched(problem: StepProblem, point: tuple[float, float], normal: tuple[float, float], velocity: tuple[float, float]) -> StepProblem:
+    """The same bodies with a pusher at `point`."""
+    batch = len(problem.mass)
+    return replace(
+        problem,
+        point=torch.cat([tensor(point).expand(batch, 1, 2), problem.point[:, 1:]], dim=1),
+        normal=torch.cat([tensor(normal).expand(batch, 1, 2), problem.normal[:, 1:]], dim=1),
+        active=tensor([True, False]).bool().expand(batch, 2),
+        pusher_velocity=tensor(velocity).expand(batch, 2),
+    )
+
+
+def random_contacts(seed: int, batch: int = 60) -> StepProblem:
+    """Moving bodies with a pusher, half of them in a concave corner with two contacts."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(batch, *shape, generator=generator, dtype=torch.float64)
+
+    angle = 3 * normal(1)
+    angle = torch.cat([angle, angle + 1.2], dim=1)
+    problem = free_step(uneven_block(seed=seed), torch.cat([0.2 * normal(2), 3 * normal(1)], dim=1))
+    return replace(
+        problem,
+        point=0.03 * torch.tanh(normal(2, 2)),
+        normal=torch.stack([torch.cos(angle), torch.sin(angle)], dim=2),
+        gap=1e-3 * normal(2).clamp(min=0.0),
+        active=torch.stack([torch.ones(batch), torch.arange(batch) % 2], dim=1).bool(),
+        pusher_velocity=0.2 * normal(2),
+        pusher_friction=torch.rand(batch, generator=generator, dtype=torch.float64),
+    )
+
+
+def cell_velocity(problem: StepProblem, twist: Tensor) -> Tensor:
+    centre = (problem.mass[..., None] * problem.cells).sum(dim=1, keepdim=True) / problem.mass.sum(dim=1)[:, None, None]
+    arm = problem.cells - centre
+    return twist[:, None, :2] + twist[:, None, 2:] * torch.stack([-arm[..., 1], arm[..., 0]], dim=2)
+
+
+def test_cells_move_as_one_body() -> None:
+    problem = random_contacts(0)
+    velocity = -solve_lcp(reference_lcp(problem)).alpha.view(len(problem.mass), -1, 3)
+    twist = reference_step(problem).twist
+    assert torch.allclose(velocity[..., 1:], cell_velocity(problem, twist), rtol=0, atol=1e-12)
+    assert torch.allclose(velocity[..., 0], twist[:, 2:].expand(-1, 9), rtol=0, atol=1e-11)
+
+
+def test_block_slows_down_by_its_friction_and_the_pyramid_points_along_the_larger_velocity() -> None:
+    model = block()
+    slowing = float(np.sum(model.mass * model.friction) / model.total_mass) * GRAVITY * DT
+    after = reference_step(free_step(model, tensor([[0.4, 0.0, 0.0], [0.0, -0.3, 0.0], [0.4, 0.2, 0.0], [1e-3, 0.0, 0.0]]))).twist
+    expected = tensor([[0.4 - slowing, 0, 0], [0, -0.3 + slowing, 0], [0.4 - slowing, 0.2, 0], [0, 0, 0]])
+    assert torch.allclose(after, expected, rtol=0, atol=1e-8)
+
+
+def test_applied_force_moves_the_block_once_it_exceeds_the_friction() -> None:
+    model = block()
+    limit = float(np.sum(model.mass * model.friction)) * GRAVITY
+    forces = tensor([[0.9 * limit, 0.0, 0.0], [1.3 * limit, 0.0, 0.0], [0.0, -1.5 * limit, 0.0]])
+    after = reference_step(replace(free_step(model, torch.zeros(3, 3).double()), force=forces)).twist
+    unit = limit * DT / model.total_mass
+    assert torch.allclose(after, tensor([[0, 0, 0], [0.3 * unit, 0, 0], [0, -0.5 * unit, 0]]), rtol=0, atol=1e-8)
+    # Without friction a torque turns it by torque / inertia.
+    smooth = replace(free_step(model, torch.zeros(1, 3).double()), limit=torch.zeros(1, 16).double(), force=tensor([[0.0, 0.0, 0.01]]))
+    arms = model.shape.cells.centres
+    inertia = np.sum(model.mass * (np.sum(arms**2, axis=1) + 0.02**2 / 6))
+    assert reference_step(smooth).twist[0].tolist() == pytest.approx([0.0, 0.0, 0.01 * DT / inertia], abs=1e-6)
+
+
+def test_no_other_motion_costs_less() -> None:
+    # Without friction of the pusher the step is a convex minimisation; whatever fits the contact must cost more.
+    problem = random_contacts(1)
+    problem = replace(problem, pusher_friction=torch.zeros(60).double(), active=problem.active & (torch.arange(60) < 40)[:, None])
+    result = reference_step(problem)
+    lcp = reference_lcp(problem)
+    old = (lcp.q / lcp.M).view(60, 9, 3)
+    old = torch.cat([(problem.mass[..., None] * old[..., 1:]).sum(dim=1) / problem.mass.sum(dim=1, keepdim=True), old[:, 0, :1]], dim=1)
+
+    def cost(twist: Tensor) -> Tensor:
+        velocity = cell_velocity(problem, twist)
+        change = torch.cat([velocity - cell_velocity(problem, old), (twist - old)[:, None, 2:].expand(-1, 9, 1)], dim=2)
+        weight = torch.stack([problem.mass, problem.mass, problem.inertia], dim=2)
+        return 0.5 * (weight * change**2).sum(dim=(1, 2)) + DT * (problem.limit * velocity.abs().amax(dim=2)).sum(dim=1)
+
+    def room(twist: Tensor) -> Tensor:
+        motion = torch.cat([twist[:, None, 2:].expand(-1, 9, 1), cell_velocity(problem, twist)], dim=2).flatten(1)
+        return (lcp.m + (lcp.G @ motion[..., None])[..., 0])[:, :2].amin(dim=1)
+
+    least = cost(result.twist)
+    assert torch.all(room(result.twist) > -1e-9)
+    generator = torch.Generator().manual_seed(0)
+    for size in (1e-1, 1e-2, 1e-3, 1e-4):
+        for _ in range(60):
+            other = result.twist + size * torch.randn(60, 3, generator=generator, dtype=torch.float64) * tensor([1.0, 1.0, 20.0])
+            assert torch.all((cost(other) >= least - 1e-13) | (room(other) < 0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_contact_and_friction_obey_their_laws(seed: int) -> None:
+    problem = random_contacts(10 + seed)
+    result = reference_step(problem)
+    assert set(result.status) == {LcpStatus.CONVERGED}
+    motion = -solve_lcp(reference_lcp(problem)).alpha
+    lcp = reference_lcp(problem)
+    room = (lcp.m + (lcp.G @ motion[..., None])[..., 0])[:, :4]
+    normal, tangential, used = result.normal_impulse, result.tangential_impulse, problem.active
+    scale = normal.amax()
+    assert scale > 1e-3
+    assert torch.all(room[:, :2][used] > -1e-9) and torch.all(normal >= 0)
+    assert torch.all((room[:, :2] * normal)[used].abs() < 1e-9 * scale)
+    assert torch.all(normal[~used] < 1e-9 * scale)
+    cone = problem.pusher_friction * normal[:, 0]
+    assert torch.all(tangential.abs() <= cone + 1e-9 * scale)
+    slip = room[:, 2]
+    slides = (slip.abs() > 1e-6) & (normal[:, 0] > 1e-6 * scale)
+    assert 5 < int(slides.sum()) < 55
+    assert torch.allclose(tangential[slides], (-cone * torch.sign(slip))[slides], rtol=1e-6, atol=1e-9)
+    # The table's friction: within its diamond, on its edge and against the motion where a cell slides.
+    friction, velocity = result.friction_impulse, cell_velocity(problem, result.twist)
+    assert torch.all(friction.abs().sum(dim=2) <= DT * problem.limit * (1 + 1e-6))
+    dissipated = -(friction * velocity).sum(dim=2)
+    assert torch.allclose(dissipated, DT * problem.limit * velocity.abs().amax(dim=2), rtol=1e-5, atol=1e-10)
+
+
+def test_energy_never_rises() -> None:
+    problem = free_step(uneven_block(), tensor([[0.3, -0.2, 4.0], [0.01, 0.0, -6.0], [0.0, 0.2, 0.0]]))
+
+    def energy(twist: Tensor) -> Tensor:
+        velocity = cell_velocity(problem, twist)
+        return 0.5 * (problem.mass * (velocity**2).sum(dim=2) + problem.inertia * twist[:, 2:] ** 2).sum(dim=1)
+
+    before = energy(problem.twist)
+    for _ in range(60):
+        problem = replace(problem, twist=reference_step(problem).twist)
+        after = energy(problem.twist)
+        assert torch.all(after <= before + 1e-14)
+        before = after
+    assert torch.all(before < 1e-12)  # all of them have come to rest
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.35, 1.0])
+def test_head_on_impact_leaves_at_the_restitution_times_the_speed_of_approach(restitution: float) -> None:
+    problem = touched(free_step(block(), tensor([[-0.1, 0.0, 0.0]])), (-0.04, 0.0), (-1.0, 0.0), (0.3, 0.0))
+    problem = replace(problem, restitution=tensor([restitution]), limit=torch.zeros(1, 16).double())
+    after = reference_step(problem).twist[0]
+    assert after.tolist() == pytest.approx([0.3 + restitution * 0.4, 0.0, 0.0], abs=1e-8)
+    apart = replace(problem, gap=tensor([[0.4 * DT * 1.01, 0.0]]))
+    assert reference_step(apart).twist[0].tolist() == pytest.approx([-0.1, 0.0, 0.0], abs=1e-8)
+
+
+CONTACTS: dict[str, Callable[[], StepProblem]] = {
+    "sliding": lambda: touched(free_step(uneven_block(), tensor([[0.02, 0.01, 0.3]])), (-0.03, 0.004), (-1.0, 0.0), (0.15, 0.2)),
+    "sticking": lambda: touched(free_step(uneven_block(), tensor([[0.02, 0.01, 0.3]])), (-0.03, 0.004), (-1.0, 0.0), (0.15, 0.02)),
+    "separating": lambda: touched(free_step(uneven_block(), tensor([[0.3, 0.1, 0.9]])), (-0.03, 0.004), (-1.0, 0.0), (0.1, 0.05)),
+}
+
+
+def mode(problem: StepProblem, result: StepResult) -> str:
+    if result.normal_impulse[0, 0] < 1e-9:
+        return "separating"
+    cone = problem.pusher_friction[0] * result.normal_impulse[0, 0]
+    return "sliding" if result.tangential_impulse[0].abs() > cone * (1 - 1e-6) else "sticking"
+
+
+@pytest.mark.parametrize("name", CONTACTS)
+def test_derivative_of_a_step_equals_central_differences(name: str) -> None:
+    problem = CONTACTS[name]()
+    assert mode(problem, reference_step(problem)) == name
+    inputs = ("mass", "inertia", "cells", "twist", "limit", "normal", "point", "gap", "pusher_velocity", "pusher_friction", "force")
+    leaves = [getattr(problem, field).clone().requires_grad_() for field in inputs]
+
+    def outcome(*values: Tensor) -> Tensor:
+        result = reference_step(replace(problem, **dict(zip(inputs, values, strict=True))))
+        return torch.cat([result.twist, result.normal_impulse[:, :1], result.tangential_impulse[:, None]], dim=1)[0]
+
+    for row in range(5):
+        exact = torch.autograd.grad(outcome(*leaves)[row], leaves)
+        for i, field in enumerate(inputs):
+            value = leaves[i].detach()
+            direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(i), dtype=torch.float64)
+            if field in ("mass", "inertia", "limit", "pusher_friction"):
+                direction = direction * value
+            step = 1e-6
+            plus, minus = ([x.detach() + (sign * direction if j == i else 0.0) for j, x in enumerate(leaves)] for sign in (step, -step))
+            with torch.no_grad():
+                difference = float((outcome(*plus) - outcome(*minus))[row] / (2 * step))
+            assert float((exact[i] * direction).sum()) == pytest.approx(difference, rel=1e-5, abs=2e-7), (row, field)
+
+
+def test_batch_equals_one_by_one() -> None:
+    problem = random_contacts(2, batch=5)
+    together = reference_step(problem)
+    for i in range(5):
+        names = [name for name in StepProblem.__slots__ if name != "dt"]
+        alone = reference_step(replace(problem, **{name: getattr(problem, name)[i : i + 1] for name in names}))
+        assert torch.allclose(together.twist[i], alone.twist[0], rtol=0, atol=1e-10)
+        assert torch.allclose(together.friction_impulse[i], alone.friction_impulse[0], rtol=0, atol=1e-10)
+
+
+def test_step_that_is_not_solved_says_so() -> None:
+    result = reference_step(random_contacts(0, batch=2), max_iterations=3)
+    assert result.status == (LcpStatus.MAX_ITERATIONS, LcpStatus.MAX_ITERATIONS)
+    assert torch.all(torch.isnan(result.twist)) and torch.all(torch.isnan(result.friction_impulse))
+
+
+# Whole pushes
+
+
+def test_translation_along_an_axis_equals_the_compiled_engine() -> None:
+    # There the pyramid of a cell and its cone are the same.
+    model = block()
+    pusher = straight_push((-0.055, 0.0), 0.0, speed=0.13, travel=0.03, rest=0.05)
+    time = pusher.time[::3]
+    motion = reference_rollout(model.shape, ReferenceModel.of(model), [pusher], torch.zeros(1, 3).double(), [time])
+    fast = simulate(model, PushScenario(pusher, np.zeros(3), time), settings=SimulationSettings(smoothing_speed=1e-7))
+    assert motion.status == (SolveStatus.CONVERGED,)
+    assert fast.pose[-1, 0] > 0.02
+    assert motion.poses[0].numpy() == pytest.approx(fast.pose, abs=1e-7)
+    assert motion.force[0].numpy() == pytest.approx(fast.force, abs=1e-5)
+
+
+def test_push_seen_from_a_table_turned_by_a_right_angle_is_the_same() -> None:
+    # The pyramid has the symmetry of the table's axes, and no more.
+    model = uneven_block(2)
+    pusher = straight_push((-0.030, 0.007), 0.2, speed=0.2, travel=0.02, rest=0.03)
+    turned = PusherPath(pusher.time, pusher.position @ np.array([[0.0, 1.0], [-1.0, 0.0]]), pusher.radius)
+    first = tensor([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1 + np.pi / 2]])
+    motion = reference_rollout(model.shape, ReferenceModel.of(model), [pusher, turned], first, [pusher.time] * 2)
+    a, b = motion.poses
+    assert abs(float(a[-1, 2]) - 0.1) > 0.05
+    assert torch.allclose(torch.stack([-a[:, 1], a[:, 0], a[:, 2] + np.pi / 2], dim=1), b, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("heading, start", [(0.5, (-0.0315, -0.014)), (-0.1, (-0.0321, -0.0225))], ids=["edge", "vertex"])
+def test_derivative_of_a_push_equals_central_differences(heading: float, start: tuple[float, float]) -> None:
+    model = uneven_block(2)
+    pusher = straight_push(start, heading, speed=0.2, travel=0.012, rest=0.0)
+    time = pusher.time[[-2, -1]]
+    names = ("mass", "friction", "pusher friction", "first pose", "force")
+    tensors = ReferenceModel.of(model)
+    values = [tensors.mass, tensors.friction, tensors.pusher_friction, tensor([[0.0, 0.001, 0.05]]), tensor([0.05, -0.03, 0.002])]
+    weights = torch.randn(2, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+
+    def loss(*x: Tensor) -> Tensor:
+        motion = reference_rollout(model.shape, ReferenceModel(x[0], x[1], x[2]), [pusher], x[3], [time], force=x[4])
+        assert motion.status == (SolveStatus.CONVERGED,)
+        return (motion.poses[0] * weights).sum()
+
+    leaves = [x.clone().requires_grad_() for x in values]
+    exact = torch.autograd.grad(loss(*leaves), leaves)
+    for i, name in enumerate(names):
+        direction = torch.randn(values[i].shape, generator=torch.Generator().manual_seed(i), dtype=torch.float64)
+        if i < 3:
+            direction = direction * values[i]
+        step = 1e-5 if i < 3 else 1e-6
+        with torch.no_grad():
+            plus, minus = (loss(*[x + (sign * direction if j == i else 0.0) for j, x in enumerate(values)]) for sign in (step, -step))
+        difference = float(plus - minus) / (2 * step)
+        assert abs(difference) > 1e-6, name
+        assert float((exact[i] * direction).sum()) == pytest.approx(difference, rel=1e-3, abs=1e-7), name
+
+
+def test_pushes_of_unlike_length_and_model_equal_one_by_one() -> None:
+    shape, a, b = block(2).shape, uneven_block(2, seed=1), uneven_block(2, seed=2)
+    pushers = [straight_push((-0.030, 0.006), 0.1, travel=0.01, rest=0.02), straight_push((0.005, -0.030), 1.6, travel=0.015, rest=0.02)]
+    times = [p.time[[0, 3, -1]] for p in pushers]
+    first = tensor([[0.0, 0.0, 0.0], [0.001, 0.0, -0.1]])
+    one, two = ReferenceModel.of(a), ReferenceModel.of(b)
+    both = ReferenceModel(
+        torch.stack([one.mass, two.mass]),
+        torch.stack([one.friction, two.friction]),
+        torch.stack([one.pusher_friction, two.pusher_friction]),
+    )
+    together = reference_rollout(shape, both, pushers, first, times)
+    for i, model in enumerate((one, two)):
+        alone = reference_rollout(shape, model, pushers[i : i + 1], first[i : i + 1], times[i : i + 1])
+        assert torch.allclose(together.poses[i], alone.poses[0], rtol=0, atol=1e-9)
+        assert float((alone.poses[0][-1] - first[i]).norm()) > 5e-3
+
+
+def test_failures_of_a_push_are_statuses_and_input_that_does_not_fit_is_refused() -> None:
+    model = uneven_block(2)
+    pusher = straight_push((-0.030, 0.0), 0.0, travel=0.01, rest=0.02)
+    away = straight_push((-0.2, 0.0), 0.0, travel=0.01, rest=0.02)
+    first = torch.zeros(2, 3).double()
+    reference = ReferenceModel.of(model)
+    motion = reference_rollout(model.shape, reference, [pusher, away], first, [pusher.time] * 2, max_iterations=3)
+    assert motion.status == (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
+    assert torch.all(torch.isnan(motion.poses[0])) and torch.all(motion.poses[1] == 0)
+    with pytest.raises(InputError, match="`friction` has shape"):
+        reference_rollout(model.shape, replace(reference, friction=reference.friction[:3]), [pusher], first[:1], [pusher.time])
+    with pytest.raises(InputError, match=r"`mass` is of torch\.float32"):
+        reference_rollout(model.shape, replace(reference, mass=reference.mass.float()), [pusher], first[:1], [pusher.time])
+    with pytest.raises(InputError, match="negative or not finite"):
+        reference_rollout(model.shape, replace(reference, mass=-reference.mass), [pusher], first[:1], [pusher.time])
+    with pytest.raises(InputError, match="must be finite and ascend"):
+        reference_rollout(model.shape, reference, [pusher], first[:1], [pusher.time[::-1]])
+    with pytest.raises(InputError, match=r"first poses have shape \(2, 3\), expected \(1, 3\)"):
+        reference_rollout(model.shape, reference, [pusher], first, [pusher.time])
+    with pytest.raises(InputError, match=r"StepProblem\.gap has shape"):
+        replace(random_contacts(0), gap=torch.zeros(60).double())

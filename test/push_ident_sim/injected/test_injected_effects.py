@@ -1,0 +1,372 @@
+"""Effects injected into the simulated cell: off they are nothing at all, on each does in Bullet what its entry says, by closed forms."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from push_ident.cli.main import app
+from push_ident.errors import InputError
+from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.geometry.se2 import rotation, transform_points
+from push_ident.offline.loading import load_pushes
+from push_ident.pushing.push import PushSettings
+from push_ident.types import PusherPath
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, look_at
+from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.cell.trajectory import JointTrajectory
+from push_ident_sim.cell.world import CellWorld, WorldConfig
+from push_ident_sim.engines.bullet.push_world import PushWorld
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
+from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
+from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, observe_motion
+
+G, STEP, RADIUS = 9.81, 1.0 / 240.0, 0.008
+MU, MASS = 0.3, 0.6
+SPEED = 0.4
+EXACT = CameraNoise(position_std=1e-9, yaw_std=1e-9, rate=100.0)
+
+
+def disc(friction: float = MU) -> SimObject:
+    x, y = np.meshgrid(*2 * [np.arange(-5, 6) * 0.012])
+    inside = np.hypot(x, y) <= 0.058
+    cells = np.column_stack([x[inside], y[inside]])
+    n = len(cells)
+    return SimObject("disc", 0.012, cells, np.full(n, 0.03), np.full(n, MASS / n), np.full(n, friction), 0.3)
+
+
+def block() -> SimObject:
+    return object_from_picture("block", ["b" * 10] * 6, {"b": Part(MASS, MU, 0.03)}, 0.012, 0.3)
+
+
+def thrown(
+    effects: dict[str, float | tuple[float, ...]],
+    *,
+    heading: float = 0.0,
+    speed: float = SPEED,
+    pose: tuple[float, float, float] = (0, 0, 0),
+    friction: float = MU,
+    seconds: float = 0.04,
+    pushes_done: int = 0,
+) -> np.ndarray:
+    """Mean acceleration (along the throw, to its left, turning) of a disc that was thrown, per mu g."""
+    world, velocities = PushWorld(disc(friction), RADIUS, effects=Effects.of(effects)), []
+    away = PusherPath(np.array([0.0, seconds]), np.full((2, 2), 0.6), RADIUS)
+    first = speed * np.array([np.cos(heading), np.sin(heading), 0.0])
+    try:
+        world.push(
+            pose, away, velocity=first, pushes_done=pushes_done, watch=lambda: velocities.append(world.object_velocity()), longest_rest=0.0
+        )
+    finally:
+        world.close()
+    mean = (velocities[-1] - first) / (len(velocities) * STEP)
+    return np.array([*(mean[:2] @ rotation(heading)), mean[2]]) / (friction * G if friction > 0 else 1.0)
+
+
+def pushed(
+    effects: dict[str, float | tuple[float, ...]],
+    *,
+    aside: float = 0.0,
+    heading: float = 0.0,
+    speed: float = 0.1,
+    distance: float = 0.08,
+    thing: SimObject | None = None,
+) -> tuple[TrueMotion, np.ndarray]:
+    """A push of the block's left face, and the mean load of each cell in its last half."""
+    thing = thing or block()
+    world, loads = PushWorld(thing, RADIUS, effects=Effects.of(effects)), []
+    start = np.array([thing.outline[:, 0].min() - RADIUS, aside]) - 0.02 * np.array([np.cos(heading), np.sin(heading)])
+    end = start + distance * np.array([np.cos(heading), np.sin(heading)])
+    try:
+        motion = world.push(
+            np.zeros(3),
+            PusherPath(np.array([0.0, distance / speed]), np.array([start, end]), RADIUS),
+            watch=lambda: loads.append(world.cell_loads()),
+        )
+    finally:
+        world.close()
+    n = int(distance / speed / STEP)
+    return motion, np.mean(loads[n // 2 : n - 1], axis=0)
+
+
+def first_touch(motion: TrueMotion) -> int:
+    return int(np.argmax(np.linalg.norm(motion.force, axis=1) > 0))
+
+
+# --- off -----------------------------------------------------------------------------------------------------------------
+
+
+def test_effects_of_size_zero_are_no_effects() -> None:
+    zero = Effects.of({name: tuple(p.default for p in effect.parameters) for name, effect in EFFECTS.items()})
+    assert zero == Effects() and not zero
+    settings = TruthSettings(n_train=2, n_test=0)
+    plain = make_pushes(make_object("hammer", 3), [5], settings)
+    for motion, same in zip(plain, make_pushes(make_object("hammer", 3), [5], replace(settings, effects=zero)), strict=True):
+        for name in ("time", "pose", "pusher", "reported", "force"):
+            np.testing.assert_array_equal(getattr(motion, name), getattr(same, name))
+        assert motion.reported is motion.pusher
+        seen = [observe_motion(motion, RADIUS, CameraNoise(), np.random.default_rng(1), effects)[0] for effects in (None, zero)]
+        np.testing.assert_array_equal(seen[0].pose, seen[1].pose)
+
+
+GRADUAL = [n for n, e in EFFECTS.items() if e.acts_on not in ("camera", "poses") and e.parameters[0].smallest == 0]
+
+
+@pytest.mark.parametrize("name", GRADUAL)
+def test_effect_fades_with_its_size(name: str) -> None:
+    parameters = EFFECTS[name].parameters
+    tiny = Effects.of({name: (1e-7, *(p.default for p in parameters[1:]))})
+    assert name in tiny
+    before, after = (pushed(effects, aside=0.02, distance=0.05)[0].pose[-1] for effects in ({}, tiny.as_dict()))
+    # Even the smallest size goes another way through the engine, which then rounds differently.
+    np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+# --- table and object ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effects", "throw", "expected"),
+    [
+        ({}, {}, (-1.0, 0.0)),
+        ({"table_tilt": (0.05, 0.03)}, {"seconds": 3 * STEP}, (-np.cos(np.hypot(0.05, 0.03)) + np.sin(0.05) / MU, np.sin(0.03) / MU)),
+        ({"table_anisotropy": (0.2, 0.0)}, {}, (-1.2, 0.0)),
+        ({"table_anisotropy": (0.2, 0.0)}, {"heading": np.pi / 2}, (-0.8, 0.0)),
+        ({"table_anisotropy": (0.0, 0.2)}, {"pose": (0, 0, np.pi / 2), "seconds": STEP}, (-1.0, -0.2)),
+        ({"base_anisotropy": (0.2, 0.0)}, {"pose": (0, 0, np.pi / 2)}, (-0.8, 0.0)),
+        ({"position_dependent_friction": (2.0, 0.0)}, {"pose": (0.1, 0.0, 0.0), "heading": np.pi / 2}, (-1.2, 0.0)),
+        ({"speed_dependent_friction": 0.2}, {"seconds": 3 * STEP}, (-1.0 - 0.2 * np.log(0.4 / 0.11), 0.0)),
+        ({"stribeck_friction": (0.5, 0.1)}, {"speed": 0.02, "friction": 0.02, "seconds": 4 * STEP}, (-1.5, 0.0)),
+        ({"stribeck_friction": (0.5, 0.1)}, {}, (-1.0, 0.0)),
+        ({"wear": 0.05}, {"pushes_done": 5}, (-1.25, 0.0)),
+        ({"viscous_film": 3.0}, {"friction": 0.02, "seconds": 3 * STEP}, (-1.0 - 3.0 * SPEED / MASS / (0.02 * G), 0.0)),
+    ],
+)
+def test_thrown_disc_is_slowed_as_the_effect_says(effects: dict, throw: dict, expected: tuple[float, float]) -> None:
+    along, left, turning = thrown(effects, **throw)
+    assert along == pytest.approx(expected[0], rel=0.03)
+    assert left == pytest.approx(expected[1], abs=0.01)
+    # On a slope of friction the outer cells turn the disc; else nothing does.
+    assert "position_dependent_friction" in effects or abs(turning) < 0.05
+
+
+def test_tether_swings_a_disc_without_friction() -> None:
+    stiffness, seconds = 20.0, 0.3
+    omega = np.sqrt(stiffness / MASS)
+    slowed = thrown({"tether": stiffness}, friction=0.0, seconds=seconds)[0]
+    assert slowed * seconds == pytest.approx(SPEED * (np.cos(omega * seconds) - 1.0), rel=0.02)
+
+
+def test_compliant_table_springs_back() -> None:
+    ends = []
+    for effects in ({}, {"compliant_table": 5e-3}):
+        world = PushWorld(disc(), RADIUS, effects=Effects.of(effects))
+        try:
+            away = PusherPath(np.array([0.0, 0.1]), np.full((2, 2), 0.6), RADIUS)
+            motion = world.push(np.zeros(3), away, velocity=(0.03, 0.0, 0.0))
+        finally:
+            world.close()
+        ends.append((float(motion.pose[:, 0].max()), float(motion.pose[-1, 0])))
+    (slid, stayed), (swung, returned) = ends
+    assert stayed == pytest.approx(slid, abs=1e-5)
+    # The spring takes notice of a throw one time step late.
+    assert swung > 5e-4 and returned == pytest.approx(-0.03 * STEP, abs=1e-5)
+    # Pushed on, it slides with the same force as ever.
+    force = pushed({"compliant_table": 2e-3})[0].force[60:180, 0]
+    assert force.mean() == pytest.approx(MU * MASS * G, rel=0.02)
+
+
+def test_high_push_leans_the_object_on_its_far_side() -> None:
+    thing = block()
+    centres = [loads @ thing.cells / loads.sum() for _, loads in (pushed({}), pushed({"push_height": 0.05}))]
+    np.testing.assert_allclose(centres[0], 0.0, atol=1e-4)
+    # Moment of the push mu W h, over the weight W.
+    np.testing.assert_allclose(centres[1], [MU * 0.05, 0.0], atol=5e-4)
+
+
+def test_loose_contents_slide_back() -> None:
+    thing = block()
+    _, loads = pushed({"moving_contents": (0.01, 0.05)}, distance=0.1)
+    np.testing.assert_allclose(loads @ thing.cells / loads.sum(), [-0.01, 0.0], atol=5e-4)
+    assert loads.sum() == pytest.approx(MASS * G, rel=1e-3)
+
+
+# --- pusher --------------------------------------------------------------------------------------------------------------
+
+
+def test_friction_of_the_pusher_drags_along_the_face() -> None:
+    for effects, expected in (({}, 0.3), ({"pusher_friction": 0.2}, 0.5), ({"pusher_friction": -0.3}, 0.0), ({"rolling_finger": 1.0}, 0.0)):
+        motion, _ = pushed(effects, heading=np.radians(50), aside=-0.01, distance=0.05)
+        ratio = []
+        for pose, force in zip(motion.pose[:-1], motion.force[1:], strict=True):
+            normal, along = force @ rotation(pose[2])
+            if normal > 0.3:
+                ratio.append(along / normal)
+        assert np.quantile(ratio, 0.95) == pytest.approx(expected, abs=0.03), effects
+
+
+def test_object_bounces_off_the_pusher() -> None:
+    for e in (0.0, 0.5):
+        motion, _ = pushed({"restitution": e}, speed=0.3)
+        touch = first_touch(motion)
+        fastest = np.diff(motion.pose[touch - 1 : touch + 3, 0]).max() / STEP
+        assert fastest == pytest.approx(0.3 * (1 + e), abs=1.5 * MU * G * STEP)
+
+
+def test_object_is_larger_than_its_outline() -> None:
+    places = []
+    for offset in (-0.002, 0.0, 0.002):
+        motion, _ = pushed({"outline_error": offset}, speed=0.05)
+        places.append(motion.pusher[first_touch(motion), 0])
+    np.testing.assert_allclose(np.diff(places), -0.002, atol=3e-4)
+
+
+def test_tool_is_not_where_it_is_reported() -> None:
+    speed, far = 0.1, slice(100, 180)
+
+    def aside(effects: dict) -> np.ndarray:
+        motion, _ = pushed(effects, speed=speed)
+        return (motion.pusher - motion.reported)[far]
+
+    np.testing.assert_allclose(aside({"pusher_lag": 0.05}), [[-speed * 0.05, 0.0]] * 80, atol=speed * STEP)
+    np.testing.assert_allclose(aside({"tool_offset": (0.001, -0.002)}), [[0.001, -0.002]] * 80, atol=1e-6)
+    np.testing.assert_allclose(np.hypot(*aside({"pusher_wobble": (0.001, 5.0)}).T), 0.001, atol=1e-5)
+    motion, _ = pushed({"pusher_speed_scale": 0.05}, speed=speed)
+    np.testing.assert_allclose(motion.pusher[far, 0] - motion.pusher[0, 0], 1.05 * speed * motion.time[far], atol=speed * STEP)
+
+
+def test_arm_reports_the_place_where_its_tool_is_not() -> None:
+    offset = np.array([0.003, -0.002])
+    world = CellWorld(block(), WorldConfig(effects=Effects.of({"tool_offset": tuple(offset)})), pose=(0.3, 0.3, 0.0))
+    arm = ArmKinematics(robot_description(), neutral=HOME)
+    try:
+        low, converged = arm.inverse([-0.1, 0.0, 0.012], HOME)
+        assert converged
+        way = JointTrajectory(np.array([0.0, 1.0]), np.array([HOME, low]), np.zeros((2, 7)))
+        apart = []
+        while world.time < 1.2:
+            world.set_joint_targets(*way.sample(world.time + STEP))
+            world.step()
+            apart.append(world.tool_tip() - arm.forward(world.joint_state()[0])[:3, 3])
+    finally:
+        world.close()
+    np.testing.assert_allclose(apart[20], 0.0, atol=1e-4)
+    np.testing.assert_allclose(apart[-1], [*offset, 0.0], atol=1e-4)
+
+
+# --- what is seen --------------------------------------------------------------------------------------------------------
+
+
+def seen(motion: TrueMotion, effects: dict, noise: CameraNoise = EXACT) -> tuple[np.ndarray, np.ndarray]:
+    poses, _, _ = observe_motion(motion, RADIUS, noise, np.random.default_rng(4), Effects.of(effects))
+    return poses.time, poses.pose
+
+
+def test_camera_sees_the_object_elsewhere_later_and_less_often() -> None:
+    motion, _ = pushed({}, aside=0.02)
+    time, plain = seen(motion, {})
+    np.testing.assert_allclose(seen(motion, {"camera_translation": (0.002, -0.001)})[1], np.add(plain, [0.002, -0.001, 0.0]), atol=1e-7)
+    turned = seen(motion, {"camera_rotation": 0.1})[1]
+    np.testing.assert_allclose(turned, np.column_stack([plain[:, :2] @ rotation(0.1).T, plain[:, 2] + 0.1]), atol=1e-7)
+    np.testing.assert_allclose(seen(motion, {"camera_scale": 0.05})[1], plain * [1.05, 1.05, 1.0], atol=1e-7)
+    late = seen(motion, {"pose_latency": 0.1})[1]
+    np.testing.assert_allclose(late[10:], plain[:-10], atol=1e-7)
+    kept = seen(motion, {"dropped_frames": 0.4})[0]
+    assert np.all(np.isin(kept, time)) and len(kept) / len(time) == pytest.approx(0.6, abs=0.1)
+    flips = np.abs(seen(motion, {"pose_flips": 0.2})[1][:, 2] - plain[:, 2]) % (2 * np.pi) > 1.0
+    assert flips.mean() == pytest.approx(0.2, abs=0.1)
+
+
+def test_correlated_noise_keeps_its_deviation() -> None:
+    noise = CameraNoise(position_std=1e-3, yaw_std=0.01, rest=20.0)
+    motion, _ = pushed({})
+    errors = seen(motion, {"noise_correlation": 0.6}, noise)[1][:550]
+    np.testing.assert_allclose(errors.std(axis=0), [1e-3, 1e-3, 0.01], rtol=0.15)
+    assert [np.corrcoef(e[1:], e[:-1])[0, 1] for e in errors.T] == pytest.approx([0.6] * 3, abs=0.12)
+
+
+def test_rendered_camera_sees_what_is_said_of_poses() -> None:
+    thing, reported, pose = block(), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)), np.array([0.05, 0.08, 0.3])
+
+    def centre(effects: dict) -> np.ndarray:
+        camera = DepthCamera(thing, *true_camera(Effects.of(effects), reported, INTRINSICS))
+        depth = camera.render(pose, {})
+        v, u = np.indices(depth.shape)
+        rays = np.stack([(u - INTRINSICS.cx) / INTRINSICS.fx, (v - INTRINSICS.cy) / INTRINSICS.fy, np.ones(u.shape)], axis=-1)
+        points = depth[..., None] * rays @ reported[:3, :3].T + reported[:3, 3]
+        return np.nanmean(points[points[..., 2] > 0.025][:, :2], axis=0)
+
+    true = centre({})
+    np.testing.assert_allclose(centre({"camera_translation": (0.01, -0.02)}), np.add(true, [0.01, -0.02]), atol=3e-4)
+    np.testing.assert_allclose(centre({"camera_rotation": 0.1}), rotation(0.1) @ true, atol=3e-4)
+    # Across the line of sight; along it the picture is foreshortened, and the table seems to tilt.
+    assert centre({"camera_scale": 0.05})[1] == pytest.approx(1.05 * true[1], rel=2e-3)
+    with pytest.raises(InputError, match="pose_flips"):
+        check_rendered(Effects.of({"pose_flips": 0.1}))
+
+
+def test_poses_come_one_by_one_late_and_lossy() -> None:
+    sensor = PoseSensor(Effects.of({"pose_latency": 0.1, "dropped_frames": 0.5}), np.full(3, 1e-9), np.random.default_rng(3))
+    arrived = [(stamp, now, pose) for now in 0.01 * np.arange(400) for stamp, pose in sensor.see(now, np.array([now, 0.0, 0.0]))]
+    assert len(arrived) == pytest.approx(195, abs=40)
+    for stamp, now, pose in arrived:
+        assert stamp <= now + 1e-9 and pose[0] == pytest.approx(stamp - 0.1, abs=1e-6)
+
+
+# --- in and out ----------------------------------------------------------------------------------------------------------
+
+
+def test_effects_are_read_and_refused_by_name() -> None:
+    effects = Effects.parse(["table_tilt=0.02", "stribeck_friction=0.3,0.05", "wear=0"])
+    assert effects.as_dict() == {"stribeck_friction": (0.3, 0.05), "table_tilt": (0.02, 0.0)}
+    assert effects["pusher_wobble"] == (0.0, 4.0) and "wear" not in effects
+    for text, reason in (("tilt=1", "expected some of"), ("wear", "no size"), ("wear=x", "no size"), ("wear=1,2", "w \\[1/push\\]")):
+        with pytest.raises(InputError, match=reason):
+            Effects.parse([text])
+    for text in ("table_tilt=nan", "restitution=2", "compliant_table=1e-5"):
+        with pytest.raises(InputError, match="expected 0"):
+            Effects.parse([text]) if "nan" not in text else Effects.parse(["restitution=nan"])
+
+
+def test_truth_with_an_effect_has_a_file_of_its_own_and_keeps_the_reported_path(tmp_path: Path) -> None:
+    plain = TruthSettings(n_train=1, n_test=0)
+    bent = replace(plain, effects=Effects.of({"tool_offset": (0.004, 0.0)}))
+    assert generate_truth(tmp_path, "book", 1, plain) != generate_truth(tmp_path, "book", 1, bent)
+    for _ in range(2):  # simulated, then read
+        ((record,), _, _), ((other,), _, _) = (load_truth(tmp_path, "book", 1, s, EXACT) for s in (plain, bent))
+        n = len(record.pusher.time) - 2
+        np.testing.assert_allclose(other.pusher.position[1:n], record.pusher.position[1:n], atol=1e-4)
+        assert np.abs(other.poses.pose[-1] - record.poses.pose[-1]).max() > 1e-3
+
+
+def test_command_writes_a_bag_whose_effect_is_in_the_truth_alone(tmp_path: Path) -> None:
+    bag, truth = tmp_path / "tilted", tmp_path / "truth.json"
+    call = ["simulate", "--object", "toolbox", "--effect", "table_tilt=0.03", "--pushes", "2", "--out", str(bag), "--truth", str(truth)]
+    app(call, standalone_mode=False)
+    loaded = load_pushes([bag])
+    assert len(loaded.records) == 2 and loaded.records[0].wrench is not None
+    assert json.loads(truth.read_text())["effects"] == {"table_tilt": [0.03, 0.0]}
+    assert b"tilt" not in (bag / "tilted.mcap").read_bytes().replace(b"tilted", b"")
+    with pytest.raises(InputError, match="exists already"):
+        app(call, standalone_mode=False)
+
+
+def test_filmed_pushes_can_be_tracked(tmp_path: Path) -> None:
+    noise = CameraNoise(rate=10.0, rest=1.0, force_std=0.05)
+    truth = record_pushes(tmp_path / "film", RecordingSettings("toolbox", n_pushes=1, noise=noise, camera=True))
+    assert seal(truth) == seal(json.loads(json.dumps(truth)))
+    (record,) = load_pushes([tmp_path / "film"]).records
+    (motion,) = make_pushes(make_object("toolbox"), [0, 3, 0], TruthSettings(n_train=1, n_test=0, pushes=PushSettings()), in_a_row=True)
+    moved, seen_to_move = (p[-1] - p[0] for p in (motion.pose, record.poses.pose))
+    # Of the same point of the object: its frames differ.
+    first = transform_points(motion.pose[0], np.zeros((1, 2)))[0] - record.poses.pose[0, :2]
+    expected = moved[:2] + (np.eye(2) - rotation(moved[2])) @ first
+    np.testing.assert_allclose(seen_to_move[:2], expected, atol=2e-3)
+    assert seen_to_move[2] == pytest.approx(moved[2], abs=0.02)

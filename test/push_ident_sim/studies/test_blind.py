@@ -1,0 +1,234 @@
+"""The blind check: cases that their seeds determine, a truth that is sealed first, and figures that say what was counted."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Verdict
+from push_ident.errors import InputError
+from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.observation import observe_push
+from push_ident.pushing.sampling import sample_push
+from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.objects import OBJECT_NAMES, make_object
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
+from push_ident_sim.studies import EXPERIMENTS
+from push_ident_sim.studies.blind import study as blind
+from push_ident_sim.studies.blind.cases import (
+    CATALOGUE,
+    FIRST_REPORT_MODEL,
+    Scenario,
+    Truth,
+    draw_truth,
+    make_asked_record,
+    make_records,
+)  # fmt: skip
+from push_ident_sim.studies.blind.scoring import score_case, true_values
+from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
+from push_ident_sim.studies.common.experiment import Case, CaseResult
+from push_ident_sim.studies.common.runner import write_json
+
+NOISE = CameraNoise()
+
+
+def cases(first: int, n_models: int, variant: str = "14-pushes") -> list[Case]:
+    return [Case(name, first + i, variant) for i in range(n_models) for name in OBJECT_NAMES]
+
+
+# --- cases and their seal
+
+
+def test_one_round_holds_nulls_every_effect_from_small_to_large_pairs_and_strangers_in_both_engines() -> None:
+    truths = [draw_truth(c.object_name, c.model) for c in cases(0, 50)]
+    kinds = Counter((t.scenario.engine, t.scenario.kind) for t in truths)
+    assert all(kinds[engine, kind] >= 10 for engine in ("bullet", "planar") for kind in ("null", "single", "pair", "outside"))
+    for name in CATALOGUE:
+        sizes = [t.scenario.size for t in truths if t.scenario.kind == "single" and t.names == (name,)]
+        assert min(sizes) < 0.2 and max(sizes) >= 3.0
+        # Bullet's spring is no tether of the catalogue.
+        assert {t.scenario.engine for t in truths if t.names == (name,)} == ({"planar"} if name == "tether" else {"bullet", "planar"})
+    assert all(t.effects or t.outside or t.scenario.kind == "null" for t in truths)
+    assert {name for t in truths if not t.scenario.names for name, _ in t.effects.values} == {"noise_correlation", "dropped_frames"}
+
+
+def test_report_set_is_another_than_that_which_sets_thresholds_and_both_are_seeded() -> None:
+    tune, report = ([draw_truth(c.object_name, c.model).as_json() for c in cases(first, 4)] for first in (0, FIRST_REPORT_MODEL))
+    assert tune == [draw_truth(c.object_name, c.model).as_json() for c in cases(0, 4)]
+    assert not any(a["effects"] == b["effects"] for a, b in zip(tune, report, strict=True) if a["effects"])
+
+
+def test_what_a_camera_cannot_film_is_a_null_there() -> None:
+    truths = [draw_truth(c.object_name, c.model, camera=True) for c in cases(0, 50)]
+    assert {t.scenario.engine for t in truths} == {"camera"}
+    filmed = {name for t in truths for name, _ in t.effects.values}
+    assert "tether" not in filmed and "table_tilt" in filmed
+    assert not any(EFFECTS[name].acts_on == "poses" for name in filmed) and not any(t.outside for t in truths)
+
+
+def test_truth_is_sealed_before_scoring_and_scored_with_one_set_of_thresholds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = cases(FIRST_REPORT_MODEL, 2)
+    sealed = blind.seal_cases(chosen, tmp_path)
+    assert len(sealed["truth_sha256"]) == 64 and sealed["phase"] == "report" and sealed["n_cases"] == 10
+    assert blind.seal_cases(chosen, tmp_path) == sealed
+    assert blind.seal_cases(cases(FIRST_REPORT_MODEL, 3), tmp_path)["truth_sha256"] != sealed["truth_sha256"]
+    monkeypatch.setattr(blind, "_thresholds_hash", lambda: "others")
+    with pytest.raises(InputError, match="other thresholds"):
+        blind.seal_cases(chosen, tmp_path)
+    # Thresholds may change as often as they like on the set that is there for it.
+    assert blind.seal_cases(cases(0, 2), tmp_path)["thresholds_sha256"] == "others"
+    with pytest.raises(InputError, match="stay apart"):
+        blind.seal_cases([*cases(0, 1), *chosen], tmp_path)
+
+
+def test_pushes_of_a_case_are_the_first_of_the_longer_one() -> None:
+    few, more = (make_records(draw_truth("book", 4), "book", 4, n, NOISE) for n in (2, 3))
+    assert [r.order for r in more] == [0, 1, 2]
+    for a, b in zip(few, more[:2], strict=True):
+        np.testing.assert_array_equal(a.poses.pose, b.poses.pose)
+
+
+@pytest.mark.parametrize("model", [1, 2])
+def test_push_that_is_asked_for_begins_where_the_diagnosis_says(model: int) -> None:
+    truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
+    plan = sample_push(make_records(truth, "book", model, 1, NOISE)[0].shape, pose, np.random.default_rng(1), TruthSettings().pushes)
+    asked = PlannedPush(pose, path_of_plan(plan, TruthSettings()), plan)
+    record = make_asked_record(truth, "book", model, asked, 8, NOISE)
+    assert record is not None and record.order == 8
+    before = record.poses.time < 0.3
+    assert np.abs(record.poses.pose[before].mean(axis=0) - pose).max() < 0.02
+    assert observe_push(record).touched
+    assert make_asked_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
+
+
+def test_diagnosis_does_not_believe_what_one_push_alone_speaks_for() -> None:
+    """Nothing is in this case; one of its pushes lies at an edge of sliding, and gains 40 nat for a friction of the pusher."""
+    truth = draw_truth("hammer", 6030)
+    found = diagnose(make_records(truth, "hammer", 6030, 14, NOISE))
+    assert truth.scenario.kind == "null" and found.verdict == Verdict.NO_GAP and found.effects == ()
+    assert "Only push" in found.sentence and "which is not believed until another push does" in found.sentence
+
+
+# --- figures
+
+
+@pytest.mark.parametrize(("hits", "n"), [(0, 7), (8, 10), (40, 40)])
+def test_ends_of_the_interval_are_the_shares_at_which_the_count_is_just_likely(hits: int, n: int) -> None:
+    found = interval(hits, n)
+    for end in (found["low"], found["high"]):
+        if 0.0 < end < 1.0:
+            assert abs(hits / n - end) == pytest.approx(1.6449 * np.sqrt(end * (1 - end) / n), rel=1e-6)
+    assert found["low"] <= hits / n <= found["high"]
+    assert interval(0, 0)["share"] is None
+
+
+def outcome(kind: str, truth: list[str], verdict: str, named: list[str], confusable: list[str], gain: float, hardest: float) -> CaseResult:
+    gap = {"before_m": 4e-3, "after_m": 1e-3, "noise_m": 5e-4, "above_noise": True, "shrink": 0.8, "shrink_interval": [0.7, 0.9]}
+    values: dict[str, Any] = {
+        "verdict": verdict,
+        "effects": [{"name": n, "parameters": {"offset": 1.1e-3}, "std": {"offset": 1e-4}, "evidence": 20.0} for n in named],
+        "confusable": confusable,
+        "gap": gap,
+        "steps": [{"smallest": {"outline_error": 4e-4}}],
+        "seconds": 10.0,
+        "truth": {"engine": "planar", "kind": kind, "names": truth, "size": 1.0},
+        "true_parameters": {name: [1e-3] for name in truth},
+        "detectability": {name: {"alone": hardest, "hardest": hardest, "gain": gain} for name in truth},
+        "oracle": {"gain": gain, "gap": {**gap, "shrink": 0.9}},
+        "baselines": {"evidence": "wear", "training_fit": "wear", "largest_residual": None, "tuned_gap": {**gap, "shrink": 0.1}},
+    }
+    return CaseResult(Case("book", 0, "14-pushes"), values)
+
+
+def test_rival_that_was_fitted_is_as_near_as_its_fit_says() -> None:
+    case = outcome("single", ["pusher_lag"], "named", ["pusher_lag"], [], 20.0, 50.0)
+    assert judge(case).noncentrality == 50.0
+    case.values["oracle"]["apart"] = 4.0
+    assert judge(case).noncentrality == 4.0
+    # What belongs to the base, as a small error of a camera, is neither detectable nor missed.
+    for key in ("detectability", "oracle"):
+        del case.values[key]
+    assert not judge(case).detectable and judge(case).noncentrality == 0.0
+
+
+def test_figures_count_what_they_say() -> None:
+    results = [
+        outcome("null", [], "no_gap", [], [], 0, 0),
+        outcome("null", [], "one_of", ["wear"], ["tether"], 0, 0),
+        outcome("single", ["outline_error"], "named", ["outline_error"], [], 30, 60),
+        outcome("single", ["pusher_lag"], "one_of", ["pose_latency"], ["pusher_lag"], 8, 10),
+        outcome("single", ["wear"], "named", ["table_tilt"], [], 9, 30),
+        outcome("single", ["wear"], "no_gap", [], [], -1, 0.5),
+        # Twins that no push can tell apart.
+        outcome("single", ["tool_offset"], "one_of", ["camera_translation"], ["tool_offset"], 40, 90),
+        outcome("pair", ["pusher_lag", "wear"], "several", ["wear", "table_tilt"], [], 20, 40),
+        outcome("outside", ["viscous_film"], "unknown", [], [], 0, 0),
+        outcome("outside", ["gust"], "named", ["table_tilt"], [], 0, 0),
+        outcome("outside", ["compliant_table"], "no_gap", [], [], 0, 0),
+    ]
+    for result, visibility in zip(results[-3:], (80.0, None, 2.0), strict=True):
+        result.values["visibility"] = visibility
+    results[3].values["asked"] = {"n": 1, "expected": True, "verdict": "named", "named": ["pusher_lag"], "confusable": [], "settled": True}
+    results[6].values["asked"] = {"n": 2, "expected": False, "verdict": "named", "named": ["wear"], "confusable": [], "settled": True}
+    counted = figures([judge(r) for r in results])
+    shares = {name: (round(f["share"] * f["n"]), f["n"]) for name, f in counted.items() if f.get("share") is not None}
+    assert shares["false_alarms"] == (1, 2)
+    assert shares["top1_detectable"] == (2, 4)
+    assert shares["top1_surely"] == (2, 2)
+    assert shares["top1_plain"] == (2, 3)
+    assert shares["wrong_names"] == (1, 5)
+    assert shares["in_set"] == (3, 4)
+    assert shares["ties_settled"] == (1, 2) and counted["ties_asked"]["value"] == pytest.approx(1.5)
+    assert shares["ties_settled_as_expected"] == (1, 1)
+    assert shares["silent_undetectable"] == (1, 1)
+    assert shares["pairs_both"] == (0, 1) and shares["pairs_one"] == (1, 1)
+    assert shares["unknown_flagged"] == (1, 2) and shares["unknown_misnamed"] == (1, 3)
+    assert shares["baseline_training_fit"] == (1, 4)
+    assert counted["set_size"]["value"] == pytest.approx(1.25)
+    assert counted["size_error"]["value"] == pytest.approx(0.1) and shares["size_intervals"] == (1, 1)
+    assert counted["shrink_of_oracle"]["value"] == pytest.approx(0.8 / 0.9)
+
+
+def test_summary_becomes_tables_and_a_confusion_matrix(tmp_path: Path) -> None:
+    results = [outcome("null", [], "no_gap", [], [], 0, 0), outcome("single", ["outline_error"], "named", ["outline_error"], [], 30, 60)]
+    summary = {**summarise_cases(results), "sealed": blind.seal_cases(cases(0, 1), tmp_path)}
+    write_json(tmp_path / "blind.json", summary)
+    text = EXPERIMENTS["blind"].tables(json.loads((tmp_path / "blind.json").read_text()))
+    assert "false alarms on nulls" in text and summary["sealed"]["truth_sha256"] in text
+    (name,) = EXPERIMENTS["blind"].draw(summary, tmp_path)
+    assert (tmp_path / name).stat().st_size > 5000
+
+
+# --- one case
+
+
+def test_injected_sizes_are_stated_in_the_parameters_of_the_diagnosis() -> None:
+    thing = make_object("book", 1)
+    effects = Effects.of({"push_height": 0.02, "tether": 4.0, "tool_offset": (1e-3, -2e-3)})
+    mean_friction = thing.friction @ thing.mass / thing.mass.sum()
+    centre = np.array([0.1, -0.05])
+    np.testing.assert_allclose(true_values(effects, "push_height", thing, centre), [0.02 * mean_friction])
+    np.testing.assert_allclose(true_values(effects, "tether", thing, centre), [4.0, 0.4, -0.2])
+    np.testing.assert_allclose(true_values(effects, "tool_offset", thing, centre), [1e-3, -2e-3])
+
+
+def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tmp_path: Path) -> None:
+    truth = Truth(Scenario("planar", "single", ("outline_error",), 2.0), Effects.of({"outline_error": 0.002}), ())
+    records = make_records(truth, "book", 2, 5, NOISE)
+    values = score_case(records, truth, make_object("book", 2), DiagnosisSettings())
+    case = judge(CaseResult(Case("book", 2, "6-pushes"), values))
+    assert case.detectable and case.noncentrality > 25.0
+    assert case.right
+    assert values["true_parameters"] == {"outline_error": [0.002]}
+    assert values["oracle"]["parameters"]["outline_error"][0] == pytest.approx(0.002, abs=5e-4)
+    # Told the truth, the same machinery finds the same fit.
+    assert values["oracle"]["gain"] == pytest.approx(values["effects"][0]["evidence"], abs=0.5)
+    assert values["baselines"]["tuned_gap"]["after_m"] > values["gap"]["after_m"]
+    write_json(tmp_path / "case.json", values)

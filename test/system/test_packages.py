@@ -1,0 +1,156 @@
+"""The ROS packages as colcon, ros2 and a plain shell see them."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from helpers.paths import ROOT
+
+pytestmark = pytest.mark.alone
+
+PACKAGES = {"push_ident": "ament_python", "push_ident_sim": "ament_python", "push_ident_msgs": "ament_cmake"}
+PYTHON_PACKAGES = [name for name, kind in PACKAGES.items() if kind == "ament_python"]
+LAUNCH_FILES = sorted(ROOT.glob("src/*/launch/*.launch.py"))
+PLAIN_SHELL = {"PATH": "/usr/bin:/bin"}
+
+
+def console_scripts(package: str) -> dict[str, tuple[str, str]]:
+    """Executable: (module, function), as setup.py has them."""
+    tree = ast.parse((ROOT / "src" / package / "setup.py").read_text())
+    lines = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    found = [re.fullmatch(r"([\w-]+) = ([\w.]+):(\w+)", line) for line in lines]
+    return {match[1]: (match[2], match[3]) for match in found if match}
+
+
+def in_plain_shell(*arguments: str, **extra: str) -> subprocess.CompletedProcess[str]:
+    """Run .venv's python as somebody would who sourced and exported nothing."""
+    python = ROOT / ".venv" / "bin" / "python"
+    return subprocess.run([python, *arguments], env=PLAIN_SHELL | extra, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_manifest_is_format_3_with_all_that_a_release_needs(package: str) -> None:
+    manifest = ET.parse(ROOT / "src" / package / "package.xml").getroot()
+    assert manifest.get("format") == "3"
+    assert manifest.findtext("name") == package
+    assert re.fullmatch(r"\d+\.\d+\.\d+", manifest.findtext("version", ""))
+    assert manifest.findtext("license") == "Apache-2.0"
+    maintainer = manifest.find("maintainer")
+    assert maintainer is not None and re.fullmatch(r"[\w.-]+@[\w-]+\.\w{2,}", maintainer.get("email", ""))
+    assert manifest.findtext("export/build_type") == PACKAGES[package]
+
+
+def test_all_packages_have_one_version() -> None:
+    versions = {ET.parse(ROOT / "src" / package / "package.xml").findtext("version") for package in PACKAGES}
+    for package in PYTHON_PACKAGES:
+        versions |= set(re.findall(r'version="([^"]+)"', (ROOT / "src" / package / "setup.py").read_text()))
+    assert len(versions) == 1, versions
+
+
+def test_colcon_sees_ros_packages() -> None:
+    # With an invalid package.xml colcon says `(python)` and builds it without its resources.
+    call = [sys.executable, "-c", "from colcon_core.command import main; main()", "--log-base", os.devnull, "list", "--base-paths", "src"]
+    done = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    seen = {line.split("\t")[0]: line.split("\t")[2] for line in done.stdout.splitlines()}
+    assert seen == {package: f"(ros.{kind})" for package, kind in PACKAGES.items()}
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_every_executable_has_its_function(package: str) -> None:
+    scripts = console_scripts(package)
+    assert scripts
+    for name, (module, function) in scripts.items():
+        path = ROOT / "src" / package / Path(*module.split(".")).with_suffix(".py")
+        assert path.is_file(), f"{name}: {path} is missing"
+        defined = {node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)}
+        assert function in defined, f"{name}: {module} has no {function}()"
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_executables_go_where_ros2_run_looks(package: str) -> None:
+    config = configparser.ConfigParser()
+    config.read(ROOT / "src" / package / "setup.cfg")
+    assert config["develop"]["script_dir"] == config["install"]["install_scripts"] == f"$base/lib/{package}"
+    for name in console_scripts(package):
+        first = (ROOT / "install" / package / "lib" / package / name).read_text().splitlines()[0]
+        assert first.startswith(f"#!{ROOT}/.venv/bin/python"), "the executable must run on the interpreter that has the dependencies"
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_file_starts_executables_that_exist(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    text = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    executables = {name for package in PYTHON_PACKAGES for name in console_scripts(package)}
+    nodes = {word for word in text if re.fullmatch(r"\w+_node", word)}
+    assert nodes and nodes <= executables
+    for file in (word for word in text if word.endswith(".yaml")):
+        assert list(ROOT.glob(f"src/*/config/{file}")), f"{file} is missing"
+
+
+def test_launch_files_of_every_kind_of_cell_are_there() -> None:
+    assert {path.name for path in LAUNCH_FILES} == {"replay.launch.py", "arm.launch.py", "simulation.launch.py"}
+
+
+def test_packages_import_in_a_plain_shell() -> None:
+    done = in_plain_shell("-c", "import rclpy, push_ident_msgs.msg, push_ident, push_ident_sim; print(push_ident.__file__)")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(ROOT / "src" / "push_ident" / "push_ident" / "__init__.py")
+
+
+def test_interface_package_talks_in_a_plain_shell(tmp_path: Path) -> None:
+    # Publishing loads the type support libraries of the interface package and of the middleware.
+    program = """
+import rclpy
+from push_ident_msgs.msg import MassFrictionMap
+rclpy.init()
+node = rclpy.create_node("probe")
+node.create_publisher(MassFrictionMap, "map", 1).publish(MassFrictionMap())
+rclpy.shutdown()
+"""
+    done = in_plain_shell("-c", program, HOME=str(tmp_path), ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
+    assert done.returncode == 0, done.stderr
+
+
+def test_spawned_processes_know_ros_too(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import multiprocessing, os\n"
+        "def work(_):\n"
+        "    import rclpy, push_ident_msgs.msg\n"
+        "    return os.getppid()\n"
+        "if __name__ == '__main__':\n"
+        "    with multiprocessing.get_context('spawn').Pool(1) as pool:\n"
+        "        assert pool.map(work, [0]) == [os.getpid()]\n"
+    )
+    done = in_plain_shell(str(program))
+    assert done.returncode == 0, done.stderr
+
+
+def test_arguments_survive_the_restart_of_the_interpreter(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text("import sys; print(sys.argv[1:], sys.flags.optimize)")
+    done = in_plain_shell("-O", str(program), "a b", "", "--c=*")
+    assert done.stdout.strip() == "['a b', '', '--c=*'] 1"
+
+
+def test_values_of_the_user_are_kept() -> None:
+    program = "import os; print(os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'], os.environ['LD_LIBRARY_PATH'].split(':')[-1])"
+    done = in_plain_shell("-c", program, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", LD_LIBRARY_PATH="/some/folder")
+    assert done.stdout.split() == ["SUBNET", "/some/folder"]
+
+
+def test_no_requirement_is_left_unpinned() -> None:
+    for path in sorted((ROOT / "requirements").glob("*.txt")):
+        lines = [line.split("#")[0].strip() for line in path.read_text().splitlines()]
+        unpinned = [line for line in lines if line and not re.fullmatch(r"[\w.-]+==[\w.+]+", line)]
+        assert unpinned == [], f"{path.name}: {unpinned}"

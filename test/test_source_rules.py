@@ -1,0 +1,244 @@
+"""What keeps the sources readable: sizes, documented public names, effects named in one place, tests that use public names only."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from helpers.paths import ROOT, SOURCE
+
+CORE = SOURCE / "push_ident" / "push_ident"
+SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
+EFFECTS = CORE / "physics" / "effects"
+MAX_FUNCTION_LINES = 60
+MAX_PARAMETERS = 8
+MAX_MODULE_LINES = 500
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+# Exceptions of each rule, with the reason. They may only become fewer.
+LONG_FUNCTIONS: dict[str, str] = {
+    "push_ident/physics/reference.py:reference_rollout": "not split yet",
+    "push_ident/physics/simulation.py:_run": "not split yet",
+    "push_ident/diagnosis/diagnose.py:diagnose": "not split yet",
+    "push_ident/diagnosis/diagnosis_json.py:to_json": "not split yet",
+    "push_ident/identification/identify.py:identify": "not split yet",
+    "push_ident/cli/identify.py:identify_command": "not split yet",
+    "push_ident/cli/supervisor.py:node_commands": "not split yet",
+    "push_ident/perception/pipeline.py:observe": "not split yet",
+    "push_ident_sim/engines/planar/laws.py:laws_of": "not split yet",
+    "push_ident_sim/studies/perception/study.py:_tables": "not split yet",
+}
+MANY_PARAMETERS: dict[str, str] = {
+    "push_ident/cli/supervisor.py:node_commands": "not grouped yet",
+    "push_ident/identification/identify.py:identify": "not grouped yet",
+    "push_ident/identification/map_fit.py:fit_maps": "not grouped yet",
+    "push_ident/identification/next_push.py:rank_pushes": "not grouped yet",
+    "push_ident/identification/prediction.py:predict": "not grouped yet",
+    "push_ident/identification/push_study.py:learning_curve": "not grouped yet",
+    "push_ident/perception/tracking.py:lines_of_sight": "not grouped yet",
+    "push_ident/physics/lcp.py:forward": "not grouped yet",
+    "push_ident/physics/simulation.py:simulate_body": "not grouped yet",
+    "push_ident/physics/simulation.py:simulate_body_with_pullback": "not grouped yet",
+    "push_ident/physics/simulation.py:_run": "not grouped yet",
+}
+LONG_MODULES: dict[str, str] = {
+    "push_ident/nodes/push_executor_node.py": "not split yet",
+    "push_ident/physics/sensitivity.py": "not split yet",
+    "push_ident/physics/simulation.py": "not split yet",
+    "push_ident/physics/table.py": "not split yet",
+}
+EFFECT_NAMES_OUTSIDE: dict[str, str] = {
+    "push_ident/nodes/push_executor_parameters.py": "push_height is also a parameter of the node: how high the tool pushes",
+    "push_ident/physics/effect.py": "restitution enters the contact, beside the table",
+    "push_ident/physics/effect_values.py": "restitution enters the contact, beside the table",
+    "push_ident/physics/reference.py": "restitution is a quantity of the paper's engine",
+    "push_ident/physics/simulation.py": "not derived from a field of Effect yet",
+    "push_ident/diagnosis/diagnose.py": "not derived from a field of Effect yet",
+    "push_ident/diagnosis/next_push.py": "not derived from a field of Effect yet",
+    "push_ident/diagnosis/seen.py": "not derived from a field of Effect yet",
+    "push_ident/diagnosis/selection.py": "not derived from a field of Effect yet",
+    "push_ident/identification/parameters.py": "not derived from a field of Effect yet",
+    "push_ident/identification/export/mjcf.py": "not derived from a field of Effect yet",
+    "push_ident/identification/export/sdf.py": "not derived from a field of Effect yet",
+    "push_ident_sim/cell/sim_cell_node.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/cell/world.py": "restitution is a quantity of the engine",
+    "push_ident_sim/recordings/recording.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/recordings/truth.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/studies/blind/cases.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/studies/blind/scoring.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/studies/blind/summary.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/studies/settle/study.py": "the effects that the study shows",
+}
+UNDOCUMENTED: frozenset[str] = frozenset(
+    {
+        "push_ident/diagnosis/fits.py:EffectFit.effects",
+        "push_ident/diagnosis/fits.py:EffectFit.model",
+        "push_ident/diagnosis/fits.py:EffectFit.parameters",
+        "push_ident/diagnosis/gates.py:Gate.found",
+        "push_ident/diagnosis/gates.py:Gate.passed",
+        "push_ident/diagnosis/gates.py:Gate.remedy",
+        "push_ident/diagnosis/selection.py:Step.best",
+        "push_ident/identification/budget.py:Meter.best",
+        "push_ident/identification/budget.py:Meter.seconds",
+        "push_ident/identification/budget.py:Meter.spent",
+        "push_ident/identification/export/description.py:ObjectDescription.cell_names",
+        "push_ident/identification/identifiability.py:Identifiability.n_open",
+        "push_ident/identification/push_study.py:PushableObject.shape",
+        "push_ident/identification/push_study.py:SimulatedObject.execute",
+        "push_ident/identification/push_study.py:SimulatedObject.pose",
+        "push_ident/identification/push_study.py:SimulatedObject.shape",
+        "push_ident/identification/result.py:Identification.model",
+        "push_ident/identification/result.py:ModelPosterior.prior",
+        "push_ident/identification/result.py:ModelPosterior.pusher_friction",
+        "push_ident/identification/session.py:ObjectSession.shape",
+        "push_ident/physics/effect_values.py:EffectValues.effects",
+        "push_ident_sim/cell/camera.py:DepthCamera.sim_object",
+        "push_ident_sim/studies/cmu_icra16/study.py:main",
+        "push_ident_sim/studies/common/live_nodes.py:NodeProcess.pid",
+        "push_ident_sim/studies/common/live_nodes.py:NodeProcess.runs",
+        "push_ident_sim/studies/next_push_policies/study.py:main",
+        "push_ident_sim/studies/next_push_policies/study.py:random_shape",
+    }
+)
+PRIVATE_IN_TESTS: dict[str, str] = {
+    "test/push_ident/diagnosis/test_diagnose.py": "not rewritten yet",
+    "test/push_ident/identification/test_solvers.py": "not rewritten yet",
+    "test/push_ident_sim/studies/test_pushing.py": "not rewritten yet",
+}
+
+
+@dataclass(frozen=True)
+class Module:
+    """One file of the packages."""
+
+    path: Path
+    tree: ast.Module
+    n_lines: int
+
+    @property
+    def name(self) -> str:
+        """Path inside the package folder: push_ident/physics/step.py."""
+        return str(self.path.relative_to(SOURCE)).split("/", 1)[1]
+
+    def functions(self) -> Iterator[Function]:
+        """All of them, methods and nested ones included."""
+        yield from (node for node in ast.walk(self.tree) if isinstance(node, Function))
+
+
+@cache
+def modules() -> tuple[Module, ...]:
+    texts = ((path, path.read_text(encoding="utf-8")) for root in (CORE, SIM) for path in sorted(root.rglob("*.py")))
+    return tuple(Module(path, ast.parse(text), text.count("\n")) for path, text in texts)
+
+
+def is_kernel(function: Function) -> bool:
+    """Whether numba compiles it: splitting it or packing its arguments may cost speed."""
+    return any(
+        ast.unparse(d).split("(")[0].split(".")[-1].lstrip("_") in ("kernel", "fast_kernel", "njit") for d in function.decorator_list
+    )
+
+
+def is_command(function: Function) -> bool:
+    """Whether it is a command of the command line: one parameter an option."""
+    return any("command" in ast.unparse(d).split("(")[0] for d in function.decorator_list) or function.name.endswith("_command")
+
+
+def n_parameters(function: Function) -> int:
+    given = function.args
+    names = [a.arg for a in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def allowed(found: dict[str, object], exceptions: dict[str, str]) -> dict[str, object]:
+    """What was found beyond the exceptions."""
+    return {name: what for name, what in found.items() if name not in exceptions}
+
+
+def test_no_function_outside_the_kernels_is_longer_than_a_screen() -> None:
+    found: dict[str, object] = {}
+    for module in modules():
+        for function in module.functions():
+            n_lines = (function.end_lineno or 0) - function.lineno + 1
+            if n_lines > MAX_FUNCTION_LINES and not is_kernel(function):
+                found[f"{module.name}:{function.name}"] = n_lines
+    assert not allowed(found, LONG_FUNCTIONS)
+
+
+def test_no_function_outside_kernels_and_commands_has_many_parameters() -> None:
+    found: dict[str, object] = {}
+    for module in modules():
+        for function in module.functions():
+            if n_parameters(function) > MAX_PARAMETERS and not is_kernel(function) and not is_command(function):
+                found[f"{module.name}:{function.name}"] = n_parameters(function)
+    assert not allowed(found, MANY_PARAMETERS)
+
+
+def test_no_module_is_longer_than_its_limit() -> None:
+    assert not allowed({m.name: m.n_lines for m in modules() if m.n_lines > MAX_MODULE_LINES}, LONG_MODULES)
+
+
+def test_files_of_tests_keep_to_the_same_limit() -> None:
+    lines = {str(p.relative_to(ROOT)): p.read_text(encoding="utf-8").count("\n") for p in sorted((ROOT / "test").rglob("*.py"))}
+    assert not allowed({name: n for name, n in lines.items() if n > MAX_MODULE_LINES}, {"test/push_ident/diagnosis/test_diagnose.py": ""})
+
+
+def public(body: list[ast.stmt], prefix: str = "") -> Iterator[tuple[str, ast.ClassDef | Function]]:
+    """Public functions, classes, and their public methods."""
+    for node in body:
+        if isinstance(node, ast.ClassDef | Function) and not node.name.startswith("_"):
+            yield prefix + node.name, node
+            if isinstance(node, ast.ClassDef):
+                yield from public(node.body, f"{prefix}{node.name}.")
+
+
+@pytest.mark.parametrize("package", [CORE, SIM], ids=lambda p: p.name)
+def test_every_public_name_has_a_docstring(package: Path) -> None:
+    missing = []
+    for module in modules():
+        if package in module.path.parents:
+            missing += [] if ast.get_docstring(module.tree) else [module.name]
+            missing += [f"{module.name}:{name}" for name, node in public(module.tree.body) if not ast.get_docstring(node)]
+    assert sorted(set(missing) - UNDOCUMENTED) == []
+
+
+def test_effects_are_named_in_their_own_files_alone() -> None:
+    """Everything else asks an effect for what it needs to know. `pusher_friction` is a quantity of every model as well."""
+    names = {path.stem for path in EFFECTS.glob("*.py")} - {"__init__", "pusher_friction"}
+    assert "table_tilt" in names
+    found: dict[str, object] = {}
+    for module in modules():
+        if EFFECTS in module.path.parents or any(SIM / room in module.path.parents for room in ("injected", "engines")):
+            continue
+        constants = (node.value for node in ast.walk(module.tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+        if literal := sorted(names.intersection(constants)):
+            found[module.name] = literal
+    assert not allowed(found, EFFECT_NAMES_OUTSIDE)
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.endswith("__")
+
+
+def test_tests_use_public_names_only_and_do_not_import_each_other() -> None:
+    private: dict[str, object] = {}
+    for path in sorted((ROOT / "test").rglob("*.py")):
+        reached = []
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                full = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+                assert not any(part.startswith("test_") for part in full), f"{path.name} imports a test"
+                reached += [part for part in full if is_private(part)]
+            elif isinstance(node, ast.Import):
+                assert not any(part.startswith("test_") for alias in node.names for part in alias.name.split(".")), path.name
+            elif isinstance(node, ast.Attribute) and is_private(node.attr):
+                owner = node.value
+                if not (isinstance(owner, ast.Name) and owner.id in ("self", "cls")):
+                    reached.append(ast.unparse(node))
+        if reached:
+            private[str(path.relative_to(ROOT))] = sorted(set(reached))
+    assert not allowed(private, PRIVATE_IN_TESTS)

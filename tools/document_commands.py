@@ -1,0 +1,54 @@
+"""The page of the commands, from the command line itself: `.venv/bin/python tools/document_commands.py`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+import typer.main
+
+from push_ident.cli.main import app
+
+HEAD = """# Commands
+
+Made from the command line itself. Every command works without a running node unless its description says so. Lengths are in metres,
+angles in radians. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
+"""
+
+
+def escaped(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def row_of(option: Any) -> str:
+    """One line of the table of a command."""
+    if option.param_type_name == "argument":
+        name = option.metavar or option.name.upper()
+    else:
+        name = ", ".join([*option.opts, *option.secondary_opts])
+        if not option.is_flag:
+            name += f" {option.metavar or option.name.upper()}"
+    default = "" if option.default in (None, False, ()) or not option.show_default or option.required else f"`{option.default}`"
+    return f"| `{escaped(name)}` | {'required' if option.required else default} | {escaped(option.help or '')} |"
+
+
+def section_of(name: str, command: Any) -> str:
+    arguments = [option for option in command.params if option.param_type_name == "argument"]
+    options = [option for option in command.params if option.param_type_name != "argument" and not option.hidden and option.name != "help"]
+    usage = " ".join(
+        ["push-ident", name, *(option.metavar or option.name.upper() for option in arguments), *(["[OPTIONS]"] if options else [])]
+    )
+    lines = [f"## {name}", "", command.help or "", "", f"    {usage}", ""]
+    lines += ["| argument or option | default | meaning |", "|---|---|---|"]
+    lines += [row_of(option) for option in (*arguments, *options)]
+    return "\n".join(lines) + "\n"
+
+
+def document() -> str:
+    """The page in Markdown."""
+    group: Any = typer.main.get_command(app)
+    return "\n".join([HEAD, *(section_of(name, command) for name, command in group.commands.items())])
+
+
+if __name__ == "__main__":
+    print(document())
