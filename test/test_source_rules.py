@@ -24,8 +24,6 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 LONG_FUNCTIONS: dict[str, str] = {
     "push_ident/physics/reference.py:reference_rollout": "not split yet",
     "push_ident/physics/simulation.py:_run": "not split yet",
-    "push_ident/diagnosis/diagnose.py:diagnose": "not split yet",
-    "push_ident/diagnosis/diagnosis_json.py:to_json": "not split yet",
     "push_ident/identification/identify.py:identify": "not split yet",
     "push_ident/cli/identify.py:identify_command": "not split yet",
     "push_ident/cli/supervisor.py:node_commands": "not split yet",
@@ -58,10 +56,6 @@ EFFECT_NAMES_OUTSIDE: dict[str, str] = {
     "push_ident/physics/effect_values.py": "restitution enters the contact, beside the table",
     "push_ident/physics/reference.py": "restitution is a quantity of the paper's engine",
     "push_ident/physics/simulation.py": "not derived from a field of Effect yet",
-    "push_ident/diagnosis/diagnose.py": "not derived from a field of Effect yet",
-    "push_ident/diagnosis/next_push.py": "not derived from a field of Effect yet",
-    "push_ident/diagnosis/seen.py": "not derived from a field of Effect yet",
-    "push_ident/diagnosis/selection.py": "not derived from a field of Effect yet",
     "push_ident/identification/parameters.py": "not derived from a field of Effect yet",
     "push_ident/identification/export/mjcf.py": "not derived from a field of Effect yet",
     "push_ident/identification/export/sdf.py": "not derived from a field of Effect yet",
@@ -79,10 +73,6 @@ UNDOCUMENTED: frozenset[str] = frozenset(
         "push_ident/diagnosis/fits.py:EffectFit.effects",
         "push_ident/diagnosis/fits.py:EffectFit.model",
         "push_ident/diagnosis/fits.py:EffectFit.parameters",
-        "push_ident/diagnosis/gates.py:Gate.found",
-        "push_ident/diagnosis/gates.py:Gate.passed",
-        "push_ident/diagnosis/gates.py:Gate.remedy",
-        "push_ident/diagnosis/selection.py:Step.best",
         "push_ident/identification/budget.py:Meter.best",
         "push_ident/identification/budget.py:Meter.seconds",
         "push_ident/identification/budget.py:Meter.spent",
@@ -106,7 +96,6 @@ UNDOCUMENTED: frozenset[str] = frozenset(
     }
 )
 PRIVATE_IN_TESTS: dict[str, str] = {
-    "test/push_ident/diagnosis/test_diagnose.py": "not rewritten yet",
     "test/push_ident/identification/test_solvers.py": "not rewritten yet",
     "test/push_ident_sim/studies/test_pushing.py": "not rewritten yet",
 }

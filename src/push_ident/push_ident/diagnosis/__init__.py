@@ -1,7 +1,7 @@
 """Where a simulation differs from observed pushes, which missing effect causes it, and how far the gap shrinks once it is added.
 
-`diagnose` is the pipeline. Its stages are functions from one state (`state`) to the next: `gates`, `base_fit`, `select`, `validate`, `decide`,
-`explain`; `camera` adapts them to poses from a camera. They use `fits` (maps with effects), `scores` (score tests of absent effects),
-`selection` (effects found and their rivals), `residuals`, `held_out`, `unknown` (a smooth wrench) and `next_push`. `policy` has every number
-that decides.
+`diagnose` is the pipeline. Its stages are functions from one state (`state`) to the next: `gates`, `base_fit`, `select`, `validate`,
+`decide`, `explain`; `camera` adapts them to poses from a camera. They use `fits` (maps with effects), `scores` (score tests of absent
+effects), `selection` (effects found and their rivals), `residuals`, `held_out`, `unknown` (a smooth wrench) and `next_push`. `policy` has
+every number that decides.
 """

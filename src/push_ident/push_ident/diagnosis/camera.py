@@ -66,7 +66,9 @@ def question_camera(state: DiagnosisState) -> DiagnosisState:
     """The state with the camera's errors of the poses among the effects that may be found."""
     settings, requested = state.settings, state.requested
     kept = tuple(name for name in settings.base_effects if name not in POSE_ERRORS or name in requested.base_effects)
-    return replace(state, settings=replace(settings, base_effects=kept, prior=replace(settings.prior, camera_share=requested.prior.camera_share)))
+    return replace(
+        state, settings=replace(settings, base_effects=kept, prior=replace(settings.prior, camera_share=requested.prior.camera_share))
+    )
 
 
 def outlier_pushes(residuals: FrameResiduals, policy: CameraPolicy) -> tuple[int, ...]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.identification.quadratic import Quadratic

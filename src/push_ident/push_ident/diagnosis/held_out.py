@@ -46,7 +46,8 @@ class Gap:
     @property
     def effects_std(self) -> Float64Array:
         """Standard deviation of the values of the effects by the jackknife over the folds, shape (n_values,). Pushes that contradict each
-        other widen it; the curvature of a fit does not show them (Efron & Stein, The jackknife estimate of variance, Ann. Statist. 1981)."""
+        other widen it; the curvature of a fit does not show them (Efron & Stein, The jackknife estimate of variance, Ann. Statist.
+        1981)."""
         n = len(self.estimates)
         return np.asarray(np.sqrt((n - 1) * np.var(self.estimates, axis=0)))
 
@@ -168,6 +169,8 @@ def _noise_errors(fit: EffectFit, n_draws: int) -> Float64Array:
         by_first = motion.jacobian[-1, :, :3]
         first_root = np.linalg.cholesky(seen.first_covariance)
         last_root = np.linalg.cholesky(seen.last_covariance)
-        draws: Sequence[Float64Array] = [by_first @ first_root @ rng.normal(size=3) + last_root @ rng.normal(size=3) for _ in range(n_draws)]
+        draws: Sequence[Float64Array] = [
+            by_first @ first_root @ rng.normal(size=3) + last_root @ rng.normal(size=3) for _ in range(n_draws)
+        ]
         errors.append(float(np.median([cell_error(record.shape.cells, motion.pose[-1], motion.pose[-1] + d) for d in draws])))
     return np.array(errors)

@@ -120,7 +120,9 @@ def _candidates(shape: ObjectShape, pose: Float64Array, settings: PushSettings, 
         return [
             push
             for speed in speeds
-            for push in candidate_pushes(shape, pose, rng, each, replace(settings, speed_range=(speed, speed)), acceleration=PUSH_ACCELERATION)
+            for push in candidate_pushes(
+                shape, pose, rng, each, replace(settings, speed_range=(speed, speed)), acceleration=PUSH_ACCELERATION
+            )
         ]
     except PlanningError:
         return []

@@ -64,8 +64,8 @@ class SelectionPolicy:
     min_log_bayes_factor_next: float = 12.0
     """The same of an effect beside others [nat]: the law of the first may differ from the world's. Set on tuning cases."""
     next_share: float = 0.1
-    """At least this share of the log Bayes factors of all approximate laws found before [1]: the error of a law grows with its effect. Set on
-    tuning cases."""
+    """At least this share of the log Bayes factors of all approximate laws found before [1]: the error of a law grows with its effect. Set
+    on tuning cases."""
     tie_margin: float = 6.0
     """Differences of log evidence below this are a tie [nat]. From the prototype: the set within 6 contained the truth on bags from another
     engine; kept on tuning cases."""
@@ -101,8 +101,8 @@ class SelectionPolicy:
     drop_share: float = 0.5
     """An effect found earlier is dropped when the log evidence falls by less than this share of `min_log_bayes_factor` [1]. Judgement."""
     negligible: Mapping[str, float] = field(default_factory=lambda: {"s": 2e-3, "m": 1e-4, "rad": 1e-3, "": 1e-3})
-    """Size by unit below which an effect with an exact law is negligible and becomes part of the base model: no clock, surface or scale of a
-    cell is known better. Set on poses of 0.02 to 0.05 mm noise: without this, 7 of 15 effect-free objects in Bullet were diagnosed with
+    """Size by unit below which an effect with an exact law is negligible and becomes part of the base model: no clock, surface or scale of
+    a cell is known better. Set on poses of 0.02 to 0.05 mm noise: without this, 7 of 15 effect-free objects in Bullet were diagnosed with
     0.5 to 0.8 ms of lag or latency."""
 
 
@@ -115,10 +115,12 @@ class ValidationPolicy:
     min_log_density_gain: float = 0.0
     """Mean gain of log predictive density at or below which held-out pushes are predicted no better [nat a fold]. A difference of zero."""
     min_gap_standard_errors: float = 2.0
-    """Standard errors by which the held-out error exceeds the pose noise, above which there is a gap to close [1]. About 95 %, two-sided."""
+    """Standard errors by which the held-out error exceeds the pose noise, above which there is a gap to close [1]. About 95 %,
+    two-sided."""
     min_log_bayes_factor_without_push: float = -1.0
-    """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of the true effects of 31 tuning cases with
-    14 pushes, 30 kept a third of their evidence; with six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding of fits."""
+    """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of the true effects of 31 tuning cases
+    with 14 pushes, 30 kept a third of their evidence; with six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding
+    of fits."""
     noise_draws: int = 64
     """Draws of the pose noise a push for the error that noise alone makes. Its median is then known to about 15 %."""
     bootstrap_draws: int = 2000
@@ -132,8 +134,8 @@ class UnknownPolicy:
     """When the cause is unknown: a smooth wrench explains more than named effects, or residuals remain."""
 
     min_log_bayes_factor: float = 10.0
-    """Log Bayes factor of the smooth wrench above which it may replace named effects [nat]. Twice the evidence of an effect, since its shape is free; set on
-    tuning cases."""
+    """Log Bayes factor of the smooth wrench above which it may replace named effects [nat]. Twice the evidence of an effect, since its
+    shape is free; set on tuning cases."""
     named_share: float = 0.8
     """Where one named effect brings this share of the wrench's log Bayes factor, the wrench is not needed [1]. Set on tuning cases."""
     max_residual_ratio: float = 1.1
@@ -174,7 +176,8 @@ class ResidualPolicy:
     contact_share: float = 0.1
     """Share of the travel that counts as the contact phase; the same share at the end is the stop. For display only."""
     min_differences: int = 40
-    """Differences of neighbouring frames in motion from which the correlation of their errors is estimated. Judgement: standard error 0.16."""
+    """Differences of neighbouring frames in motion from which the correlation of their errors is estimated. Judgement: standard error
+    0.16."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """Standardized residuals of every frame, and how large they would be under the model.
 
 Rich maps absorb most of what an effect leaves in the residuals, and more in some frames than in others. The expected residuals are
-therefore drawn from the fit itself, refitted to every draw: with the derivative J of the whitened residuals and the precision P of the prior
+therefore drawn from the fit itself, refitted to every draw: with the derivative J of the whitened residuals and the precision P of the
+prior
 
     r = (I - J (J'J + P)^-1 J') e,      e normal, of unit variance where errors of neighbouring frames are independent
 
@@ -190,9 +191,7 @@ def correlation_in_motion(fit: EffectFit, policy: ResidualPolicy) -> float:
     """
     problem = fit.problem
     over_one, over_two, strides = [], [], []
-    for push, (record, observation, motion) in enumerate(
-        zip(problem.records, problem.observations, problem.simulate(fit.x), strict=True)
-    ):
+    for push, (record, observation, motion) in enumerate(zip(problem.records, problem.observations, problem.simulate(fit.x), strict=True)):
         residual = problem.residual(motion, push)[1:-1]
         if len(residual) > 2:
             over_one.append(np.diff(residual, axis=0))

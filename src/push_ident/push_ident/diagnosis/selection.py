@@ -36,6 +36,7 @@ class Step:
 
     @property
     def best(self) -> Candidate | None:
+        """The refitted effect with the largest log Bayes factor, or its special case in a tie."""
         return self.candidates[0] if self.candidates else None
 
 
@@ -101,7 +102,8 @@ class Selection:
 
     @property
     def rivals(self) -> tuple[RivalFit, ...]:
-        """Of the last effect, the nearest first, then of those before it. An effect that contains the found one as a special case is none."""
+        """Of the last effect, the nearest first, then of those before it. An effect that contains the found one as a special case is
+        none."""
         if not self.found:
             return ()
         step, last = list(self.added.values())[-1]

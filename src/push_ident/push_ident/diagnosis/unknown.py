@@ -147,7 +147,7 @@ def _fit_parts(base: EffectFit, parts: Sequence[Part], information: EffectInform
 def _with_part(fit: EffectFit, parts: Sequence[Part], part: Part, held: EffectInformation, policy: UnknownPolicy) -> EffectFit:
     """Fit one more part from its one-step estimate, the others from where they are."""
     own = _BLOCKS[part]
-    estimate = -np.linalg.solve(held.precision[np.ix_(own, own)], held.slope[own])
+    estimate = np.asarray(-np.linalg.solve(held.precision[np.ix_(own, own)], held.slope[own]))
     start = np.array(fit.z[fit.parameters.effect_slice])
     first = fit.effects.slice_of(EFFECT.name).start
     start[[first + number for number in own]] = clipped_start(estimate, policy.max_start)

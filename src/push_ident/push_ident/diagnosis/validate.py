@@ -64,8 +64,8 @@ def residuals_exceed_noise(base: FrameResiduals, residuals: FrameResiduals, poli
 def wrench_explains_more(wrench: SmoothWrench, selection: Selection, policy: UnknownPolicy, tie_margin: float) -> bool:
     """Whether a smooth wrench explains the pushes better than the effects that were named.
 
-    It has to be better than a single effect by a wide margin: no named law is exactly that of the world, and a wrench of any shape also fits
-    the rest. Several effects easily imitate a cause outside the catalogue, so that they have to be better than the wrench by a tie.
+    It has to be better than a single effect by a wide margin: no named law is exactly that of the world, and a wrench of any shape also
+    fits the rest. Several effects easily imitate a cause outside the catalogue, so that they have to be better than the wrench by a tie.
     """
     named = selection.fit.log_evidence - selection.base.log_evidence
     if len(selection.found) > 1:

@@ -130,7 +130,8 @@ def _colour(name: str, is_detected: bool, selection: Selection) -> str:
 
 
 def draw_shrink(gap: Gap, found: tuple[str, ...]) -> Figure:
-    """Cell error on held-out pushes: base model, with one effect more each, noise. Every push is a dot; dotted lines show the column before."""
+    """Cell error on held-out pushes: base model, with one effect more each, noise. Every push is a dot; dotted lines show the column
+    before."""
     from matplotlib.figure import Figure
 
     stages = [("base model", gap.before, _GREY), *(("with " + name, errors, _ACCENT_LIGHT) for name, errors in gap.stages.items())]

@@ -79,20 +79,15 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:
     before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
+    error = f"The mean error on held-out pushes is {before:.1f} mm"
     if not gap.is_above_noise:
-        return (
-            f"The mean error on held-out pushes is {before:.1f} mm. It does not differ significantly from the {noise:.1f} mm that the noise of "
-            "the poses makes."
-        )
+        return f"{error}. It does not differ significantly from the {noise:.1f} mm that the noise of the poses causes."
     if not found:
-        return (
-            f"The mean error on held-out pushes is {before:.1f} mm; the noise of the poses makes {noise:.1f} mm. No effect of the catalogue "
-            "explains the difference."
-        )
+        return f"{error}; the noise of the poses causes {noise:.1f} mm. No effect of the catalogue explains the difference."
     low, high = gap.shrink_interval
     return (
-        f"The mean error on held-out pushes is {before:.1f} mm without and {after:.1f} mm with {', '.join(found)}; the noise of the poses makes "
-        f"{noise:.1f} mm. {100 * gap.shrink:.0f} % of the gap above the noise is closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
+        f"{error} without and {after:.1f} mm with {', '.join(found)}; the noise of the poses causes {noise:.1f} mm. Of the gap above the "
+        f"noise, {100 * gap.shrink:.0f} % are closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
     )
 
 
@@ -114,6 +109,8 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "heading": float(np.degrees(plan.direction)),
         "distance": plan.distance,
         "speed": plan.speed,
-        "expectation": "One such push is expected to be enough." if proposal.resolves else "One such push will hardly be enough; make several.",
+        "expectation": "One such push is expected to be enough."
+        if proposal.resolves
+        else "One such push will hardly be enough; make several.",
         "command": f'ros2 action send_goal execute_push push_ident_msgs/action/ExecutePush "{goal}"',
     }
