@@ -27,7 +27,6 @@ LONG_FUNCTIONS: dict[str, str] = {
     "push_ident/identification/identify.py:identify": "not split yet",
     "push_ident/cli/identify.py:identify_command": "not split yet",
     "push_ident/cli/supervisor.py:node_commands": "not split yet",
-    "push_ident/perception/pipeline.py:observe": "not split yet",
     "push_ident_sim/engines/planar/laws.py:laws_of": "not split yet",
     "push_ident_sim/studies/perception/study.py:_tables": "not split yet",
 }
@@ -38,7 +37,6 @@ MANY_PARAMETERS: dict[str, str] = {
     "push_ident/identification/next_push.py:rank_pushes": "not grouped yet",
     "push_ident/identification/prediction.py:predict": "not grouped yet",
     "push_ident/identification/push_study.py:learning_curve": "not grouped yet",
-    "push_ident/perception/tracking.py:lines_of_sight": "not grouped yet",
     "push_ident/physics/lcp.py:forward": "not grouped yet",
     "push_ident/physics/simulation.py:simulate_body": "not grouped yet",
     "push_ident/physics/simulation.py:simulate_body_with_pullback": "not grouped yet",

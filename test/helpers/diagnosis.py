@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from helpers.objects import hammer, random_records
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.identification.fit import Fit
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord
@@ -53,7 +53,7 @@ def traced_by_camera(records: list[PushRecord]) -> list[PushRecord]:
     return [replace(record, shape=replace(record.shape, traced_by_camera=True)) for record in records]
 
 
-def stub_fit(*names: str, log_evidence: float = 0.0) -> EffectFit:
+def stub_fit(*names: str, log_evidence: float = 0.0) -> Fit:
     """A fit of which only the effects and the log evidence are known."""
     return cast(Any, SimpleNamespace(names=names, log_evidence=log_evidence))
 

@@ -29,7 +29,7 @@ def test_correlated_noise_is_drawn_as_small_as_its_whitening_makes_it() -> None:
 
 def test_model_discrepancy_is_drawn_once_a_push_and_grows_with_the_travel() -> None:
     (record,) = simulated_pushes(1, 1)
-    observation = observe_push(record, NoiseModel(discrepancy_position=0.5, discrepancy_yaw=0.0))
+    observation = observe_push(record, NoiseModel(model_discrepancy_position=0.5, model_discrepancy_yaw=0.0))
     deviation, _, of_yaw = observation.discrepancy[-1]
     assert deviation == pytest.approx(0.5 * np.linalg.norm(observation.pose[-1, :2] - observation.pose[0, :2]), rel=0.3)
     assert of_yaw == 0.0 and not observation.discrepancy[0].any()

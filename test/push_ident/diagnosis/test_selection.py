@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from helpers.diagnosis import simulated_pushes, stub_fit
-from push_ident.diagnosis.fits import EffectFit, fit_base
+from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.next_push import competing_explanations
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.identification.fit import Fit
 from push_ident.types import SolveStatus
 
 POLICY = SelectionPolicy()
@@ -107,8 +108,8 @@ def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None
     """A base fit that has not found its optimum is easily beaten by anything that begins at another place."""
     good = fit_base(simulated_pushes(6, 1), DiagnosisSettings())
     displaced = good.x.copy()
-    displaced[: good.parameters.size] += np.random.default_rng(0).normal(size=good.parameters.size)
-    stuck = EffectFit(good.problem, displaced, good.problem.evaluate(displaced), SolveStatus.STALLED)
+    displaced[: good.unknowns.size] += np.random.default_rng(0).normal(size=good.unknowns.size)
+    stuck = Fit(good.problem, displaced, good.problem.evaluate(displaced), SolveStatus.STALLED)
     assert stuck.log_evidence < good.log_evidence - 20.0
     selection = select_effects(stuck, POLICY)
     assert not selection.found

@@ -9,12 +9,14 @@ import pytest
 
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError, ModelFileError
-from push_ident.identification.identify import identify, prior_posterior
+from push_ident.identification.identify import identify
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.observation import observe_push
-from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import held_out_errors, predict
+from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
+from push_ident.identification.result import prior_posterior
+from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PoseTrack, PushRecord, SolveStatus, WrenchTrack
@@ -41,10 +43,10 @@ def test_end_poses_alone_are_enough() -> None:
 
 def test_jacobian_of_the_fit_equals_central_differences() -> None:
     records = random_records(hammer(1), 2, 1)
-    problem = FitProblem(records, MapParameters(records[0].shape, Prior()))
+    problem = FitProblem(records, Unknowns(records[0].shape, Prior()))
     x = 0.3 * np.random.default_rng(0).normal(size=problem.size)
     gradient = problem.evaluate(x).gradient
-    for i in [0, 5, 41, 60, *range(problem.parameters.size - 2, problem.size)]:
+    for i in [0, 5, 41, 60, *range(problem.unknowns.size - 2, problem.size)]:
         step = np.zeros(problem.size)
         step[i] = 1e-5
         difference = (problem.evaluate(x + step).cost - problem.evaluate(x - step).cost) / 2e-5

@@ -9,7 +9,7 @@ import pytest
 
 from helpers.objects import hammer, hammer_shape, random_records
 from push_ident.errors import InputError
-from push_ident.identification.identify import identify, prior_posterior, uniform_model
+from push_ident.identification.identify import identify, uniform_model
 from push_ident.identification.next_push import (
     Criterion,
     PlannedPush,
@@ -23,7 +23,7 @@ from push_ident.identification.next_push import (
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.result import ModelPosterior, prior_posterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.pushing.push import PushSettings
@@ -57,7 +57,7 @@ def test_push_made_before_tells_less_than_others(seed: int) -> None:
 
 def test_sensor_slower_than_a_push_sees_both_its_ends() -> None:
     push = _candidates(1, 0)[0]
-    mechanics = prior_posterior(SHAPE).parameters.mechanics(prior_posterior(SHAPE).z)
+    mechanics = prior_posterior(SHAPE).unknowns.mechanics(prior_posterior(SHAPE).z)
     record, status = imagine_push(mechanics, push, sensor=PoseSensor(rate=0.1))
     assert status is SolveStatus.CONVERGED and record is not None
     np.testing.assert_array_equal(record.poses.time, push.pusher.time[[0, -1]])
@@ -95,8 +95,8 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     time = np.arange(push.pusher.time[0], push.pusher.time[-1], 1 / sensor.rate)
     motion = simulate(uniform_model(SHAPE), PushScenario(push.pusher, push.pose_object_in_table, time), settings=settings)
     record = PushRecord("o1", SHAPE, PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3))), push.pusher)
-    problem = FitProblem([record], posterior.parameters, settings=settings)
-    n = posterior.parameters.size
+    problem = FitProblem([record], posterior.unknowns, settings=settings)
+    n = posterior.unknowns.size
     prior = np.diag(np.r_[np.ones(n), np.zeros(3)])
     # The fit weighs frames by how well they agree; on average over the noise the weight is one.
     weight = problem.weigh(np.zeros((1, 3)))[1][0]

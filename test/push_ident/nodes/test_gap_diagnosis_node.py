@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 
 pytestmark = pytest.mark.alone
@@ -93,7 +93,7 @@ class Cell:
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     bag = tmp_path_factory.mktemp("bags") / "tilted"
-    record_pushes(bag, RecordingSettings(n_pushes=N_PUSHES, seed=2, effects=Effects.of({"table_tilt": (TILT, 0.0)})))
+    record_pushes(bag, RecordingSettings(n_pushes=N_PUSHES, seed=2, effects=InjectedEffects.of({"table_tilt": (TILT, 0.0)})))
     cell = Cell(bag)
     yield cell
     cell.close()

@@ -26,8 +26,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from yaml import safe_load
 
 from helpers.paths import CONFIG, ROOT
-from push_ident.identification.identify import prior_posterior
 from push_ident.identification.prediction import predict
+from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg, transform_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg

@@ -238,7 +238,7 @@ def test_links_are_where_the_joint_states_put_them():
 def test_a_description_that_is_not_rooted_in_the_table_is_refused():
     with pytest.raises(InputError, match="no link `table`"):
         ArmShape(ARM.replace('"table"', '"world"'))
-    with pytest.raises(InputError, match="not a URDF"):
+    with pytest.raises(InputError, match="not a valid URDF"):
         ArmShape("<robot")
 
 

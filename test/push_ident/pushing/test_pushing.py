@@ -109,7 +109,7 @@ def test_inverse_says_when_a_point_is_out_of_reach_and_stays_within_the_joint_li
 def test_description_without_tip_or_not_xml_is_refused_by_name() -> None:
     with pytest.raises(InputError, match="no link `gripper`"):
         ArmKinematics(robot_description(), "gripper")
-    with pytest.raises(InputError, match="not a URDF"):
+    with pytest.raises(InputError, match="not a valid URDF"):
         ArmKinematics("<robot name='a'>")
 
 

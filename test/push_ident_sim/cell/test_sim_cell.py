@@ -24,7 +24,7 @@ from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
 
 pytestmark = pytest.mark.alone
@@ -277,7 +277,7 @@ def test_another_object_takes_the_place_of_the_first_unless_the_pusher_stands_th
 
 def test_arm_wears_the_table_from_push_to_push() -> None:
     thing = block(friction=0.35, mass=0.6)
-    world, forces = CellWorld(thing, WorldConfig(effects=Effects.of({"wear": 0.1}))), []
+    world, forces = CellWorld(thing, WorldConfig(effects=InjectedEffects.of({"wear": 0.1}))), []
     try:
         for _ in range(2):
             rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)

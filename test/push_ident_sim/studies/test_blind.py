@@ -17,14 +17,14 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.observation import observe_push
+from push_ident.physics.effects import CAUSES
 from push_ident.pushing.sampling import sample_push
-from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
 from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.blind import sealing
 from push_ident_sim.studies.blind.cases import (
-    CATALOGUE,
     FIRST_REPORT_MODEL,
     Scenario,
     Truth,
@@ -51,7 +51,7 @@ def test_one_round_holds_nulls_every_effect_from_small_to_large_pairs_and_strang
     truths = [draw_truth(c.object_name, c.model) for c in cases(0, 50)]
     kinds = Counter((t.scenario.engine, t.scenario.kind) for t in truths)
     assert all(kinds[engine, kind] >= 10 for engine in ("bullet", "planar") for kind in ("null", "single", "pair", "outside"))
-    for name in CATALOGUE:
+    for name in CAUSES:
         sizes = [t.scenario.size for t in truths if t.scenario.kind == "single" and t.names == (name,)]
         assert min(sizes) < 0.2 and max(sizes) >= 3.0
         # Bullet's spring is no tether of the catalogue.
@@ -71,7 +71,7 @@ def test_what_a_camera_cannot_film_is_a_null_there() -> None:
     assert {t.scenario.engine for t in truths} == {"camera"}
     filmed = {name for t in truths for name, _ in t.effects.values}
     assert "tether" not in filmed and "table_tilt" in filmed
-    assert not any(EFFECTS[name].acts_on == "poses" for name in filmed) and not any(t.outside for t in truths)
+    assert not any(INJECTED[name].acts_on == "poses" for name in filmed) and not any(t.outside for t in truths)
 
 
 def test_truth_is_sealed_before_scoring_and_scored_by_one_policy_and_one_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,18 +222,27 @@ def test_summary_becomes_tables_and_a_confusion_matrix(tmp_path: Path) -> None:
 # --- one case
 
 
-def test_injected_sizes_are_stated_in_the_parameters_of_the_diagnosis() -> None:
-    thing = make_object("book", 1)
-    effects = Effects.of({"push_height": 0.02, "tether": 4.0, "tool_offset": (1e-3, -2e-3)})
-    mean_friction = thing.friction @ thing.mass / thing.mass.sum()
+def test_tether_without_a_place_is_anchored_where_the_object_was_put_down() -> None:
+    effects = InjectedEffects.of({"push_height": 0.006, "tether": 4.0, "tool_offset": (1e-3, -2e-3)})
     centre = np.array([0.1, -0.05])
-    np.testing.assert_allclose(true_values(effects, "push_height", thing, centre), [0.02 * mean_friction])
-    np.testing.assert_allclose(true_values(effects, "tether", thing, centre), [4.0, 0.4, -0.2])
-    np.testing.assert_allclose(true_values(effects, "tool_offset", thing, centre), [1e-3, -2e-3])
+    np.testing.assert_array_equal(true_values(effects, "push_height", centre), [0.006])
+    np.testing.assert_allclose(true_values(effects, "tether", centre), [4.0, 0.4, -0.2])
+    np.testing.assert_array_equal(true_values(effects, "tool_offset", centre), [1e-3, -2e-3])
+    np.testing.assert_array_equal(true_values(InjectedEffects.of({"tether": (4.0, 0.1, 0.2)}), "tether", centre), [4.0, 0.1, 0.2])
+
+
+def test_drawn_lever_is_that_of_a_height_on_the_object_of_the_case() -> None:
+    truths = {(c.object_name, c.model): draw_truth(c.object_name, c.model) for c in cases(0, 50)}
+    levers = [(key, t) for key, t in truths.items() if t.names == ("push_height",)]
+    assert len(levers) >= 8
+    for (name, model), truth in levers:
+        thing = make_object(name, model)
+        height = truth.effects["push_height"][0] / (thing.friction @ thing.mass / thing.mass.sum())
+        assert 0.0 < height <= 0.09 * (1.0 + 1e-12) and 0.3 < height / (0.02 * truth.scenario.size) < 2.0
 
 
 def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tmp_path: Path) -> None:
-    truth = Truth(Scenario("planar", "single", ("outline_error",), 2.0), Effects.of({"outline_error": 0.002}), ())
+    truth = Truth(Scenario("planar", "single", ("outline_error",), 2.0), InjectedEffects.of({"outline_error": 0.002}), ())
     records = make_records(truth, "book", 2, 5, NOISE)
     values = score_case(records, truth, make_object("book", 2), DiagnosisSettings())
     case = judge(CaseResult(Case("book", 2, "6-pushes"), values))

@@ -16,9 +16,10 @@ from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Ro
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.outline import points_in_polygon
+from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["BagContents", "ObjectTrack", "PushInterval", "Samples", "read_bag"]
+__all__ = ["BagContents", "ObjectTrack", "Samples", "read_bag"]
 
 _MAX_JUMP_BACK: Final = 1_000_000_000
 """Stamps may run backwards by less than this [ns] (late delivery); more is a clock that was set back."""
@@ -53,19 +54,6 @@ class ObjectTrack:
     """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_frames, 3)."""
     covariance: Float64Array
     """Of (x, y, yaw), shape (n_frames, 3, 3)."""
-
-
-@dataclass(frozen=True, slots=True)
-class PushInterval:
-    """When a push record says a push took place."""
-
-    push_id: int
-    object_id: str
-    start: float
-    """[s] since the origin of the bag."""
-    end: float
-    error_code: int
-    """0: the push was made as planned; others as in action/ExecutePush."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.model_file import save_model
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushPlan2D

@@ -35,7 +35,7 @@ def predict_command(
     """Predict recorded pushes with a model and compare with what was observed."""
     in_file, posterior = load_model(model)
     loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera))
-    expected = posterior.parameters.shape.cells
+    expected = posterior.unknowns.shape.cells
     got = loaded.records[0].shape.cells
     if len(expected) != len(got) or not np.allclose(expected.centres, got.centres, atol=1e-3):
         raise InputError(

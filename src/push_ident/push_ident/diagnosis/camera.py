@@ -12,11 +12,11 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import CameraPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
+from push_ident.identification.fit import Fit
 from push_ident.identification.observation import NoiseModel
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 
@@ -35,23 +35,24 @@ POSE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if not EFFECTS[name].m
 def camera_settings(settings: DiagnosisSettings) -> DiagnosisSettings:
     """Settings for poses and outlines from a camera: its errors belong to the base model, noise and margins are larger."""
     own = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
+    accuracy = {name: tuple(p.camera_std or p.scale for p in EFFECTS[name].parameters) for name in CAMERA_ERRORS}
     return replace(
         settings,
         base_effects=(*settings.base_effects, *own),
-        prior=replace(settings.prior, outline_std=4e-4, camera_share=0.25),
+        effect_std=settings.effect_std | accuracy,
         noise=_camera_noise(settings.noise, settings.policy.camera),
         policy=settings.policy.for_camera(),
     )
 
 
-def is_in_question(fit: EffectFit, requested: DiagnosisSettings) -> bool:
+def is_in_question(fit: Fit, requested: DiagnosisSettings) -> bool:
     """Whether the errors of the camera, beside all effects that were found, are larger than its accuracy explains.
 
     Args:
         fit: under settings by `camera_settings`.
         requested: the settings before: what these have in the base model stays there.
     """
-    z = fit.z[fit.parameters.effect_slice]
+    z = fit.effect_unknowns
     own = [name for name in POSE_ERRORS if name in fit.names and name not in requested.base_effects]
     limit = requested.policy.camera.max_deviations
     return any(bool(np.any(np.abs(z[fit.effects.slice_of(name)]) > limit)) for name in own)
@@ -66,9 +67,8 @@ def question_camera(state: DiagnosisState) -> DiagnosisState:
     """The state with the camera's errors of the poses among the effects that may be found."""
     settings, requested = state.settings, state.requested
     kept = tuple(name for name in settings.base_effects if name not in POSE_ERRORS or name in requested.base_effects)
-    return replace(
-        state, settings=replace(settings, base_effects=kept, prior=replace(settings.prior, camera_share=requested.prior.camera_share))
-    )
+    effect_std = {name: std for name, std in settings.effect_std.items() if name not in POSE_ERRORS or name in requested.effect_std}
+    return replace(state, settings=replace(settings, base_effects=kept, effect_std=effect_std))
 
 
 def outlier_pushes(residuals: FrameResiduals, policy: CameraPolicy) -> tuple[int, ...]:
@@ -107,7 +107,7 @@ def _camera_noise(noise: NoiseModel, policy: CameraPolicy) -> NoiseModel:
         noise,
         floor_position=max(noise.floor_position, policy.floor_position),
         floor_yaw=max(noise.floor_yaw, policy.floor_yaw),
-        growth_position=max(noise.growth_position, policy.fit_discrepancy_position),
-        growth_yaw=max(noise.growth_yaw, policy.fit_discrepancy_yaw),
+        fit_discrepancy_position=max(noise.fit_discrepancy_position, policy.fit_discrepancy_position),
+        fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, policy.fit_discrepancy_yaw),
         max_moving_frames=min(noise.max_moving_frames, policy.max_moving_frames),
     )

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.result import FoundEffect, Verdict
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.state import Decision, DiagnosisState
+from push_ident.identification.fit import Fit
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
@@ -67,7 +67,7 @@ def _negligible_effects(selection: Selection, base_effects: Sequence[str]) -> tu
     return tuple(_sized(selection.fit, selection.fit.posterior.effects_std, name, np.nan) for name in names)
 
 
-def _sized(fit: EffectFit, std: Float64Array, name: str, log_bayes_factor: float) -> FoundEffect:
+def _sized(fit: Fit, std: Float64Array, name: str, log_bayes_factor: float) -> FoundEffect:
     own = fit.effects.slice_of(name)
     names = [p.name for p in EFFECTS[name].parameters]
     values, deviations = (dict(zip(names, map(float, v[own]), strict=True)) for v in (fit.effects.values, std))

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.fit import Fit
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
 from push_ident.identification.problem import FitProblem
 from push_ident.types import BoolArray, Float64Array, PushRecord, SolveStatus
@@ -95,7 +95,7 @@ def _rest_correlation(records: Sequence[PushRecord], policy: GatePolicy) -> Gate
     )
 
 
-def check_fit(fit: EffectFit, policy: GatePolicy) -> list[Gate]:
+def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
     """Gates of the base fit: convergence, and end positions under half the time step and half the smoothing speed."""
     problem = fit.problem
     finer = replace(problem.settings, step=0.5 * problem.settings.step, smoothing_speed=0.5 * problem.settings.smoothing_speed)
@@ -116,7 +116,7 @@ def check_fit(fit: EffectFit, policy: GatePolicy) -> list[Gate]:
     ]
 
 
-def check_outline(fit: EffectFit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
+def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
     """Gates of a traced outline, after all effects were added: a working camera is not off by more.
 
     Args:

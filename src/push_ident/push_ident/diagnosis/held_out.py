@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, without_pushes
+from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fit import Fit
 from push_ident.identification.prediction import cell_error, held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
@@ -98,12 +99,12 @@ class _HeldOutFold:
 
 
 def measure_gap(
-    base: EffectFit,
-    fit: EffectFit,
+    base: Fit,
+    fit: Fit,
     policy: ValidationPolicy,
     on_progress: Progress | None = None,
     *,
-    between: Mapping[str, EffectFit] | None = None,
+    between: Mapping[str, Fit] | None = None,
 ) -> Gap:
     """Hold each push out of both fits once, and predict it.
 
@@ -147,18 +148,18 @@ def _folds(n_pushes: int, max_folds: int) -> list[list[int]]:
     return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]
 
 
-def _hold_out(fit: EffectFit, pushes: Sequence[int]) -> _HeldOutFold:
+def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
     rest, problem = without_pushes(fit, pushes), fit.problem
     records = [problem.records[push] for push in pushes]
     errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
     return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest.effects.values)
 
 
-def _noise_errors(fit: EffectFit, n_draws: int) -> Float64Array:
+def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
     """Cell error that the noise of the first and the last pose would make if the model were right [m], shape (n_pushes,)."""
     rng = np.random.default_rng(0)
     problem = fit.problem
-    mechanics = fit.parameters.mechanics(fit.z)
+    mechanics = fit.unknowns.mechanics(fit.z)
     errors = []
     for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(

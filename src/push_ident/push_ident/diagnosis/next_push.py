@@ -8,14 +8,14 @@ from itertools import combinations
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.errors import PlanningError
+from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import Mechanics
+from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.effect_values import seen_poses, true_pose
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
@@ -60,7 +60,7 @@ def check_without_a_push(names: Sequence[str]) -> str:
     return next((EFFECTS[name].check for name in names if EFFECTS[name].check), "")
 
 
-def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dict[str, EffectFit]:
+def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dict[str, Fit]:
     """Fits that a push should distinguish, by name: first those in a tie with the last effect, then with one before it.
 
     Exact twins are left out, since no push distinguishes them. Where nothing was found, the most promising effects compete with none; where
@@ -77,9 +77,7 @@ def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dic
     return {without(last.name): step.before, last.name: selection.fit}
 
 
-def separating_push(
-    fits: Mapping[str, EffectFit], pose: Float64Array, settings: PushSettings, policy: NextPushPolicy
-) -> SeparatingPush | None:
+def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> SeparatingPush | None:
     """The best of some safe candidate pushes: it has the largest distance between the two explanations that it separates least.
 
     Args:
@@ -92,7 +90,7 @@ def separating_push(
         None where no push is safe, or none would distinguish any two explanations beyond the noise.
     """
     problem = next(iter(fits.values())).problem
-    candidates = _candidates(problem.parameters.shape, pose, settings, policy)
+    candidates = _candidates(problem.unknowns.shape, pose, settings, policy)
     models = {name: _Predictor.of(fit) for name, fit in fits.items()}
     sensor = _sensor(problem.records[-1].poses)
     first_variance = np.array(policy.first_pose_std) ** 2
@@ -139,8 +137,8 @@ class _Predictor:
     """Number of pushes made before."""
 
     @classmethod
-    def of(cls, fit: EffectFit) -> _Predictor:
-        return cls(fit.parameters.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
+    def of(cls, fit: Fit) -> _Predictor:
+        return cls(fit.unknowns.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
 
 
 @dataclass(frozen=True, slots=True)

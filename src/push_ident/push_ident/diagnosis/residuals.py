@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.fit import Fit
 from push_ident.identification.observation import Observation
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
@@ -82,10 +82,10 @@ class FrameResiduals:
         return self.residual_ratio[0] * (found - float(np.mean(expected))), float(np.mean(expected >= found))
 
 
-def standardized_residuals(fit: EffectFit, policy: ResidualPolicy) -> FrameResiduals:
+def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
     """Residuals of a fit in the frame of the object's motion, with draws of them under the model."""
     problem = fit.problem
-    mechanics = fit.parameters.mechanics(fit.z)
+    mechanics = fit.unknowns.mechanics(fit.z)
     drawn = iter(_refitted_noise(fit, policy.draws, np.random.default_rng(0)))
     parts, draws = [], []
     for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
@@ -148,7 +148,7 @@ def _phases(motion: Motion, speed: Float64Array, policy: ResidualPolicy) -> Floa
     return np.asarray(phase)
 
 
-def _refitted_noise(fit: EffectFit, n_draws: int, rng: np.random.Generator) -> list[Float64Array]:
+def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Float64Array]:
     """Draws of the whitened residuals of each push under the model, each of shape (n_draws, n_frames, 3)."""
     problem = fit.problem
     counts = [len(observation.time) for observation in problem.observations]
@@ -156,7 +156,7 @@ def _refitted_noise(fit: EffectFit, n_draws: int, rng: np.random.Generator) -> l
     jacobian = problem.jacobian(fit.x)
     if jacobian is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
-        precision = np.diag(np.r_[np.ones(fit.parameters.size), np.zeros(3 * len(counts))])
+        precision = np.diag(np.r_[np.ones(fit.unknowns.size), np.zeros(3 * len(counts))])
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(n_draws, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]
@@ -180,7 +180,7 @@ def draw_noise(observation: Observation, rng: np.random.Generator, n_draws: int)
     return np.asarray(noise + np.einsum("fij,dfj->dfi", observation.whitening, discrepancy))
 
 
-def correlation_in_motion(fit: EffectFit, policy: ResidualPolicy) -> float:
+def correlation_in_motion(fit: Fit, policy: ResidualPolicy) -> float:
     """Correlation of the errors of neighbouring frames from the residuals of the motions, for pushes with hardly a frame at rest.
 
     A first-order autoregressive error differs by a variance 2 s^2 (1 - rho) over one frame and by 2 s^2 (1 - rho^2) over two. A missing

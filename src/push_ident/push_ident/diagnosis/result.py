@@ -7,7 +7,6 @@ from enum import Enum
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.policy import DecisionPolicy
@@ -15,6 +14,7 @@ from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.identification.fit import Fit
 
 __all__ = ["Diagnosis", "FoundEffect", "Gate", "Verdict"]
 
@@ -89,6 +89,6 @@ class Diagnosis:
         return tuple(dict.fromkeys(name for names in self.confusion_sets.values() for name in names))
 
     @property
-    def fit(self) -> EffectFit | None:
+    def fit(self) -> Fit | None:
         """Maps with the effects that were found."""
         return self.selection.fit if self.selection else None

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.identification.parameters import MapParameters
+from push_ident.identification.fit import Fit
 from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.types import Float64Array
 
@@ -51,7 +50,7 @@ class EffectInformation:
     """g, shape (n,)."""
 
 
-def effect_information(fit: EffectFit, names: Sequence[str] = ()) -> EffectInformation | None:
+def effect_information(fit: Fit, names: Sequence[str] = ()) -> EffectInformation | None:
     """Information of the pushes of a fit about effects that it does not have.
 
     Args:
@@ -62,17 +61,17 @@ def effect_information(fit: EffectFit, names: Sequence[str] = ()) -> EffectInfor
         None where the pushes cannot be simulated.
     """
     absent = [name for name in names or CAUSES if name not in fit.names]
-    before = fit.parameters
-    parameters = MapParameters(before.shape, before.prior, modes=before.modes, effects=(*fit.names, *absent))
-    problem = fit.problem.of(parameters)
-    n_new, start = parameters.size - before.size, before.effect_slice.stop
+    before = fit.unknowns
+    unknowns = before.with_effects((*fit.names, *absent))
+    problem = fit.problem.of(unknowns)
+    n_new, start = unknowns.size - before.size, before.slice_of("effects").stop
     new = np.arange(start, start + n_new)
     end = problem.evaluate(np.insert(fit.x, start, np.zeros(n_new)))
     if not np.isfinite(end.cost):
         return None
     fitted = np.setdiff1d(np.arange(problem.size), new)
     onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[np.ix_(fitted, new)]).T
-    own = [parameters.effects.slice_of(name) for name in absent]
+    own = [unknowns.effects.slice_of(name) for name in absent]
     places = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, own, strict=True)}
     between = end.hessian[np.ix_(fitted, new)]
     return EffectInformation(places, end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted])

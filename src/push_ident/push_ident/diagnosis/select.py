@@ -9,13 +9,14 @@ from functools import partial
 import numpy as np
 
 from push_ident.diagnosis.camera import OUTLINE_ERRORS
-from push_ident.diagnosis.fits import EffectFit, fit_effects, polished, with_another
+from push_ident.diagnosis.fits import fit_effects, polished, with_another
 from push_ident.diagnosis.gates import check_outline
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 
@@ -35,7 +36,7 @@ def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     return selected if selected.abstains else replace(selected, selection=selection)
 
 
-def select_effects(base: EffectFit, policy: SelectionPolicy, on_progress: Progress | None = None) -> Selection:
+def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | None = None) -> Selection:
     """Add effects while one is detected; drop one that another made needless. A negligible one joins the base model.
 
     Args:
@@ -111,8 +112,8 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     return Step(fit, information, scores, tuple(candidates))
 
 
-def _refit(fit: EffectFit, worth: float, score: EffectScore) -> Candidate:
-    start = np.concatenate([fit.z[fit.parameters.effect_slice], score.start])
+def _refit(fit: Fit, worth: float, score: EffectScore) -> Candidate:
+    start = np.concatenate([fit.effect_unknowns, score.start])
     own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, worth)
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
 
@@ -152,7 +153,7 @@ def _with_best(selection: Selection, best: Candidate, policy: SelectionPolicy) -
     return replace(selection, fit=kept, swaps=swaps if kept is larger else ())
 
 
-def _swapped(fit: EffectFit, steps: Sequence[Step], policy: SelectionPolicy) -> tuple[EffectFit, tuple[RivalFit, ...]]:
+def _swapped(fit: Fit, steps: Sequence[Step], policy: SelectionPolicy) -> tuple[Fit, tuple[RivalFit, ...]]:
     """Try rivals of earlier effects in their place: beside a new effect one of them may explain more. The best fit, and the others."""
     trials = [
         (step.best.name, rival)
@@ -171,7 +172,7 @@ def _swapped(fit: EffectFit, steps: Sequence[Step], policy: SelectionPolicy) -> 
     return fit, tuple(RivalFit(n, p, other, fit.log_evidence - other.log_evidence) for p, n, other in others)
 
 
-def _without_needless(base: EffectFit, fit: EffectFit, policy: SelectionPolicy) -> EffectFit:
+def _without_needless(base: Fit, fit: Fit, policy: SelectionPolicy) -> Fit:
     """Drop an effect found earlier that explains nothing any more."""
     for name in [n for n in fit.names if n not in base.names][:-1]:
         rest = fit_effects(fit, [n for n in fit.names if n != name])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore
+from push_ident.identification.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 
@@ -18,7 +18,7 @@ class Candidate:
     """An effect that was refitted together with those found before it."""
 
     name: str
-    fit: EffectFit
+    fit: Fit
     log_bayes_factor: float
     """Over the fit without it [nat]."""
 
@@ -27,7 +27,7 @@ class Candidate:
 class Step:
     """One round: every absent effect scored, the best refitted."""
 
-    before: EffectFit
+    before: Fit
     information: EffectInformation | None
     """Of the pushes about the absent effects."""
     scores: tuple[EffectScore, ...]
@@ -48,7 +48,7 @@ class RivalFit:
     """Of the rival."""
     replaces: str
     """The effect that was found."""
-    fit: EffectFit
+    fit: Fit
     """With the rival in its place."""
     deficit: float
     """Log evidence by which it is behind [nat]."""
@@ -58,8 +58,8 @@ class RivalFit:
 class Selection:
     """The effects that were found, one a step."""
 
-    base: EffectFit
-    fit: EffectFit
+    base: Fit
+    fit: Fit
     """With all effects that were found."""
     steps: tuple[Step, ...] = field(default=())
     """The last one found nothing more, unless the number of effects was the limit."""
@@ -85,7 +85,7 @@ class Selection:
         return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(own.items())}
 
     @property
-    def stages(self) -> dict[str, EffectFit]:
+    def stages(self) -> dict[str, Fit]:
         """Fits with some of the effects that were found, by their names, in the order in which they were added."""
         parts = {tuple(name for name in step.before.names if name not in self.base.names): step.before for step in self.steps}
         return {", ".join(names): fit for names, fit in parts.items() if names and set(names) < set(self.found)}

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field, replace
 
 from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.identification.observation import NoiseModel
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 
 __all__ = ["DiagnosisSettings"]
 
-_FIXED = 1e-3
-"""Prior standard deviation of the logarithm of a pusher friction that is taken as given."""
 _N_MODES = 16
 """Modes of each map at most: with more, the maps absorb effects, and predictions are no better (prototype)."""
 
@@ -22,11 +20,15 @@ class DiagnosisSettings:
     """How a diagnosis is made. The base model has the nominal pusher friction: another value is an effect."""
 
     prior: Prior = field(default_factory=Prior)
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(growth_position=0.008, growth_yaw=0.08, max_moving_frames=30))
+    noise: NoiseModel = field(
+        default_factory=lambda: NoiseModel(fit_discrepancy_position=0.008, fit_discrepancy_yaw=0.08, max_moving_frames=30)
+    )
     numerics: SimulationSettings = field(default_factory=SimulationSettings)
     policy: DecisionPolicy = field(default_factory=DecisionPolicy)
     base_effects: tuple[str, ...] = ()
     """Effects that belong to the base model."""
+    effect_std: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Prior standard deviations of the parameters of effects, by name, where they are not those of the catalogue."""
     outline_from_camera: bool = False
     """Whether poses and outline come from a camera, even where the shape does not state it: errors of a calibrated camera then belong to
     the base model."""
@@ -34,4 +36,4 @@ class DiagnosisSettings:
     @property
     def base_prior(self) -> Prior:
         """Smooth maps, and the friction of the pusher given."""
-        return replace(self.prior, pusher_friction_std=_FIXED, max_modes=min(self.prior.max_modes, _N_MODES))
+        return replace(self.prior, max_modes=min(self.prior.max_modes, _N_MODES)).with_pusher_friction_frozen()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from push_ident.diagnosis.fits import EffectFit
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.identification.fit import Fit
 from push_ident.types import PushRecord
 
 __all__ = ["Decision", "DiagnosisState", "UnsupportedEffect", "Validation"]
@@ -74,7 +74,7 @@ class DiagnosisState:
     fit_gates: tuple[Gate, ...] = ()
     outliers: tuple[str, ...] = ()
     """Sources of pushes that were set aside."""
-    base: EffectFit | None = None
+    base: Fit | None = None
     selection: Selection | None = None
     validation: Validation | None = None
     decision: Decision | None = None

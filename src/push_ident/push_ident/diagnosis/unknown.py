@@ -8,10 +8,11 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, fit_effects_but, polished
+from push_ident.diagnosis.fits import fit_some_values, polished
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.scores import EffectInformation, clipped_start, effect_information
 from push_ident.diagnosis.selection import Selection
+from push_ident.identification.fit import Fit
 from push_ident.physics.effects.unknown_wrench import COMPONENTS, EFFECT, FEATURES
 
 __all__ = ["SmoothWrench", "best_parts", "fit_wrench"]
@@ -24,7 +25,7 @@ Part: TypeAlias = tuple[str, str]
 class SmoothWrench:
     """Maps and a smooth wrench that together fit the pushes."""
 
-    fit: EffectFit
+    fit: Fit
     """With those parts of the wrench that the pushes need."""
     log_bayes_factor: float
     """Over the base model, less what its parts cost for having been chosen [nat]."""
@@ -61,7 +62,7 @@ def fit_wrench(selection: Selection, policy: UnknownPolicy) -> SmoothWrench | No
     return SmoothWrench(fit, fit.log_evidence - base.log_evidence - policy.part_cost * len(parts), acts_on, varies_with)
 
 
-def _grown(fit: EffectFit, parts: list[Part], policy: UnknownPolicy) -> tuple[list[Part], EffectFit]:
+def _grown(fit: Fit, parts: list[Part], policy: UnknownPolicy) -> tuple[list[Part], Fit]:
     """Add parts while one raises the log evidence by more than it costs."""
     while len(parts) < policy.max_parts:
         held = _information_of_held(fit, parts)
@@ -133,43 +134,39 @@ def _expected_log_bayes_factors(information: EffectInformation, parts: Sequence[
     return expected
 
 
-def _fit_parts(base: EffectFit, parts: Sequence[Part], information: EffectInformation, policy: UnknownPolicy) -> EffectFit:
+def _fit_parts(base: Fit, parts: Sequence[Part], information: EffectInformation, policy: UnknownPolicy) -> Fit:
     """Fit some parts of the wrench from their one-step estimate; all others stay at zero."""
     own = _numbers(parts)
     start = np.zeros(len(information.slope))
     start[own] = -np.linalg.solve(information.precision[np.ix_(own, own)], information.slope[own])
     start = clipped_start(start, policy.max_start)
-    first = base.z[base.parameters.effect_slice]
+    first = base.effect_unknowns
     held = [number for number in range(len(start)) if number not in own]
-    return fit_effects_but(base, (*base.names, EFFECT.name), np.concatenate([first, start]), [len(first) + number for number in held])
+    return fit_some_values(base, (*base.names, EFFECT.name), np.concatenate([first, start]), [len(first) + number for number in held])
 
 
-def _with_part(fit: EffectFit, parts: Sequence[Part], part: Part, held: EffectInformation, policy: UnknownPolicy) -> EffectFit:
+def _with_part(fit: Fit, parts: Sequence[Part], part: Part, held: EffectInformation, policy: UnknownPolicy) -> Fit:
     """Fit one more part from its one-step estimate, the others from where they are."""
     own = _BLOCKS[part]
     estimate = np.asarray(-np.linalg.solve(held.precision[np.ix_(own, own)], held.slope[own]))
-    start = np.array(fit.z[fit.parameters.effect_slice])
+    start = np.array(fit.effect_unknowns)
     first = fit.effects.slice_of(EFFECT.name).start
     start[[first + number for number in own]] = clipped_start(estimate, policy.max_start)
     free = _numbers([*parts, part])
-    return fit_effects_but(fit, fit.names, start, [first + n for n in range(len(EFFECT.parameters)) if n not in free])
+    return fit_some_values(fit, fit.names, start, [first + n for n in range(len(EFFECT.parameters)) if n not in free])
 
 
-def _place(fit: EffectFit) -> slice:
-    """Of the weights among the unknowns."""
-    own, first = fit.parameters.effects.slice_of(EFFECT.name), fit.parameters.effect_slice.start
-    return slice(first + own.start, first + own.stop)
-
-
-def _information_of_held(fit: EffectFit, parts: Sequence[Part]) -> EffectInformation:
+def _information_of_held(fit: Fit, parts: Sequence[Part]) -> EffectInformation:
     """Information about the weights that are held at zero, beside all that is fitted; fitted weights count as known."""
-    first, n = _place(fit).start, len(EFFECT.parameters)
+    first, n = fit.unknowns.slice_of_effect(EFFECT.name).start, len(EFFECT.parameters)
     fitted = np.array([i for i in range(fit.problem.size) if not first <= i < first + n or i - first in _numbers(parts)])
     held = np.array([first + number for number in range(n) if number not in _numbers(parts)])
     # Without the precision that holds them.
-    n_poses = fit.problem.size - fit.parameters.size
-    hessian = fit.end.hessian - np.pad(fit.problem.past.hessian, (0, n_poses))
-    gradient = fit.end.gradient - np.pad(fit.problem.past.slope(fit.z), (0, n_poses))
+    n_poses = fit.problem.size - fit.unknowns.size
+    hessian, gradient = fit.end.hessian, fit.end.gradient
+    if (frozen := fit.unknowns.frozen_cost) is not None:
+        hessian = hessian - np.pad(frozen.hessian, (0, n_poses))
+        gradient = gradient - np.pad(frozen.slope(fit.z), (0, n_poses))
     onto = np.linalg.solve(hessian[np.ix_(fitted, fitted)], hessian[np.ix_(fitted, held)]).T
     precision, slope = np.eye(n), np.zeros(n)
     own = held - first
@@ -178,9 +175,9 @@ def _information_of_held(fit: EffectFit, parts: Sequence[Part]) -> EffectInforma
     return EffectInformation({EFFECT.name: np.arange(n)}, precision, slope)
 
 
-def _shares(fit: EffectFit, parts: Sequence[Part]) -> dict[Part, float]:
+def _shares(fit: Fit, parts: Sequence[Part]) -> dict[Part, float]:
     """Share of each part in the evidence of the wrench: the log evidence that is lost without it."""
-    first = _place(fit).start
+    first = fit.unknowns.slice_of_effect(EFFECT.name).start
     weight, covariance = fit.z[first:], fit.covariance[first:, first:]
     evidence = {}
     for part in parts:

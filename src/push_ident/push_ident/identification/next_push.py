@@ -27,8 +27,8 @@ from scipy.linalg import solve_triangular
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.unknowns import Mechanics, Unknowns
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -192,7 +192,7 @@ def rank_pushes(
     settings = settings or SimulationSettings(step=1 / 120)
     scale = _square_root(posterior.covariance)
     draws = posterior.z + rng.standard_normal((n_draws, len(posterior.z))) @ scale.T
-    rows = [_reference_rows(posterior.parameters, z, reference, settings) for z in (posterior.z, *draws)]
+    rows = [_reference_rows(posterior.unknowns, z, reference, settings) for z in (posterior.z, *draws)]
     if len(rows[0]) == 0:
         raise InputError(f"None of {len(reference)} reference pushes moves the object; draw them over its outline.")
     guesses = [_Guess(z, own @ scale) for z, own in zip((posterior.z, *draws), rows, strict=True) if len(own)]
@@ -260,10 +260,10 @@ def _value(
     """Expected outcome of one push."""
     identity = np.eye(len(scale))
     roots: list[Float64Array] = [identity] * len(guesses)
-    record, status = imagine_push(posterior.parameters.mechanics(posterior.z), push, sensor=sensor, settings=settings)
+    record, status = imagine_push(posterior.unknowns.mechanics(posterior.z), push, sensor=sensor, settings=settings)
     if record is not None:
         seen = observe_push(record, noise)
-        told = [_sensitivity(posterior.parameters, guess.z, push, seen, settings) @ scale for guess in guesses]
+        told = [_sensitivity(posterior.unknowns, guess.z, push, seen, settings) @ scale for guess in guesses]
         roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in told]
     at_mean = solve_triangular(roots[0], scale.T, lower=True)
     return PushValue(
@@ -275,9 +275,7 @@ def _value(
     )
 
 
-def _sensitivity(
-    parameters: MapParameters, z: Float64Array, push: PlannedPush, seen: Observation, settings: SimulationSettings
-) -> Float64Array:
+def _sensitivity(parameters: Unknowns, z: Float64Array, push: PlannedPush, seen: Observation, settings: SimulationSettings) -> Float64Array:
     """Rows G with H = G' G: how whitened frames depend on z beyond what another first pose would explain, shape (n_rows, n_unknowns)."""
     mechanics = parameters.mechanics(z)
     motion = mechanics.simulate(PushScenario(push.pusher, push.pose_object_in_table, seen.time), settings=settings, jacobian=True)
@@ -294,9 +292,7 @@ def _sensitivity(
     return np.asarray(by_z - explained @ (explained.T @ by_z))
 
 
-def _reference_rows(
-    parameters: MapParameters, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings
-) -> Float64Array:
+def _reference_rows(parameters: Unknowns, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings) -> Float64Array:
     """d(cell displacement at the end) / dz of the reference pushes that move the object of `z`, shape (n_moved, 3, n_unknowns)."""
     mechanics = parameters.mechanics(z)
     cells = parameters.shape.cells

@@ -71,7 +71,7 @@ def predict(
         The prediction: motion of the mean model, covariance of the motions of the drawn ones. Look at its `status`.
     """
     noise = noise or NoiseModel()
-    parameters = posterior.parameters
+    parameters = posterior.unknowns
     shape = parameters.shape
     first = np.asarray(pose_object_in_table, dtype=np.float64)
     if first_covariance is None:
@@ -95,7 +95,7 @@ def predict(
         return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
     covariance = _covariance_of_draws(np.array(poses))
     way = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
-    growth = np.array([noise.discrepancy_position, noise.discrepancy_position, noise.discrepancy_yaw])
+    growth = noise.model_discrepancy
     covariance += np.einsum("f,i,ij->fij", way**2, growth**2, np.eye(3))
     return Prediction(centre.time, centre.pose, covariance, _cell_error_std(shape.cells, centre.pose[-1], covariance[-1]), centre.status)
 

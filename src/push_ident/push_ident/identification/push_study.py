@@ -13,8 +13,8 @@ import numpy as np
 from push_ident.identification.next_push import Criterion, PlannedPush, PoseSensor, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -95,7 +95,7 @@ def choose_by(
     """The policy that takes the push ranked first by `rank_pushes`; `push_settings` are those of the reference pushes."""
 
     def choose(posterior: ModelPosterior, candidates: Sequence[PlannedPush], rng: np.random.Generator) -> PlannedPush:
-        reference = reference_pushes(posterior.parameters.shape, rng, n_reference, push_settings)
+        reference = reference_pushes(posterior.unknowns.shape, rng, n_reference, push_settings)
         ranked = rank_pushes(posterior, candidates, reference=reference, rng=rng, criterion=criterion, n_draws=n_draws, noise=noise)
         return ranked.best or choose_at_random(posterior, candidates, rng)
 

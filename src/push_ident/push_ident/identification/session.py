@@ -12,8 +12,8 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
-from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import Prediction, predict
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, RunningRecord, score_push
 from push_ident.identification.state_file import load_state, save_state
@@ -141,9 +141,9 @@ class ObjectSession:
         Raises:
             InputError: it is the model of an object of another shape.
         """
-        if not posterior.parameters.shape.is_same_object(self.shape):
+        if not posterior.unknowns.shape.is_same_object(self.shape):
             raise InputError(
-                f"The model is of another object: {len(posterior.parameters.shape.cells)} cells, expected the outline and the cells of "
+                f"The model is of another object: {len(posterior.unknowns.shape.cells)} cells, expected the outline and the cells of "
                 f"`{self.object_id}` with {len(self.shape.cells)}; load it for the object that it was made of."
             )
         self.online = self._identifier(OnlineIdentifier.known(posterior))

@@ -52,8 +52,8 @@ from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise
 from push_ident_sim.cell.robot import robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
-from push_ident_sim.injected import EFFECTS, Effects
-from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
+from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
+from push_ident_sim.injected.sensing import PoseSensor, check_rendered, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import true_model
 
@@ -63,6 +63,12 @@ FloatArray = NDArray[np.float64]
 
 _EFFECT: Final = "effects."
 _SPAWNED: Final = "; takes effect with ~/spawn"
+
+
+def _described(effect: InjectedEffect) -> str:
+    """What an effect is and the meaning of its values."""
+    return f"{effect.what} " + "; ".join(f"{p.name} [{p.unit}]: {p.what}" for p in effect.parameters[: len(effect.defaults)])
+
 
 PARAMETERS: Final = (
     Parameter("object", "hammer", "what lies on the table" + _SPAWNED, choices=OBJECT_NAMES),
@@ -91,13 +97,13 @@ PARAMETERS: Final = (
     *(
         Parameter(
             f"{_EFFECT}{effect.name}",
-            [p.default for p in effect.parameters],
-            f"injected effect: {effect.what}; " + ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters),
-            min(p.lowest for p in effect.parameters),
-            max(p.highest for p in effect.parameters),
+            list(effect.defaults),
+            "injected effect: " + _described(effect),
+            min(p.lowest for p in effect.parameters[: len(effect.defaults)]),
+            max(p.highest for p in effect.parameters[: len(effect.defaults)]),
             read_only=True,
         )
-        for effect in EFFECTS.values()
+        for effect in INJECTED.values()
     ),
 )
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -129,7 +135,7 @@ class SimCellNode(Node):
         super().__init__("sim_cell_node", **kwargs)
         self._settings = Parameters(self, PARAMETERS)
         values = self._settings.as_dict()
-        effects = Effects.of({name: values[_EFFECT + name] for name in EFFECTS})
+        effects = InjectedEffects.of({name: values[_EFFECT + name] for name in INJECTED})
         thing = _object_of(values)
         self._world = CellWorld(thing, WorldConfig(time_step=values["time_step"], effects=effects), pose=values["start_pose"])
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
@@ -140,7 +146,7 @@ class SimCellNode(Node):
             check_rendered(effects)
             reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
             self._camera = DepthCamera(thing, *true_camera(effects, reported, INTRINSICS))
-        (self._latency,), (self._dropped,) = effects["pose_latency"], effects["dropped_frames"]
+        (self._dropped,) = effects["dropped_frames"]
         self._noise = DepthNoise(scale=values["depth_noise"])
         self._wrench_noise = float(values["wrench_noise"])
         self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
@@ -222,7 +228,7 @@ class SimCellNode(Node):
                 next_image += self._camera_period
                 if self._luck.random() >= self._dropped:
                     pose, links = self._world.object_pose(), self._world.robot_link_poses()
-                    late.append(_Snapshot(now + self._latency, self._world.object, pose, links))
+                    late.append(_Snapshot(now + stamp_delay(self._world.config.effects, now), self._world.object, pose, links))
             while late and late[0].stamp <= now + 0.5 * step:
                 self._hand_over(late.popleft())
             pace.wait(now, self._settings["real_time_factor"])
@@ -279,7 +285,7 @@ class SimCellNode(Node):
 
     def _publish_as_perception(self, now: float) -> None:
         assert self._as_perception is not None
-        for stamp, pose in self._as_perception.see(now, self._world.object_pose()):
+        for stamp, pose in self._as_perception.measure(now, self._world.object_pose()):
             self._pose_pub.publish(planar_pose_to_msg(stamp_to_msg(stamp), pose, np.diag(self._truth_std**2)))
 
     def _hand_over(self, snapshot: _Snapshot) -> None:

@@ -24,8 +24,9 @@ from push_ident_sim.engines.bullet.bullet_object import (
     checked_pose,
     connect,
 )
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.actuation import ToolErrors, bearing_torque
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.actuation import ToolErrors
+from push_ident_sim.injected.contact import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
 __all__ = ["CellWorld", "WorldConfig"]
@@ -46,7 +47,7 @@ class WorldConfig:
     """Share of the joint position error that the arm takes back in one time step."""
     joint_effort: float = 300.0
     """[N m], largest motor torque."""
-    effects: Effects = field(default_factory=Effects)
+    effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected; those that act on what is seen are the camera's business."""
 
 
@@ -107,8 +108,8 @@ class CellWorld:
             if name.startswith("hand_") or name in {"lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7"}:
                 self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, TABLE_GROUP)
         self._client.setCollisionFilterGroupMask(self._robot, self._contact_link, PUSHER_GROUP, OUTLINE_GROUP)
-        restitution = 1.0 if "restitution" in self.config.effects else 0.0
-        self._client.changeDynamics(self._robot, self._contact_link, lateralFriction=1.0, restitution=restitution)
+        bounce = 1.0 if restitution(self.config.effects) > 0.0 else 0.0
+        self._client.changeDynamics(self._robot, self._contact_link, lateralFriction=1.0, restitution=bounce)
         if "rolling_finger" in self.config.effects:
             torque = bearing_torque(self.config.effects)
             self._client.setJointMotorControl2(self._robot, self._contact_link, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
@@ -247,7 +248,7 @@ class CellWorld:
 class _DrivenTool:
     """Leads the arm so that the tool is beside the place that the arm reports, once it is lowered."""
 
-    def __init__(self, effects: Effects, time_step: float) -> None:
+    def __init__(self, effects: InjectedEffects, time_step: float) -> None:
         self._errors = ToolErrors(effects, time_step)
         self._time_step = time_step
         self._kinematics = ArmKinematics(robot_description(), neutral=HOME)

@@ -19,8 +19,8 @@ from push_ident.types import PushRecord
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
 from push_ident_sim.cell.robot import PUSHER_LENGTH, PUSHER_RADIUS
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.sensing import check_rendered, kept_frames, true_camera
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.sensing import check_rendered, kept_frames, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
 
@@ -47,7 +47,7 @@ class RecordingSettings:
     n_pushes: int = 14
     seed: int = 0
     """Of the pushes and of all noise."""
-    effects: Effects = field(default_factory=Effects)
+    effects: InjectedEffects = field(default_factory=InjectedEffects)
     speed_range: tuple[float, float] = (0.1, 0.2)
     """Of the pushes [m/s]."""
     noise: CameraNoise = field(default_factory=lambda: CameraNoise(force_std=0.05))
@@ -122,7 +122,7 @@ def _film(
 ) -> None:
     noise, effects = settings.noise, settings.effects
     camera = DepthCamera(thing, *true_camera(effects, _CAMERA_POSE, INTRINSICS))
-    sensor, (delay,) = DepthNoise(), effects["pose_latency"]
+    sensor = DepthNoise()
     with BagWriter(out) as writer:
         start = 1.0
         writer.write_extrinsics(start, _CAMERA_POSE)
@@ -138,7 +138,7 @@ def _film(
                 pose, tool = motion.pose_at(time - begin), motion.pusher_at(time - begin)
                 links = {"hand_pusher": standing_tool(tool)} if begin <= time <= end else {}
                 depth = sensor.apply(camera.render(pose, links), rng)
-                stamp = start + time + delay
+                stamp = start + time + stamp_delay(effects, float(time))
                 writer.write_camera_info(stamp, INTRINSICS)
                 writer.write_depth(stamp, np.nan_to_num(np.rint(1e3 * depth), nan=0.0).astype(np.uint16))
             inside = (path.time >= begin) & (path.time <= end)

@@ -23,8 +23,8 @@ from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, seen_poses
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, measured_at, observed_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 
 __all__ = [
@@ -76,7 +76,7 @@ class TruthSettings:
     least_way: float = 0.010
     least_turn: float = 0.1
     """A push that moves the object's frame by less than this [m] and turns it by less than this [rad] is drawn again."""
-    effects: Effects = field(default_factory=Effects)
+    effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected into the simulation and into what is seen of it."""
 
 
@@ -253,7 +253,7 @@ def load_truth(
 
 
 def observe_motion(
-    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: Effects | None = None
+    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: InjectedEffects | None = None
 ) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
     """What is seen of a motion; before and after it everything stands still.
 
@@ -264,7 +264,7 @@ def observe_motion(
         rng: of the noise.
         effects: of which those are taken that act on what is seen.
     """
-    effects = effects or Effects()
+    effects = effects or InjectedEffects()
     # Of its own, so that the noise is the same whatever is lost.
     luck = rng.spawn(1)[0]
     rest, end = noise.rest, float(motion.time[-1])
@@ -276,14 +276,11 @@ def observe_motion(
 
     frames = np.arange(0.0, clock[-1], 1.0 / noise.rate)
     std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
-    (delay,) = effects["pose_latency"]
-    seen = at(frames - delay, motion.pose)
-    if effects.acting_on("camera"):
-        seen = seen_poses(effects, seen)
-    seen = seen + std * correlated(effects, rng.normal(size=(len(frames), 3)))
-    seen = flipped(effects, seen, luck)
+    observed = observed_poses(effects, at(measured_at(effects, frames), motion.pose))
+    observed = observed + std * correlated(effects, rng.normal(size=(len(frames), 3)))
+    observed = flipped(effects, observed, luck)
     kept = kept_frames(effects, len(frames), luck)
-    poses = PoseTrack(frames[kept], seen[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
+    poses = PoseTrack(frames[kept], observed[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
     wrench = None
     if noise.force_std is not None:
         # The sensor averages over its sampling time: a difference of the impulse so far.

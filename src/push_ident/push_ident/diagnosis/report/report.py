@@ -102,7 +102,7 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         f"distance: {plan.distance:.4f}, speed: {plan.speed:.3f}}}"
     )
     return {
-        "figure": svg(draw_proposal(proposal, diagnosis.selection.base.parameters.shape)),
+        "figure": svg(draw_proposal(proposal, diagnosis.selection.base.unknowns.shape)),
         "aim": proposal.aim,
         "x": x,
         "y": y,

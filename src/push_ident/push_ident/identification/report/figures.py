@@ -49,7 +49,7 @@ def draw_maps(posterior: ModelPosterior) -> Figure:
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
     """Edge of the 90 % region of the centre of friction [m], shape (n, 2), object frame."""
-    parameters = posterior.parameters
+    parameters = posterior.unknowns
     mechanics = parameters.mechanics(posterior.z)
     centre = posterior.model.centre_of_friction
     rows = (parameters.shape.cells.centres - centre).T @ mechanics.limit_derivative / float(mechanics.body.limit.sum())

@@ -60,7 +60,7 @@ def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushe
         x, y = proposal["contact_point_m"]
         msg.has_next_push = True
         msg.next_push_between = list(proposal["between"])
-        msg.next_push_distance2 = _number(proposal["distance2"])
+        msg.next_push_mahalanobis2 = _number(proposal["distance2"])
         msg.contact_point = Point(x=float(x), y=float(y), z=0.0)
         msg.direction, msg.distance = float(proposal["direction_rad"]), float(proposal["distance_m"])
         msg.speed = float(proposal["speed_mps"])

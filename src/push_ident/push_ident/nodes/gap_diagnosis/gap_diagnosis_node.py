@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.observation import observe_push
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
 from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
 from push_ident.nodes.parameters import Parameter, Parameters

@@ -18,8 +18,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import predict
+from push_ident.identification.prior import Prior
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import SOLVERS
 from push_ident.nodes.convert import planar_pose_of, position_from_msg

@@ -255,10 +255,11 @@ class ViewerNode(Node):
             self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_score(self, msg: PushScore) -> None:
-        self._scene.score(msg.error, msg.expected, msg.uniform)
+        self._scene.score(msg.cell_error, msg.expected_cell_error, msg.uniform_cell_error)
         words = self._words.setdefault(msg.object_id, {})
-        words["predicted before pushing"] = f"{1e3 * msg.mean_error:.1f} mm mean of {msg.n} (equal cells {1e3 * msg.mean_uniform:.1f} mm)"
-        words["in the 90 % region"] = f"{msg.share_within_ninety:.0%}"
+        mean, uniform = 1e3 * msg.mean_cell_error, 1e3 * msg.mean_uniform_cell_error
+        words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (uniform model {uniform:.1f} mm)"
+        words["within the 90 % region"] = f"{msg.share_within_90:.0%}"
         self._show_words()
 
     # ---- words

@@ -16,7 +16,8 @@ from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-unt
 from push_ident.errors import InputError
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.engines.bullet.support import SupportEffects
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.contact import friction_of_pusher, outline_growth, restitution
 from push_ident_sim.objects import SimObject, outline_rectangles
 
 __all__ = [
@@ -44,12 +45,12 @@ _FIRST_CELL_LINK = 4
 _FRAME_MASS = 1e-4
 """Of each link that is no cell [kg]: small against any cell."""
 _CORNER_RADIUS = 1e-4
-_NONE = Effects()
+_NONE = InjectedEffects()
 _FOOT_RADIUS = 0.004
 """A cell stands on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
 
 
-def connect(time_step: float, solver_iterations: int, gravity: float, effects: Effects = _NONE) -> BulletClient:
+def connect(time_step: float, solver_iterations: int, gravity: float, effects: InjectedEffects = _NONE) -> BulletClient:
     """A new engine of its own, with the settings that Coulomb friction needs; `disconnect()` frees it."""
     client = BulletClient(connection_mode=bullet.DIRECT)
     along = np.sin(effects["table_tilt"])
@@ -69,7 +70,7 @@ def connect(time_step: float, solver_iterations: int, gravity: float, effects: E
     return client
 
 
-def _normal_gravity(gravity: float, effects: Effects) -> float:
+def _normal_gravity(gravity: float, effects: InjectedEffects) -> float:
     """Component along the table's normal."""
     along = np.sin(effects["table_tilt"])
     return float(gravity * np.sqrt(1.0 - along @ along))
@@ -97,7 +98,7 @@ def checked_pose(pose: ArrayLike) -> FloatArray:
 class BulletObject:
     """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
 
-    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: Effects = _NONE) -> None:
+    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: InjectedEffects = _NONE) -> None:
         """Put the object at (0, 0, 0), at rest. `gravity` [m/s^2], `client` from `connect` with the same gravity and effects."""
         self.body: int
         """The engine's number of the chain."""
@@ -108,8 +109,7 @@ class BulletObject:
         self._support = SupportEffects(thing, effects, gravity) if SupportEffects.needed(effects) else None
         self._friction, self._mass = thing.friction, thing.mass
         n_cells = len(thing)
-        (growth,) = effects["outline_error"]
-        outline = self._outline_shape(growth)
+        outline = self._outline_shape(outline_growth(effects))
         foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
         n_links = _FIRST_CELL_LINK + n_cells
         self.body = client.createMultiBody(
@@ -134,8 +134,8 @@ class BulletObject:
             client.changeDynamics(self.body, link, localInertiaDiagonal=[1e-8] * 3)
         for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
             client.changeDynamics(self.body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3)
-        pusher_friction = max(0.0, thing.pusher_friction + effects["pusher_friction"][0])
-        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=effects["restitution"][0])
+        pusher_friction = friction_of_pusher(effects, thing.pusher_friction)
+        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=restitution(effects))
         client.setJointMotorControl2(
             self.body, OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
         )

@@ -12,8 +12,9 @@ from push_ident.physics.support import GRAVITY
 from push_ident.types import PusherPath
 from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.actuation import ToolErrors, bearing_torque
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.actuation import ToolErrors
+from push_ident_sim.injected.contact import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
 __all__ = ["PushWorld"]
@@ -43,10 +44,10 @@ class PushWorld:
         *,
         time_step: float = 1.0 / 240.0,
         solver_iterations: int = 50,
-        effects: Effects | None = None,
+        effects: InjectedEffects | None = None,
     ) -> None:
         """`pusher_radius` [m] > 0, `time_step` [s]. Of the effects, those that act on what is seen are not this world's business."""
-        effects = effects or Effects()
+        effects = effects or InjectedEffects()
         self.pusher_radius = pusher_radius
         self.time_step = time_step
         self._client = connect(time_step, solver_iterations, GRAVITY, effects)
@@ -57,7 +58,7 @@ class PushWorld:
         self._still_steps = _SWINGING_STEPS if "compliant_table" in effects or "tether" in effects else 1
         self._force = np.zeros(2)
 
-    def _add_pusher(self, height: float, effects: Effects) -> None:
+    def _add_pusher(self, height: float, effects: InjectedEffects) -> None:
         """A ball with its centre at `height` [m], on two sliding joints.
 
         Upright walls touch it where they would touch a disc, and at one point: of the contacts along a cylinder Bullet keeps some with the
@@ -88,7 +89,7 @@ class PushWorld:
         for link in range(n_links):
             client.changeDynamics(self._pusher, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
         client.changeDynamics(self._pusher, self._pusher_link, lateralFriction=1.0)
-        if "restitution" in effects:
+        if restitution(effects) > 0.0:
             client.changeDynamics(self._pusher, self._pusher_link, restitution=1.0)
         if "rolling_finger" in effects:
             torque = bearing_torque(effects)

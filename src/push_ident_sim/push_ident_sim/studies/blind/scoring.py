@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.diagnosis.diagnose import diagnose
-from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.fits import fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.result import Diagnosis
@@ -18,11 +18,11 @@ from push_ident.diagnosis.scores import EffectInformation
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.experiment import Json
@@ -51,22 +51,18 @@ _TUNED = "pusher_friction"
 """The one existing parameter that the base model takes as given."""
 
 
-def true_values(effects: Effects, name: str, thing: SimObject, first_centre: FloatArray) -> FloatArray:
-    """An injected effect in the parameters in which a diagnosis states it, shape (n_parameters,).
+def true_values(effects: InjectedEffects, name: str, put_down: FloatArray) -> FloatArray:
+    """An injected effect with all its parameters, shape (n_parameters,).
 
     Args:
         effects: that were injected.
         name: of one of them.
-        thing: that was pushed.
-        first_centre: of mass, where the object was put down first [m], shape (2,).
+        put_down: the centre of mass where the object was put down first [m], shape (2,); the anchor of a tether that states none.
     """
-    values = np.array(effects[name])
-    if name == "push_height":
-        weight = thing.mass * GRAVITY
-        return np.array([values[0] * float(thing.friction @ weight / weight.sum())])
-    if name == "tether":
-        return np.array([values[0], *(values[0] * first_centre)])
-    return values
+    given = effects[name]
+    if len(given) < len(EFFECTS[name].parameters):
+        return np.array([given[0], *(given[0] * put_down)])
+    return np.array(given)
 
 
 def score_case(
@@ -103,7 +99,7 @@ def score_case(
         first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
         # What belongs to the base, as small errors of a camera do, is nothing to be found.
         names = [name for name in truth.names if name not in base.names]
-        wanted = {name: true_values(truth.effects, name, thing, first) for name in names}
+        wanted = {name: true_values(truth.effects, name, first) for name in names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         if wanted:
             values["detectability"] = _detectability(found.selection.steps[0].information, wanted)
@@ -218,7 +214,7 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
     return shown
 
 
-def _visibility(base: EffectFit, plain: Sequence[PushRecord]) -> float:
+def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
     """Noncentrality of all that effects did to the poses, beside everything that the base model fits.
 
     With the whitened derivative J of the fit and the precision P of its prior, d' (I - J (J'J + P)^-1 J') d of the whitened difference d.
@@ -238,7 +234,7 @@ def _visibility(base: EffectFit, plain: Sequence[PushRecord]) -> float:
         off[:, 2] = wrap_angle(off[:, 2])
         parts.append(np.einsum("fij,fj->fi", seen.whitening, off).ravel())
     difference = np.concatenate(parts)
-    precision = np.diag(np.r_[np.ones(base.parameters.size), np.zeros(3 * len(parts))])
+    precision = np.diag(np.r_[np.ones(base.unknowns.size), np.zeros(3 * len(parts))])
     taken_up = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
     return float(difference @ (difference - taken_up))
 
@@ -249,12 +245,12 @@ def _nearest(record: PushRecord, time: FloatArray) -> FloatArray:
     return np.asarray(record.poses.pose[frames])
 
 
-def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
+def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Json:
     """The same machinery told the true effects; `apart`: noncentrality between a single one and the nearest of its rivals when both are
     fitted, which is less than their slopes at null tell."""
     assert found.gap is not None
     start = np.concatenate([(v - EFFECTS[name].nominal) / [p.scale for p in EFFECTS[name].parameters] for name, v in wanted.items()])
-    fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.z[base.parameters.effect_slice], start]))
+    fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.effect_unknowns, start]))
     is_found = {effect.name for effect in found.effects} == set(wanted)
     after = found.gap.after if is_found else measure_gap(fit, fit, ValidationPolicy()).before
     gap = replace(found.gap, after=after)
@@ -269,13 +265,13 @@ def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray])
     }
 
 
-def _apart(a: EffectFit, b: EffectFit) -> float:
+def _apart(a: Fit, b: Fit) -> float:
     """Noncentrality between two fits of the same pushes: squared distance of what they say of all frames."""
     said = [[fit.problem.residual(m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
     return float(sum(np.sum((one - other) ** 2) for one, other in zip(*said, strict=True)))
 
 
-def _baselines(found: Diagnosis, base: EffectFit) -> Json:
+def _baselines(found: Diagnosis, base: Fit) -> Json:
     """What simpler ways would name, and how far tuning what the model already has would come."""
     assert found.selection is not None and found.gap is not None
     first = found.selection.steps[0] if found.selection.steps else None

@@ -15,7 +15,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath, PushRecord
 from push_ident_sim.engines.planar import PlanarWorld
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
 from push_ident_sim.studies.blind.cases import draw_truth, make_asked_record, make_records
@@ -45,7 +45,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         return make_asked_record(truth, case.object_name, case.model, push, number, settings.noise)
 
     def make_plain() -> list[PushRecord]:
-        plain = replace(truth, effects=Effects(), outside=())
+        plain = replace(truth, effects=InjectedEffects(), outside=())
         return make_records(plain, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
 
     thing = make_object(case.object_name, case.model)

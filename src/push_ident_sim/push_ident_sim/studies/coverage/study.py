@@ -78,7 +78,7 @@ def _end(posterior: ModelPosterior, seen: PushRecord, true: PushRecord) -> tuple
 
 def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
     z = rng.multivariate_normal(posterior.z, posterior.covariance, size=_N_SAMPLES, method="eigh")
-    return [posterior.parameters.model(row) for row in z]
+    return [posterior.unknowns.model(row) for row in z]
 
 
 def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
@@ -90,7 +90,7 @@ def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
 def _cells(truth: ObjectModel, samples: Sequence[ObjectModel], posterior: ModelPosterior) -> list[float]:
     """Levels of the cells' shares in the logarithm; a cell that bears nothing lies outside every region."""
     shares = np.log([model.mass * model.friction / np.mean(model.mass * model.friction) for model in samples])
-    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.parameters.map_remainder
+    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.unknowns.map_remainder
     product = truth.mass * truth.friction
     with np.errstate(divide="ignore"):
         off = np.log(product / product.mean()) - shares.mean(axis=0)

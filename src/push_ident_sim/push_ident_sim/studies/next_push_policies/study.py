@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.identification.identify import prior_posterior
 from push_ident.identification.next_push import Criterion, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
+from push_ident.identification.result import prior_posterior
 from push_ident.pushing.push import PushSettings
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 

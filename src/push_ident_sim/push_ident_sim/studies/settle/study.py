@@ -19,7 +19,7 @@ from push_ident.nodes.client import CellClient
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import DiagnoseGap, ExecutePush
 from push_ident_msgs.msg import GapReport
-from push_ident_sim.injected import EFFECTS
+from push_ident_sim.injected import INJECTED
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
 
@@ -44,7 +44,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     os.environ["ROS_DOMAIN_ID"] = str(rng.randint(1, 100))
     cell: dict[str, object] = {"object": case.object_name, "seed": case.model, "noise_seed": case.model}
     if case.variant != "none":
-        cell[f"effects.{case.variant}"] = list(EFFECTS[case.variant].typical()[case.variant])
+        cell[f"effects.{case.variant}"] = list(INJECTED[case.variant].typical()[case.variant])
     commands = node_commands("sim", parameters={"sim_cell_node": cell})
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -68,7 +68,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         asked: list[Json] = []
         while not _is_settled(reports[-1]) and reports[-1].has_next_push and len(asked) < _MOST:
             result = _make(client, _goal_of(reports[-1], object_id))
-            asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_distance2})
+            asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_mahalanobis2})
             made += result.error_code == PushCode.NONE
             client.wait_for_map(object_id, made)
             reports.append(_diagnose(client, object_id))

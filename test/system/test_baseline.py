@@ -1,0 +1,136 @@
+"""What the command line answers about fixed bags is what it answered when the answers were stored.
+
+A redesign must not change a number. After a change that is meant to change them, store them anew and look at the difference:
+`PUSH_IDENT_STORE_BASELINE=1 pytest test/system/test_baseline.py`. The full set of bags: `tools/baseline.py`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+import pytest
+import scipy
+
+from helpers.paths import DATA, ROOT, recording
+
+STORED = Path(__file__).parent / "baseline"
+STORE = "PUSH_IDENT_STORE_BASELINE"
+CASES = {
+    "hammer_depth": ("identify-hammer_depth", "predict-hammer_depth", "diagnose-hammer_depth"),
+    "tilt": ("identify-tilt", "predict-tilt", "solver-fast_gradient-tilt", "diagnose-tilt"),
+    "contract_sample": ("identify-contract_sample", "predict-contract_sample", "diagnose-contract_sample"),
+}
+"""Of the cases of `tools/baseline.py`, by bag: depth of an object, simulated poses on a tilted table, a recording of another maker."""
+OTHER_MACHINE = 1e-2
+"""Relative tolerance where processor or libraries are not those of the stored answers: sums are then rounded differently. With kernels
+compiled for any x86-64 processor and OpenBLAS for Haswell, a log evidence near zero changed by 1.3e-3, the rest by less than 4e-5."""
+SIGN_OF_EIGENVECTORS = frozenset({"combinations", "cell_error_std_m", "within_90"})
+"""Not compared there: combinations of unknowns have an arbitrary sign, and predictions draw models along them."""
+PROGRAM = """
+import json, sys
+from push_ident.cli.main import main
+codes = []
+for arguments in json.load(sys.stdin):
+    sys.argv = ["push-ident", *arguments]
+    try:
+        main()
+        codes.append(0)
+    except SystemExit as ended:
+        codes.append(ended.code or 0)
+json.dump(codes, open(sys.argv[-1] + ".codes", "w"))
+"""
+
+
+def machine() -> dict[str, str]:
+    """What rounding depends on."""
+    blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
+    return {
+        "processor": llvmlite.binding.get_host_cpu_name(),
+        "features": llvmlite.binding.get_host_cpu_features().flatten(),
+        "numpy": np.__version__,
+        "blas": f"{blas['name']} {blas['version']}",
+        "scipy": scipy.__version__,
+        "numba": numba.__version__,
+        "threads": "1",
+    }
+
+
+@pytest.fixture(scope="module")
+def baseline() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("baseline", ROOT / "tools" / "baseline.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclasses look there for their module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def answers(baseline: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """All cases whose bag is present, answered by one process with one thread."""
+    out = tmp_path_factory.mktemp("baseline")
+    wanted = {name for names in CASES.values() for name in names}
+    cases = [case for case in baseline.cases(STORED / "bags", DATA) if case.name in wanted]
+    calls = [[*baseline.command(case, out), "--out", str(out / case.name), "--json", str(out / f"{case.name}.json")] for case in cases]
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], input=json.dumps(calls), capture_output=True, text=True, env=os.environ | threads
+    )
+    assert done.returncode == 0, done.stderr
+    codes = json.loads(Path(f"{calls[-1][-1]}.codes").read_text())
+    contents = [json.loads(file.read_text()) if (file := Path(call[-1])).exists() else None for call in calls]
+    return {case.name: {"exit": code, "content": content} for case, code, content in zip(cases, codes, contents, strict=True)}
+
+
+def without(keys: frozenset[str], answer: Any) -> Any:
+    """An answer without some of its keys, at any depth."""
+    if isinstance(answer, dict):
+        return {key: without(keys, value) for key, value in answer.items() if key not in keys}
+    return [without(keys, value) for value in answer] if isinstance(answer, list) else answer
+
+
+def comparable(answer: Any) -> Any:
+    """What another machine answers as well: rivals of equal evidence may change places."""
+    answer = without(SIGN_OF_EIGENVECTORS, answer)
+    if answer["content"] and "ranking" in answer["content"]:
+        answer["content"]["ranking"].sort(key=lambda entry: entry["name"])
+    return answer
+
+
+BAG_AND_CASE = [(bag, name) for bag, names in CASES.items() for name in names]
+
+
+@pytest.mark.parametrize(("bag", "name"), BAG_AND_CASE, ids=lambda value: value)
+def test_answer_is_the_stored_one(bag: str, name: str, baseline: ModuleType, answers: dict[str, Any]) -> None:
+    if bag == "contract_sample":
+        recording("contract_sample", "bag")
+    file, fingerprint = STORED / f"{name}.json", STORED / "machine.json"
+    answer = without(baseline.PROSE | baseline.CLOCK, answers[name])
+    if os.environ.get(STORE):
+        file.write_text(json.dumps(answer, sort_keys=True) + "\n")
+        fingerprint.write_text(json.dumps(machine(), indent=1, sort_keys=True) + "\n")
+    stored = json.loads(file.read_text())
+    if json.loads(fingerprint.read_text()) == machine():
+        found = list(baseline.differences(stored, answer))
+    else:
+        found = list(baseline.differences(comparable(stored), comparable(answer), relative=OTHER_MACHINE))
+    assert not found, "\n".join([f"{len(found)} differences from {file.name}", *found[:10]])
+
+
+def test_comparison_sees_the_last_bit_and_a_missing_name(baseline: ModuleType) -> None:
+    before = {"map": [0.1, 0.2], "verdict": "named", "sentence": "one", "size": float("nan")}
+    assert list(baseline.differences(before, {**before, "sentence": "another"})) == []
+    assert list(baseline.differences(before, {**before, "map": [0.1, np.nextafter(0.2, 1.0)]}))
+    assert list(baseline.differences(before, {**before, "map": [0.1, np.nextafter(0.2, 1.0)]}, relative=1e-12)) == []
+    assert list(baseline.differences(before, {**before, "verdict": "no_gap"}, relative=1.0))
+    assert list(baseline.differences(before, {key: before[key] for key in ("map", "verdict")}))
