@@ -99,7 +99,7 @@ def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
     """Gates of the base fit: convergence, and end positions under half the time step and half the smoothing speed."""
     problem = fit.problem
     finer = replace(problem.settings, step=0.5 * problem.settings.step, smoothing_speed=0.5 * problem.settings.smoothing_speed)
-    refined = FitProblem(problem.records, fit.parameters, noise=problem.noise, settings=finer)
+    refined = FitProblem(problem.records, fit.unknowns, noise=problem.noise, settings=finer)
     differences = [a - b for a, b in zip(_end_poses(problem, fit.x), _end_poses(refined, fit.x), strict=True)]
     change = float(np.median([np.linalg.norm(difference[:2]) for difference in differences]))
     return [
