@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo bench experiments blind test lint format clean
+.PHONY: help setup demo docs bench experiments blind test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -23,13 +23,17 @@ setup:  ## .venv with every package pinned, ROS 2 Jazzy, workspace built; again:
 demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
 	$(VENV)/push-ident demo
 
-bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/benchmarks.md
-	$(VENV)/push-ident bench --page docs/benchmarks.md
+docs: setup  ## the documentation site, in out/site; open out/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build
+	@echo "written: out/site/index.html"
+
+bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/results/benchmarks.md
+	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 EXPERIMENTS := maps training real-protocol coverage next-push online live convergence cell perception pushing settle
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
 	@for name in $(EXPERIMENTS); do \
-	  $(VENV)/push-ident experiment $$name --json docs/experiments/$$name.json || exit 1; done
+	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment report
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page

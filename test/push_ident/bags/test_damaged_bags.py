@@ -122,7 +122,7 @@ def test_salvage_leaves_a_chunk_with_a_flipped_byte_out(tmp_path: Path) -> None:
     assert report.damaged_chunks <= 1 and 380 <= report.total <= 400
 
 
-def test_salvage_leaves_messages_out_that_are_not_what_their_type_says(tmp_path: Path) -> None:
+def test_salvage_leaves_messages_out_that_do_not_decode(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         write_push(writer, 2.0)
         writer.write_raw("/pusher/pose", Role.PUSHER.msgtype, 2 * 10**9, b"\x00\x01\x00\x00" + bytes(5))

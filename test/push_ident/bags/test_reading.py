@@ -52,7 +52,7 @@ def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
         assert_same_record(one, other)
 
 
-def test_one_push_seen_on_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
+def test_one_push_of_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
     records = [make_record(1.0, object_id="a", wrench=False), make_record(1.0, object_id="b", wrench=False)]
     write_records(tmp_path / "bag", records)
     contents = read_bag(tmp_path / "bag")

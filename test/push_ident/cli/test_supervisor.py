@@ -95,7 +95,7 @@ def test_process_deaf_to_ctrl_c_is_ended_and_named(tmp_path: Path) -> None:
     assert supervisor.exit_code("deaf") == -signal.SIGTERM
 
 
-def test_nothing_remains_after_an_error_in_the_caller(tmp_path: Path) -> None:
+def test_no_process_remains_after_an_error_in_the_caller(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), Supervisor([command("one", SLEEP)], log_dir=tmp_path) as supervisor:
         wait_for_line(tmp_path / "one.log", "ready")
         assert supervisor.poll() is None
@@ -104,7 +104,7 @@ def test_nothing_remains_after_an_error_in_the_caller(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_nothing_remains_when_the_caller_is_told_to_end(tmp_path: Path, number: signal.Signals) -> None:
+def test_no_process_remains_when_the_caller_is_terminated(tmp_path: Path, number: signal.Signals) -> None:
     """`push-ident demo` under `timeout`, say."""
     script = (
         "import sys, time; from pathlib import Path; from push_ident.cli.supervisor import NodeCommand, Supervisor\n"

@@ -109,7 +109,7 @@ def test_pushes_of_a_case_are_the_first_of_the_longer_one() -> None:
 
 
 @pytest.mark.parametrize("model", [1, 2])
-def test_push_that_is_asked_for_begins_where_the_diagnosis_says(model: int) -> None:
+def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: int) -> None:
     truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
     plan = sample_push(make_records(truth, "book", model, 1, NOISE)[0].shape, pose, np.random.default_rng(1), TruthSettings().pushes)
     asked = PlannedPush(pose, path_of_plan(plan, TruthSettings()), plan)
@@ -160,7 +160,7 @@ def outcome(kind: str, truth: list[str], verdict: str, named: list[str], confusa
     return CaseResult(Case("book", 0, "14-pushes"), values)
 
 
-def test_rival_that_was_fitted_is_as_near_as_its_fit_says() -> None:
+def test_rival_that_was_fitted_has_the_distance_of_its_fit() -> None:
     case = outcome("single", ["pusher_lag"], "named", ["pusher_lag"], [], 20.0, 50.0)
     assert judge(case).noncentrality == 50.0
     case.values["oracle"]["apart"] = 4.0

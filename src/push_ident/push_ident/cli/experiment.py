@@ -17,7 +17,7 @@ __all__ = ["experiment_command", "sim_module"]
 
 _REPORT = "report"
 _FOLDER = Path("out/experiments")
-_PAGE = Path("docs/experiments.md")
+_PAGE = Path("docs/results/experiments.md")
 
 
 def experiment_command(

@@ -35,7 +35,7 @@ def write_report(experiments: dict[str, Experiment], page: Path, command: str) -
 
     Args:
         experiments: by name; those without a file are left out.
-        page: such as `docs/experiments.md`, for the files `docs/experiments/NAME.json`.
+        page: such as `docs/results/experiments.md`, for the files `docs/results/experiments/NAME.json`.
         command: that makes the page, for its reader.
 
     Returns:

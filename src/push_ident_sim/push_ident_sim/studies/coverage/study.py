@@ -13,6 +13,8 @@ from scipy.special import gammainc
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.solvers import DEFAULT_SOLVER
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import ObjectModel, PushRecord, SolveStatus
 from push_ident_sim.recordings.truth import load_truth, true_model
 from push_ident_sim.studies.common.drawing import label_below, markdown_table, millimetres, new_figure, save
@@ -44,7 +46,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
     _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
-    result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
+    result, values = fit_errors(train[:_N_TRAIN], test, thing, DEFAULT_SOLVER, settings)
     truth, posterior = true_model(thing), result.posterior
     ends = [end for seen, true in zip(test, clean, strict=True) if (end := _end(posterior, seen, true))]
     samples = _samples(posterior, np.random.default_rng([case.model, 2]))
@@ -67,7 +69,7 @@ def _end(posterior: ModelPosterior, seen: PushRecord, true: PushRecord) -> tuple
     """Level of the true end of a push in its prediction, and the expected and the actual cell error [m]; None without a prediction."""
     start = observe_push(seen)
     time = np.append(start.time, seen.poses.time[-1])
-    prediction = predict(posterior, seen.pusher, start.pose[0], time, first_covariance=start.first_covariance)
+    prediction = predict(posterior, PushScenario(seen.pusher, start.pose[0], time), first_covariance=start.first_covariance)
     if prediction.status is SolveStatus.SIMULATION_FAILED:
         return None
     end = true.poses.pose[-1]
