@@ -98,7 +98,7 @@ def test_what_is_dropped_or_assumed_is_counted(tmp_path: Path) -> None:
     notes = " ".join(contents.notes)
     assert "`objects/7/pose`: 1 of 34 messages hold values that are not finite" in notes
     assert "`objects/7/pose`: 1 of 34 messages repeat a stamp" in notes
-    assert "`pusher/pose`: 1 of 33 messages came out of order" in notes
+    assert "`pusher/pose`: 1 of 33 messages were out of order" in notes
     assert "`pusher/pose`: 1 of 33 messages have no stamp; their log time is used" in notes
     assert contents.pusher.time[-1] == pytest.approx(1.1)
     assert "1 of 32 poses lack a covariance" in notes
