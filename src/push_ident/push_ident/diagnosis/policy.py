@@ -3,7 +3,8 @@
 Each stage has a section. A field states its unit, its meaning and the evidence it was set on. Three sources recur:
 
 - *tuning cases*: cases of the blind check with seeds below 1000 and of earlier report sets, in Bullet and in the planar engine
-  (docs/experiments.md, "Blind check of the diagnosis"). The published report set, seeds 9000 to 9049, was scored once under these numbers.
+  (docs/results/experiments.md, "Blind check of the diagnosis"). The published report set, seeds 9000 to 9049, was scored once under
+  these numbers.
 - *camera nulls*: 20 effect-free objects, pushed in the simulated cell and perceived through rendered depth images.
 - *judgement*: no measurement chose this value over its neighbours.
 
