@@ -1,4 +1,4 @@
-"""The rules by which a newcomer finds the way: who may import whom."""
+"""Which module may import which."""
 
 from __future__ import annotations
 

@@ -25,12 +25,10 @@ LONG_FUNCTIONS: dict[str, str] = {
     "push_ident/physics/reference.py:reference_rollout": "not split yet",
     "push_ident/physics/simulation.py:_run": "not split yet",
     "push_ident/cli/identify.py:identify_command": "not split yet",
-    "push_ident/cli/supervisor.py:node_commands": "not split yet",
     "push_ident_sim/engines/planar/laws.py:laws_of": "not split yet",
     "push_ident_sim/studies/perception/study.py:_tables": "not split yet",
 }
 MANY_PARAMETERS: dict[str, str] = {
-    "push_ident/cli/supervisor.py:node_commands": "not grouped yet",
     "push_ident/physics/lcp.py:forward": "not grouped yet",
     "push_ident/physics/simulation.py:simulate_body": "not grouped yet",
     "push_ident/physics/simulation.py:simulate_body_with_pullback": "not grouped yet",

@@ -164,18 +164,16 @@ def test_parameters_of_a_node_that_is_not_started_are_refused() -> None:
 def test_parameters_reach_a_ros_node_with_their_types(tmp_path: Path) -> None:
     bag = tmp_path / "2024"
     values = {"rate": 2.0, "loop": False, "wait": 1e-05, "names": ["a", "1"]}
-    player = node_commands("replay", bag=bag, parameters={"bag_player_node": values}, remappings={"a": "b"})[-1]
+    player = node_commands("replay", bag=bag, parameters={"bag_player_node": values})[-1]
     program = """
 import sys, json, rclpy
 rclpy.init(args=sys.argv)
 node = rclpy.create_node("bag_player_node", automatically_declare_parameters_from_overrides=True)
-print(json.dumps({name: node.get_parameter(name).value for name in ("bag", "rate", "loop", "wait", "names")}), node.resolve_topic_name("a"))
+print(json.dumps({name: node.get_parameter(name).value for name in ("bag", "rate", "loop", "wait", "names")}))
 """
     call = [sys.executable, "-c", program, *player.argv[3:]]
     done = subprocess.run(call, capture_output=True, text=True, timeout=60, check=True, env={**os.environ, "HOME": str(tmp_path)})
-    got, topic = done.stdout.rsplit(" ", 1)
-    assert json.loads(got) == {"bag": str(bag), **values}
-    assert topic.strip() == "/b"
+    assert json.loads(done.stdout) == {"bag": str(bag), **values}
 
 
 def test_installed_parameter_files_are_those_of_the_sources() -> None:

@@ -1,4 +1,4 @@
-"""Known maps are found again; what the pushes cannot tell is said."""
+"""Known maps are recovered from simulated pushes; what the pushes do not determine stays uncertain and is reported as such."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The next push is the one that tells most; one that tells nothing is never chosen."""
+"""The next push is the one with the most information; one without information is never chosen."""
 
 from __future__ import annotations
 

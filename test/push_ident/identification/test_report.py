@@ -1,4 +1,4 @@
-"""The page of an identification: one file, complete, honest about what was not held out or not converged."""
+"""The page of an identification: one file, complete; it states which pushes were held out and whether the fit converged."""
 
 from __future__ import annotations
 

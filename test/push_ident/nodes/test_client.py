@@ -1,4 +1,4 @@
-"""The client of a cell waits for a push as long as the executor tells how far it is."""
+"""The client of a cell waits for a push as long as the executor sends feedback."""
 
 from __future__ import annotations
 

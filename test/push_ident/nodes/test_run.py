@@ -1,4 +1,4 @@
-"""A node process stops cleanly, whatever it is busy with."""
+"""A node process stops cleanly in every state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""viewer_node as a real process: what it is told on topics ends up in a Rerun recording."""
+"""viewer_node as a real process: what is published on its topics ends up in a Rerun recording."""
 
 from __future__ import annotations
 

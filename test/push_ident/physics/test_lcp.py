@@ -1,4 +1,4 @@
-"""The complementarity solver: its conditions, its derivative against closed form and differences, and its honesty when it fails."""
+"""The complementarity solver: its conditions, its derivative against closed form and differences, its status when it fails."""
 
 from __future__ import annotations
 

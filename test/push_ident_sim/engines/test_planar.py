@@ -1,4 +1,4 @@
-"""The second engine: laws of friction and contact that nobody else here has, and the closed forms that they must keep."""
+"""The planar engine: laws of friction and contact that only it has, and the closed forms that they must keep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects injected into the simulated cell: off they are nothing at all, on each does in Bullet what its entry says, by closed forms."""
+"""Injected effects: at size zero they change nothing; otherwise each follows its law in Bullet, by closed forms."""
 
 from __future__ import annotations
 

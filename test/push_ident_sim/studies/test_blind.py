@@ -1,4 +1,4 @@
-"""The blind check: cases that their seeds determine, a truth that is sealed first, and figures that say what was counted."""
+"""The blind check: cases determined by their seeds, a truth that is sealed before scoring, and figures that count what they name."""
 
 from __future__ import annotations
 

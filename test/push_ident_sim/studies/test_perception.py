@@ -1,4 +1,4 @@
-"""The experiment on perception: recorded scenes are read and scored, and its tables and pictures are made of the summary alone."""
+"""The perception study: recorded scenes are read and scored; its tables and figures are made from the summary only."""
 
 from __future__ import annotations
 
