@@ -23,17 +23,17 @@ setup:  ## .venv with every package pinned, ROS 2 Jazzy, workspace built; again:
 demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
 	$(VENV)/push-ident demo
 
-bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/benchmarks.md
-	$(VENV)/push-ident bench --page docs/benchmarks.md
+bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/results/benchmarks.md
+	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 EXPERIMENTS := maps training real-protocol coverage next-push online live convergence cell perception pushing settle
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
 	@for name in $(EXPERIMENTS); do \
-	  $(VENV)/push-ident experiment $$name --json docs/experiments/$$name.json || exit 1; done
+	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment report
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; once for a set of thresholds), then its page
-	$(VENV)/push-ident experiment blind --seed 5000 --models 50 --json docs/experiments/blind.json
+	$(VENV)/push-ident experiment blind --seed 5000 --models 50 --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment report
 
 test: setup lint  ## lint, types and all tests

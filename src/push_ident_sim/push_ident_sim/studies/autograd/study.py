@@ -14,12 +14,13 @@ from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings, Target
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Piece, Settings, Target
 from push_ident_sim.studies.common.drawing import markdown_table, millimetres, new_figure, save
 from push_ident_sim.studies.common.plate import FRAMES, distance_to, plate, plate_pushes
 from push_ident_sim.studies.common.timing import interleaved, milliseconds
 
-__all__ = ["BENCHMARK"]
+__all__ = ["STUDY"]
 
 _STEP = 0.01
 """A usual time step of engines of the reference's kind [s]; the `autograd` method takes it, too."""
@@ -162,8 +163,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"autograd.png": "Time of loss and gradient against cells, medians and quartiles."}
 
 
-BENCHMARK = Benchmark(
+STUDY = Benchmark(
     name="autograd",
+    place=20,
     title="Against the reference engine with autograd",
     question=(
         f"Loss and gradient of pushes of 1 s with a time step of {_STEP} s: the paper's LCP with three velocities a cell in torch (ours, "

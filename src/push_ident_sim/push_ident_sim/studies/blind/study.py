@@ -27,9 +27,10 @@ from push_ident_sim.studies.blind.cases import draw_truth, make_asked_record, ma
 from push_ident_sim.studies.blind.page import draw, tables
 from push_ident_sim.studies.blind.scoring import score_case
 from push_ident_sim.studies.blind.summary import summarise_cases
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 
-__all__ = ["EXPERIMENT", "seal_cases"]
+__all__ = ["STUDY", "seal_cases"]
 
 _ENGINES = "engines"
 _CAMERA = "camera"
@@ -152,8 +153,9 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     return summary
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="blind",
+    place=130,
     title="Blind check of the diagnosis",
     question=(
         "Pushes come from engines that do not fit: Bullet with injected effects, and a planar integrator with bristles, springs and "

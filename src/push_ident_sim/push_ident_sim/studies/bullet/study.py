@@ -13,12 +13,13 @@ from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Piece, Settings
 from push_ident_sim.studies.common.drawing import markdown_table, millimetres
 from push_ident_sim.studies.common.plate import FRAMES, distance_to, plate, plate_in_bullet, plate_pushes
 from push_ident_sim.studies.common.timing import interleaved, milliseconds
 
-__all__ = ["BENCHMARK"]
+__all__ = ["STUDY"]
 
 _CELLS_ALONG = 10
 _STEPS = (1e-4, 1e-2)
@@ -160,8 +161,9 @@ def _tables(summary: Json) -> str:
     )
 
 
-BENCHMARK = Benchmark(
+STUDY = Benchmark(
     name="bullet",
+    place=30,
     title="Against PyBullet with finite differences",
     question=(
         f"The plate of {_CELLS_ALONG**2} cells in PyBullet, every cell on a joint of its own, friction corrected as in the simulated cell, "

@@ -20,11 +20,12 @@ from push_ident.types import ObjectModel, PusherPath
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 FloatArray = NDArray[np.float64]
 
@@ -376,8 +377,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     }
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="cell",
+    place=90,
     title="What the simulated cell does",
     question=(
         "Loads: the table's force on each cell at each time step of four random pushes, against the weight of the cell. One cell: the same "

@@ -14,7 +14,8 @@ from push_ident.identification.result import Checkpoint, Identification
 from push_ident.types import ObjectModel, PushRecord
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import true_model
-from push_ident_sim.studies.common.experiment import CaseResult, CaseSettings, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import CaseResult, CaseSettings
 
 __all__ = ["MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "history_with_end", "learning_curve", "micrometres", "pooled"]
 

@@ -22,7 +22,7 @@ from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise, look_at
 from push_ident_sim.objects import make_object
 from push_ident_sim.studies.common.arm_in_view import ArmInView, first_touch
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["CAMERA_POSE", "RATE", "cover", "postures_of_pushes", "see_pushes", "views_of_pushes"]
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from push_ident_sim.recordings.truth import load_truth
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
     COLOURS,
     label_below,
@@ -19,10 +20,10 @@ from push_ident_sim.studies.common.drawing import (
     new_figure,
     save,
 )
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row, fit_errors, grouped, history_with_end, learning_curve
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _METHODS = ("gauss_newton", "fast_gradient", "autograd", "finite_differences", "random_search", "weighted_sampling")
 _N_TRAIN = 4
@@ -120,8 +121,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"convergence.png": "Mean over all objects and ground truths; bands from the 10 % to the 90 % quantile of the cases."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="convergence",
+    place=10,
     title="Convergence of the six methods",
     question=(
         "How fast does the error on 12 unseen pushes fall while a method works on 4 training pushes? All methods have the same "

@@ -15,11 +15,12 @@ from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
 from push_ident.types import ObjectModel, PushRecord, SolveStatus
 from push_ident_sim.recordings.truth import load_truth, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import label_below, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import fit_errors, grouped
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 FloatArray = NDArray[np.float64]
 
@@ -155,8 +156,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"coverage.png": "Below the dotted line the stated uncertainty is too small, above it too large."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="coverage",
+    place=50,
     title="Is the stated uncertainty right?",
     question=(
         "After 4 training pushes, how often does the truth lie within the 90 % region that the posterior states: of the end pose of an "

@@ -30,7 +30,7 @@ from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import standing_tool
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.live_nodes import (
     IDENTIFICATION,
     PERCEPTION,

@@ -28,7 +28,7 @@ from push_ident.types import PushRecord
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.live_nodes import (
     IDENTIFICATION,
     PLAYER,

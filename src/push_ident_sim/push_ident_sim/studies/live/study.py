@@ -9,12 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.live.film import measure_live_latency
 from push_ident_sim.studies.live.replay import measure_kills, measure_replay, measure_soak
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _MEASURES: Final = {
     "replay": measure_replay,
@@ -159,8 +160,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"live.png": "Delay of the maps during pushes (dotted: the time between two frames), and memory while a long bag is played."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="live",
+    place=80,
     title="Identification as a process",
     question=(
         "Does the running node do what the library does, through kills, in time, and for long? All nodes are processes that talk by DDS. "

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from push_ident.types import ObjectModel
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import load_truth, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import draw_cells, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import fit_errors, grouped
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_TRAIN = 4
 
@@ -116,8 +117,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     }
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="maps",
+    place=20,
     title="Maps of mass times friction",
     question=(
         "Where does the model learned from 4 pushes put mass times friction? Maps are compared as shares (a cell over the mean of all "

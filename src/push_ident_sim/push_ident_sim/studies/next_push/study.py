@@ -14,11 +14,12 @@ from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.objects import OBJECT_NAMES, SimObject
 from push_ident_sim.recordings.truth import CameraNoise, load_truth, observe_motion, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, log_millimetres, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped, micrometres
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_PUSHES = 5
 _RANDOM, _CHOSEN = "random", "least-error"
@@ -107,8 +108,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"next-push.png": "Error on unseen pushes with every push after the first chosen, and random; bars are standard errors."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="next-push",
+    place=60,
     title="Choosing the next push",
     question=(
         "Does it pay to choose pushes? The first push is random and the same for both; every further one is either random "

@@ -23,12 +23,13 @@ from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import standing_tool
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, log_millimetres, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped, micrometres
 from push_ident_sim.studies.common.seeing import CAMERA_POSE, RATE
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _RANDOM, _CHOSEN = "random", "chosen"
 _N_PUSHES: Final = 8
@@ -211,8 +212,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"online.png": "Error on unseen pushes by the number of pushes seen by the camera; bars are standard errors, dotted: 3 mm."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="online",
+    place=70,
     title="Learning an object that only the camera sees",
     question=(
         "How soon is an object known when shape and poses come from depth images (30 Hz, 640 x 480, the noise of a real camera)? It is "

@@ -31,7 +31,7 @@ from push_ident.nodes.convert import depth_frame_to_msgs, stamp_from_msg, stamp_
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise
 from push_ident_sim.objects import make_object
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.live_nodes import processor_time
 from push_ident_sim.studies.common.seeing import CAMERA_POSE, RATE, views_of_pushes
 

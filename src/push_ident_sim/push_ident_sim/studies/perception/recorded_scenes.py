@@ -22,7 +22,7 @@ from push_ident.perception.labels import label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["Scene", "find_objects", "picture_of", "read_scene", "scene_files"]
 

@@ -11,14 +11,15 @@ import cv2
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped
 from push_ident_sim.studies.common.seeing import see_pushes
 from push_ident_sim.studies.perception.latency import measure_latency
 from push_ident_sim.studies.perception.recorded_scenes import find_objects, picture_of, read_scene, scene_files
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _VIEWS: Final[dict[str, dict[str, Any]]] = {"clear": {}, "hidden": {"hidden": 0.4}, "arm": {"with_arm": True}}
 """What stands before the object, by variant."""
@@ -200,8 +201,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return pictures
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="perception",
+    place=100,
     title="How well are objects seen?",
     question=(
         "An object is put down anywhere in any heading, taken in from ten frames at rest, then moved three times by 5 to 10 cm and up to "

@@ -19,11 +19,12 @@ from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.pushing.live_cell import Heard, LiveCell, live_cell
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 FloatArray = NDArray[np.float64]
 
@@ -370,8 +371,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"pushing.png": "Way of the tool in all pushes; largest deviation of each; time from cancel or silence to the hold."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="pushing",
+    place=110,
     title="Pushing",
     question=(
         "Does the arm push as planned, within all limits, and does it stop in time? The executor node drives the simulated cell, each a "

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from push_ident.types import PoseTrack, PushRecord
 from push_ident_sim.recordings.truth import load_truth
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
     COLOURS,
     dots,
@@ -19,10 +20,10 @@ from push_ident_sim.studies.common.drawing import (
     new_figure,
     save,
 )
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import MODELS, error_row, fit_errors, grouped, pooled
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_TRAIN = 2
 _N_TEST = 5
@@ -80,8 +81,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"real-protocol.png": "Two training pushes of which only the end poses are known; every dot one test push, bars the means."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="real-protocol",
+    place=40,
     title="The protocol of the robot experiment",
     question=(
         "Two training pushes with one noisy pose before and one after each, and nothing between; five test pushes. The pushes are "

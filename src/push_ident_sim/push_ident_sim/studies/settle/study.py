@@ -20,10 +20,11 @@ from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import DiagnoseGap, ExecutePush
 from push_ident_msgs.msg import GapReport
 from push_ident_sim.injected import INJECTED
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _VARIANTS: Final = ("none", "table_tilt", "table_anisotropy", "pusher_friction", "position_dependent_friction", "pose_latency")
 """Injected effects: seen by different means."""
@@ -186,8 +187,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"settle.png": "How many pushes the diagnosis asked for until it was settled."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="settle",
+    place=120,
     title="Settling a diagnosis by pushing on",
     question=(
         "Can the cell find out by itself what the simulation leaves out? All nodes run live on the simulated cell, with an effect injected "

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident_sim.recordings.truth import load_truth
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
     COLOURS,
     dots,
@@ -19,10 +20,10 @@ from push_ident_sim.studies.common.drawing import (
     new_figure,
     save,
 )
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row, fit_errors, grouped, history_with_end, learning_curve, pooled
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _METHODS = ("gauss_newton", "fast_gradient")
 _NUMBERS = (1, 2, 4, 8)
@@ -147,8 +148,9 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"training.png": "Error on unseen pushes by the number of training pushes, and as the solvers spend simulations."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="training",
+    place=30,
     title="More training pushes",
     question=(
         "How well does the identified model predict pushes it has not seen, after 1, 2, 4 and 8 training pushes? "

@@ -1,6 +1,6 @@
 """Real pushes of which only the end poses are known: uniform, identified and known-support models on pushes not trained on.
 
-    .venv/bin/python -m push_ident_sim.studies.cmu_icra16.study [FOLDER OF RECORDINGS] [--splits 10] [--seed 0] [--json FILE]
+    .venv/bin/python -m push_ident_sim.studies.cmu_icra16 [FOLDER OF RECORDINGS] [--splits 10] [--seed 0] [--json FILE]
 
 The recording (Zhou, Paolini, Bagnell, Mason, ICRA 2016; Apache-2.0) is not part of this repository: `FOLDER/cmu_icra16/*.txt`.
 """
