@@ -88,9 +88,11 @@ def test_effect_of_a_new_file_is_simulated_diagnosed_and_exported(environment: d
     push_ident(environment, "simulate", *simulate, "--out", bag, "--truth", truth)
     injected = json.loads(truth.read_text())
     assert injected["effects"] == {"swirl": [TORQUE]}
-    # Poses determine the ratio of torque and mass: the object is weighed.
+    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
     mass = sum(injected["mass_kg"])
-    push_ident(environment, "diagnose", bag, "--nominal-mass", str(mass), "--out", out, "--json", out / "result.json")
+    friction = sum(m * f for m, f in zip(injected["mass_kg"], injected["friction"], strict=True)) / mass
+    known = ("--nominal-mass", str(mass), "--friction", str(friction))
+    push_ident(environment, "diagnose", bag, *known, "--out", out, "--json", out / "result.json")
     result = json.loads((out / "result.json").read_text())
     (found,) = result["effects"]
     assert result["verdict"] == "named" and found["name"] == "swirl"

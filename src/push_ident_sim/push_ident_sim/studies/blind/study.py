@@ -158,16 +158,16 @@ STUDY = Experiment(
     place=130,
     title="Blind check of the diagnosis",
     question=(
-        "Pushes come from engines that do not fit: Bullet with injected effects, and a planar integrator with bristles, springs and "
-        "a bed that tilts, each with nothing, one effect at sizes from undetectable to three times typical, two effects, or an "
-        "effect outside the catalogue. Seeds below 1000 set the thresholds; those from 1000 on are scored once, after the hashes of "
-        "truth and thresholds were written down. An effect is detectable where its true size would bring 5 nat of evidence on "
-        "average, and surely so where it would nine times out of ten; one outside the catalogue is visible where the same pushes "
-        "without it differ by a noncentrality of 25. The noncentrality is what is left of it when maps and the hardest rival are "
-        "fitted, too. The first name counts as right where it is the effect that was injected, or its twin that no push can tell from "
-        "it. S is the share of the gap on pushes held out that goes with the effect. Where a verdict leaves more than one effect "
-        "open, the pushes that it asks for are made, two at most. `camera`: the same through rendered depth images and perception. "
-        "`engines`: how far the engines are apart without any effect."
+        "Pushes come from engines that do not fit: Bullet with injected effects, and a planar integrator with bristles, springs and a "
+        "bed that tilts, each with nothing, one effect at sizes from undetectable to three times typical, two effects, or an effect "
+        "outside the catalogue. Seeds below 1000 set the thresholds; those from 1000 on are scored once, after the hashes of truth and "
+        "thresholds were written down. An effect is detectable where its true size would bring 5 nat of evidence on average, and "
+        "surely so where it would nine times out of ten; one outside the catalogue is visible where the same pushes without it differ "
+        "by a noncentrality of 25. The noncentrality is what is left of it when maps and the hardest rival are fitted, too. The first "
+        "name counts as right where it is the effect that was injected, or its twin that no push can tell from it. S is the share of "
+        "the gap on pushes held out that goes with the effect. Where a verdict leaves more than one effect open, the pushes that it "
+        "asks for are made, two at most. `camera`: the same through rendered depth images and perception. `engines`: how far the "
+        "engines are apart without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", _CAMERA, _ENGINES),
     fewer={"8-pushes": 8, "6-pushes": 8, _CAMERA: 8, _ENGINES: 2},

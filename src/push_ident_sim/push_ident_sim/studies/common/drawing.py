@@ -40,7 +40,7 @@ COLOURS = {
     "uniform": "#c9c9c9",
     "truth": "#000000",
 }
-"""The same method has the same colour in all pictures; apart for readers who do not tell red from green."""
+"""The same method has the same colour in all pictures; readers who confuse red and green can distinguish them."""
 
 
 def new_figure(columns: int, rows: int = 1, width: float = 4.6, height: float = 3.8) -> tuple[Figure, list[Axes]]:
@@ -54,7 +54,7 @@ def new_figure(columns: int, rows: int = 1, width: float = 4.6, height: float = 
 def dots(ax: Axes, position: float, values_m: Sequence[float], colour: str, *, width: float = 0.3, label: str | None = None) -> None:
     """Every value as a dot [mm] beside `position`, spread sideways evenly, with a bar at their mean."""
     n = len(values_m)
-    # Multiples of the golden section spread neighbours apart without randomness.
+    # Multiples of the golden section separate neighbours without randomness.
     across = [position + width * ((i * 0.6180339887498949) % 1.0 - 0.5) for i in range(n)]
     ax.plot(across, [1e3 * v for v in values_m], ".", color=colour, markersize=3.5, alpha=0.5, markeredgewidth=0)
     mean = 1e3 * sum(values_m) / n
@@ -114,7 +114,7 @@ def mean_in_millimetres(row: Mapping[str, float | None]) -> str:
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Aligned for the eye, too. The first column is text, the others are numbers."""
+    """A Markdown table with aligned columns. The first column is text, the others are numbers."""
     lines = [list(head), *(list(row) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     padded = [

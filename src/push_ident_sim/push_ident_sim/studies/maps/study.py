@@ -22,7 +22,7 @@ _N_TRAIN = 4
 
 
 def _shares(model: ObjectModel) -> NDArray[np.float64]:
-    """Mass times friction of each cell over the mean of all: what slow pushes can tell, whatever the object weighs."""
+    """Mass times friction of each cell over the mean of all: what slow pushes determine, independent of the weight of the object."""
     product = model.mass * model.friction
     return np.asarray(product / product.mean())
 
@@ -32,7 +32,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
     truth, learned, posterior = true_model(thing), result.model, result.posterior
     product, total = learned.mass * learned.friction, posterior.total_mass
-    # The deviation at a known total mass: the total is one factor of all cells, and poses leave it open.
+    # The deviation at a known total mass: the total is one factor of all cells, and poses do not determine it.
     deviation = np.sqrt(np.maximum((posterior.mass_friction_std / product) ** 2 - (total.std / total.value) ** 2, 0.0))
     true_share, share = _shares(truth), _shares(learned)
     centre = truth.centre_of_friction
@@ -73,9 +73,9 @@ def _tables(summary: Json) -> str:
         "correlation",
         "error of a cell's share",
         "of equal cells",
-        "centre of friction off by [mm]",
+        "error of the centre of friction [mm]",
         "of equal cells [mm]",
-        "pusher friction off by",
+        "error of the pusher friction",
     ]
     rows = []
     for name, own in summary["objects"].items():
@@ -122,9 +122,9 @@ STUDY = Experiment(
     place=20,
     title="Maps of mass times friction",
     question=(
-        "Where does the model learned from 4 pushes put mass times friction? Maps are compared as shares (a cell over the mean of all "
-        "cells), since the poses of pushes leave the total weight open. The error of a share is the mean over the cells of its "
-        "distance to the truth."
+        "Where does the model learned from 4 pushes place mass times friction? Maps are compared as shares (a cell over the mean of "
+        "all cells), since the poses of pushes do not determine the total weight. The error of a share is the mean over the cells of "
+        "its distance to the truth."
     ),
     variants=("four-pushes",),
     run=_run,

@@ -88,7 +88,7 @@ def _tables(summary: Json) -> str:
     ]
     return "\n\n".join(
         [
-            f"{_N_TRAIN} training pushes, at most {races[0]['budget_s']:g} s; mean cell error on {races[0]['test_pushes']} unseen pushes:",
+            f"{_N_TRAIN} training pushes, at most {races[0]['budget_s']:g} s; mean cell error, {races[0]['test_pushes']} held-out pushes:",
             markdown_table(head, rows),
             markdown_table(["on the same pushes", "nominal values [mm]", "fitted scalars [mm]", "true maps [mm]"], others),
         ]
@@ -121,9 +121,10 @@ STUDY = Benchmark(
     place=50,
     title="The six methods",
     question=(
-        "Two objects in PyBullet, seen as above. Times are of the solve alone, by the wall clock, two solves side by side, each with one "
-        "thread. The error is tested at up to 30 of the better points on the way and at the end; better is what fits the training pushes "
-        "better, which need not predict others better. One ground truth an object: `docs/experiments.md` has the averages over many."
+        "Two objects in PyBullet, observed as above. Times are those of the solve, by the wall clock, two solves side by side, each "
+        "with one thread. The error is tested at up to 30 of the better points during the solve and at the end; better means a better "
+        "fit of the training pushes, which need not predict others better. One ground truth an object: `experiments.md` has the "
+        "averages over many."
     ),
     pieces=_pieces,
     summarise=_summarise,

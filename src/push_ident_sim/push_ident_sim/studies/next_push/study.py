@@ -1,4 +1,4 @@
-"""Whether choosing the next push by what it tells beats pushing at random."""
+"""Whether choosing the next push by its expected gain is better than pushing at random."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RANDOM, _CHOSEN = "random", "least-error"
 
 
 class _BulletObject:
-    """An object of the simulated cell, pushed in Bullet, seen with noise, and put back to the middle after each push."""
+    """An object of the simulated cell, pushed in Bullet, observed with noise, and put back to the middle after each push."""
 
     def __init__(self, thing: SimObject, radius: float, noise: CameraNoise, rng: np.random.Generator) -> None:
         self.shape: ObjectShape = true_model(thing).shape
@@ -105,7 +105,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     log_millimetres(axes, "mean cell error on unseen pushes [mm]", low=0.5, high=20.0)
     label_below(axes, 2)
     save(figure, folder / "next-push.png")
-    return {"next-push.png": "Error on unseen pushes with every push after the first chosen, and random; bars are standard errors."}
+    return {"next-push.png": "Error on held-out pushes with every push after the first chosen, and random; bars are standard errors."}
 
 
 STUDY = Experiment(
@@ -113,9 +113,9 @@ STUDY = Experiment(
     place=60,
     title="Choosing the next push",
     question=(
-        "Does it pay to choose pushes? The first push is random and the same for both; every further one is either random "
-        "or, among 100 safe candidates, the one after which the predictions of other pushes are expected to err least. The object is put "
-        "back after each push."
+        "Does it pay to choose pushes? The first push is random and the same for both policies. Every further one is either random or, "
+        "among 100 safe candidates, the one with the smallest expected error of predictions of other pushes. The object is put back "
+        "after each push."
     ),
     variants=(_RANDOM, _CHOSEN),
     run=_run,

@@ -86,9 +86,9 @@ STUDY = Experiment(
     place=40,
     title="The protocol of the robot experiment",
     question=(
-        "Two training pushes with one noisy pose before and one after each, and nothing between; five test pushes. The pushes are "
-        "simulated here, not a robot's. Each ground truth gives four disjoint pairs of training pushes. Test ends are the means of "
-        "the frames at rest."
+        "Two training pushes with one noisy pose before and one after each, and none in between; five test pushes. The pushes are "
+        "simulated here, not made by a robot. Each ground truth gives four disjoint pairs of training pushes. Test ends are the means "
+        "of the frames at rest."
     ),
     variants=tuple(f"pair-{i}" for i in range(4)),
     run=_run,

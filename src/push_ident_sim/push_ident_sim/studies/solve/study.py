@@ -98,10 +98,10 @@ STUDY = Benchmark(
     title="Identification to convergence",
     question=(
         f"`identify` with its default method on {_N_TRAIN} pushes of the plate of {_CELLS_ALONG**2} cells with four different maps. "
-        "Ground truth is PyBullet, seen by a camera with 30 poses a second, 1 mm and 0.5 degrees of noise, pushes as in the paper. The "
-        "solve by the wall clock, and the whole call in processor seconds; medians (quartiles) of the same solve. Beside them the mean "
-        "cell error on six unseen pushes of the identified maps, of equal cells with fitted scalars, of equal cells with nominal values, "
-        "and of the true maps."
+        "Ground truth comes from PyBullet, observed by a camera with 30 poses a second, 1 mm and 0.5 degrees of noise, pushes as in "
+        "the paper. The solve by the wall clock, and the whole call in processor seconds; medians (quartiles) of the same solve. "
+        "Errors: the mean cell error on six held-out pushes of the identified maps, of equal cells with fitted scalars, of equal cells "
+        "with nominal values, and of the true maps."
     ),
     pieces=_pieces,
     summarise=_summarise,
