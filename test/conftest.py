@@ -1,4 +1,4 @@
-"""Settings that must stand before any ROS module is imported, and before any process is started."""
+"""Settings that must be made before any ROS module is imported and before any process is started."""
 
 from __future__ import annotations
 

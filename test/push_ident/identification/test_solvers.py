@@ -10,12 +10,14 @@ import pytest
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.solvers import SOLVERS
 from push_ident.identification.solvers.autograd import reference_cost
+from push_ident.identification.unknowns import Unknowns
 from push_ident.types import ObjectModel, PushRecord, SolveStatus
 
 QUICK = [name for name in SOLVERS if name != "autograd"]
@@ -48,14 +50,16 @@ def test_solver_returns_the_best_point_it_has_visited_within_its_simulations(met
 
 @pytest.mark.parametrize("method", QUICK)
 def test_every_solver_repeats_itself_from_a_seed(method: str) -> None:
-    first, second = (identify(TRAIN, method=method, budget=Budget(max_simulations=200), seed=3) for _ in range(2))
+    first, second = (identify(TRAIN, method=method, budget=Budget(max_simulations=200), options=FitOptions(seed=3)) for _ in range(2))
     assert first.status is second.status
     assert np.array_equal(first.model.mass, second.model.mass)
     assert np.array_equal(first.model.friction, second.model.friction)
 
 
 def test_random_search_depends_on_its_seed() -> None:
-    first, second = (identify(TRAIN, method="random_search", budget=Budget(max_simulations=200), seed=s) for s in (0, 1))
+    first, second = (
+        identify(TRAIN, method="random_search", budget=Budget(max_simulations=200), options=FitOptions(seed=s)) for s in (0, 1)
+    )
     assert not np.array_equal(first.model.mass, second.model.mass)
 
 
@@ -66,12 +70,12 @@ def test_autograd_learns_through_the_reference_engine() -> None:
 
 
 def test_autograd_has_the_gradient_of_its_own_cost() -> None:
-    problem = FitProblem(TRAIN[:1], MapParameters(TRAIN[0].shape, Prior(max_modes=4)))
+    problem = FitProblem(TRAIN[:1], Unknowns(TRAIN[0].shape, Prior(max_modes=4)))
     x = 0.2 * np.random.default_rng(0).normal(size=problem.size)
     unknowns, cost = reference_cost(problem, x)
     cost.backward()  # type: ignore[no-untyped-call]
     assert unknowns.grad is not None
-    for i in (0, 5, problem.parameters.size - 1, problem.size - 1):
+    for i in (0, 5, problem.unknowns.size - 1, problem.size - 1):
         step = np.zeros(problem.size)
         step[i] = 1e-5
         difference = float((reference_cost(problem, x + step)[1] - reference_cost(problem, x - step)[1]).detach()) / 2e-5
@@ -94,7 +98,7 @@ def test_budget_refuses_what_is_no_limit() -> None:
 
 
 def test_gradient_of_the_fit_equals_central_differences_cell_by_cell() -> None:
-    problem = FitProblem(TRAIN[:1], MapParameters(TRAIN[0].shape, Prior(), modes=np.eye(len(TRAIN[0].shape.cells))))
+    problem = FitProblem(TRAIN[:1], Unknowns(TRAIN[0].shape, Prior(), modes=np.eye(len(TRAIN[0].shape.cells))))
     x = 0.2 * np.random.default_rng(1).normal(size=problem.size)
     gradient = problem.evaluate(x).gradient
     for i in (3, 60, 75, 130, problem.size - 2):
@@ -105,8 +109,8 @@ def test_gradient_of_the_fit_equals_central_differences_cell_by_cell() -> None:
 
 def test_unknowns_of_given_maps_are_those_maps() -> None:
     truth = hammer(2)
-    parameters = MapParameters(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
-    again = parameters.model(parameters.unknowns(truth.mass, truth.friction, truth.pusher_friction))
+    parameters = Unknowns(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
+    again = parameters.model(parameters.of_maps(truth.mass, truth.friction, truth.pusher_friction))
     assert again.mass * truth.total_mass / again.total_mass == pytest.approx(truth.mass)
     assert again.friction == pytest.approx(truth.friction)
     assert again.pusher_friction == pytest.approx(truth.pusher_friction)

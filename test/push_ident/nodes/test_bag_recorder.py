@@ -113,7 +113,7 @@ def test_nothing_is_recorded_where_the_disk_is_low_already(user: User, tmp_path:
     assert not (tmp_path / "bag").exists()
 
 
-def test_disk_that_runs_low_closes_the_bag_readable_and_everyone_is_told(user: User, tmp_path: Path) -> None:
+def test_disk_that_runs_low_closes_the_bag_readable_and_is_reported(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag")
     try:
         user.wait_for(lambda: user.said, 20.0)
@@ -134,7 +134,7 @@ def test_disk_that_runs_low_closes_the_bag_readable_and_everyone_is_told(user: U
     assert process.returncode == 0 and "200 messages" in output
 
 
-def test_disk_that_refuses_a_write_is_told_and_what_was_written_stays_readable(user: User, tmp_path: Path) -> None:
+def test_disk_that_refuses_a_write_is_reported_and_the_rest_stays_readable(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag", most_bytes=30_000)
     try:
         user.wait_for(lambda: user.said, 20.0)
@@ -148,7 +148,7 @@ def test_disk_that_refuses_a_write_is_told_and_what_was_written_stays_readable(u
         end(process)
 
 
-def test_kill_loses_a_second_at_most(user: User, tmp_path: Path) -> None:
+def test_kill_loses_no_more_than_a_second(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag")
     try:
         user.wait_for(lambda: user.said, 20.0)

@@ -51,7 +51,7 @@ class Cell:
         self.node.create_subscription(GapReport, "gap_report", self.reports.append, latched)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         # The outline of the bag is exact: no camera traced it.
-        self.process = self.start("gap_diagnosis_node", outline_is_seen=False)
+        self.process = self.start("gap_diagnosis_node", outline_from_camera=False)
         player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=30.0)
         assert player.wait(60.0) == 0
         self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 30.0)

@@ -19,8 +19,6 @@ from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.pushing import study as pushing
 from push_ident_sim.studies.pushing.live_cell import Heard
 
-pytestmark = pytest.mark.alone
-
 LAG, START = 0.030, 100.0
 PARKED = (1.4, *HOME[1:])
 
@@ -69,7 +67,7 @@ def record_of(plan: ArmPlan) -> PushRecord:
 
 def test_measures_find_the_deviation_the_lag_and_the_motion_of_the_object(arm: ArmKinematics, plan: ArmPlan) -> None:
     heard = heard_of(plan, joint_error=1e-3, shift=0.04)
-    values = pushing._measure(arm, heard, record_of(plan), START, command_of(plan), np.inf)
+    values = pushing.measure(arm, heard, record_of(plan), START, command_of(plan), np.inf)
     # Turning the first joint by 1 mrad moves the tip by 1 mrad times its distance from the axis, across the push.
     off = 1e-3 * np.hypot(0.02 + 0.44, 0.0)
     assert values["cross_rms_m"] == pytest.approx(off, rel=0.1)
@@ -83,10 +81,10 @@ def test_measures_find_the_deviation_the_lag_and_the_motion_of_the_object(arm: A
 
 
 def test_push_past_the_object_counts_as_no_contact_and_all_is_summed_up(arm: ArmKinematics, plan: ArmPlan, tmp_path: Path) -> None:
-    hit = pushing._measure(arm, heard_of(plan, joint_error=0.0, shift=0.04), record_of(plan), START, command_of(plan), np.inf)
+    hit = pushing.measure(arm, heard_of(plan, joint_error=0.0, shift=0.04), record_of(plan), START, command_of(plan), np.inf)
     record = record_of(plan)
     record.error_code = int(PushCode.NO_CONTACT)
-    miss = pushing._measure(arm, heard_of(plan, joint_error=2e-3, shift=0.0), record, START, command_of(plan), np.inf)
+    miss = pushing.measure(arm, heard_of(plan, joint_error=2e-3, shift=0.0), record, START, command_of(plan), np.inf)
     refused = {"code": int(PushCode.UNREACHABLE), "text": "too far", "purpose": 0, "made": False}
     held = {"kind": "cancel", "spurious": False, "hold_s": 0.015, "still_s": 0.04, "commands_after": 0, "is_hold": True}
     late = {"kind": "silence", "spurious": False, "hold_s": 0.12, "still_s": 0.15, "commands_after": 0, "is_hold": True}

@@ -13,16 +13,17 @@ from rich.table import Table
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identifiability import identifiability
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import save_model
-from push_ident.identification.parameters import Prior
 from push_ident.identification.picture import draw_knowledge, draw_maps
+from push_ident.identification.prior import Prior
 from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import push_errors, result_json
 from push_ident.identification.running_record import running_record
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import Float64Array, SolveStatus
 
@@ -46,7 +47,7 @@ CameraOption = Annotated[
 
 def identify_command(
     bags: BagsArgument,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
     train: Annotated[
         str,
         typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all."),
@@ -86,7 +87,7 @@ def identify_command(
             prior,
             method=method,
             budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
-            seed=seed,
+            options=FitOptions(seed=seed),
             on_progress=lambda best: progress.update(task, description=f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         record = []

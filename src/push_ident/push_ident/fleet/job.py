@@ -15,10 +15,12 @@ from typing import Any, Final
 import push_ident
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.budget import Budget
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import model_content
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.result_json import result_json
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.offline.loading import load_pushes
 
 __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
@@ -34,7 +36,7 @@ class FleetOptions:
     """Options of the identification of each bag."""
 
     prior: Prior = field(default_factory=Prior)
-    method: str = "gauss_newton"
+    method: str = DEFAULT_SOLVER
     object_id: str = ""
     """Object to identify; empty: in each bag the one with the most pushes."""
     held_out: int = 4
@@ -86,7 +88,7 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
         train = [i for i in range(n) if not every or i % every != every - 1]
         budget = Budget(max_seconds=options.max_seconds)
         chosen = [loaded.records[i] for i in train]
-        result = identify(chosen, options.prior, method=options.method, budget=budget, seed=options.seed)
+        result = identify(chosen, options.prior, method=options.method, budget=budget, options=FitOptions(seed=options.seed))
         outcome["result"] = result_json(result, loaded.object_id, loaded.records, train, loaded.notes)
         sources = [record.source for record in chosen]
         outcome["model"] = model_content(result.posterior, loaded.object_id, sources).model_dump_json(indent=1)

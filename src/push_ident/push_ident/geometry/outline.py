@@ -14,7 +14,15 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.types import BoolArray, CellGrid, Float64Array
 
-__all__ = ["cells_in_outline", "outline_of_cells", "points_in_polygon", "polygon_area", "signed_distance"]
+__all__ = [
+    "cells_in_outline",
+    "edge_normals",
+    "outline_of_cells",
+    "points_in_polygon",
+    "polygon_area",
+    "polygon_centroid",
+    "signed_distance",
+]
 
 _Corner = tuple[int, int]
 _LATTICE_TOLERANCE = 0.02
@@ -25,6 +33,21 @@ def polygon_area(polygon: ArrayLike) -> float:
     """Signed area [m^2]: positive for counter-clockwise."""
     x, y = np.asarray(polygon, dtype=np.float64).T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def polygon_centroid(polygon: ArrayLike) -> tuple[float, float]:
+    """Centroid (x, y) of the area [m]."""
+    x, y = np.asarray(polygon, dtype=np.float64).T
+    x_next, y_next = np.roll(x, -1), np.roll(y, -1)
+    cross = x * y_next - x_next * y
+    return float(np.sum((x + x_next) * cross) / (3 * np.sum(cross))), float(np.sum((y + y_next) * cross) / (3 * np.sum(cross)))
+
+
+def edge_normals(polygon: Float64Array) -> Float64Array:
+    """Outward unit normal of each edge, from vertex i to i + 1, shape (n_vertices, 2); either orientation."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.asarray(normal if polygon_area(polygon) > 0 else -normal)
 
 
 def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> BoolArray:

@@ -84,7 +84,7 @@ class Identifiability:
 
 def identifiability(posterior: ModelPosterior) -> Identifiability:
     """Compare a posterior with its prior, both linearised at the posterior's mean."""
-    parameters, z, covariance = posterior.parameters, posterior.z, posterior.covariance
+    parameters, z, covariance = posterior.unknowns, posterior.z, posterior.covariance
     mechanics = parameters.mechanics(z)
     body, d_body = mechanics.body, mechanics.derivative
     n = parameters.n_modes

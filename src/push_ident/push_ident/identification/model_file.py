@@ -13,8 +13,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from push_ident import __version__
 from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.files import write_whole
-from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.identification.unknowns import Unknowns
 from push_ident.types import CellGrid, ObjectShape
 
 __all__ = ["ModelContent", "load_model", "model_content", "posterior_of", "prior_of", "read_checked", "save_model"]
@@ -58,7 +59,7 @@ class ModelContent(BaseModel):
 
 def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str]) -> ModelContent:
     """A posterior, ready to be written."""
-    shape, model = posterior.parameters.shape, posterior.model
+    shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(
         format=_FORMAT,
         version=__version__,
@@ -68,7 +69,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         cells=[(float(x), float(y)) for x, y in shape.cells.centres],
         outline=[(float(x), float(y)) for x, y in shape.outline],
         prior=asdict(posterior.prior),
-        modes=posterior.parameters.modes.tolist(),
+        modes=posterior.unknowns.modes.tolist(),
         effects=list(posterior.effects.names),
         effect_values=posterior.effects.values.tolist(),
         z=posterior.z.tolist(),
@@ -120,14 +121,14 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:
         shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline))
-        parameters = MapParameters(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
+        unknowns = Unknowns(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
     except (InputError, ValueError) as error:
         raise ModelFileError(f"{path} does not describe an object: {error}") from None
     z, covariance = np.array(content.z), np.array(content.covariance)
-    if z.shape != (parameters.size,) or covariance.shape != (parameters.size, parameters.size):
-        raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {parameters.size} for its cells; the file is damaged.")
+    if z.shape != (unknowns.size,) or covariance.shape != (unknowns.size, unknowns.size):
+        raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {unknowns.size} for its cells; the file is damaged.")
     return ModelPosterior(
-        parameters=parameters,
+        unknowns=unknowns,
         z=z,
         covariance=covariance,
         total_mass=Estimate(content.total_mass, content.total_mass_std),

@@ -44,20 +44,30 @@ class NoiseModel:
     """That nothing removes: contact is not known better [m]."""
     floor_yaw: float = 1e-3
     """[rad]"""
-    growth_position: float = 0.012
+    fit_discrepancy_position: float = 0.012
     """Discrepancy of position per way gone, as a frame counts in a fit: the ten frames of a push share one, so each counts less."""
-    growth_yaw: float = 0.12
+    fit_discrepancy_yaw: float = 0.12
     """Discrepancy of yaw per way gone [rad/m]."""
-    discrepancy_position: float = 0.003
+    model_discrepancy_position: float = 0.003
     """Discrepancy of position per way gone, of a predicted pose."""
-    discrepancy_yaw: float = 0.03
+    model_discrepancy_yaw: float = 0.03
     """[rad/m]"""
-    lone_frame: float = 2.0
+    single_frame_inflation: float = 2.0
     """Factor on the stated deviation of a rest pose that was seen once: nothing checks it."""
     max_moving_frames: int = 10
     """Frames kept of the motion itself."""
     correlation: float = 0.0
     """Of the errors of one frame and the next; see `noise_correlation`."""
+
+    @property
+    def fit_discrepancy(self) -> Float64Array:
+        """Model discrepancy of a frame in a fit, by travel [1, 1, rad/m], shape (3,)."""
+        return np.array([self.fit_discrepancy_position, self.fit_discrepancy_position, self.fit_discrepancy_yaw])
+
+    @property
+    def model_discrepancy(self) -> Float64Array:
+        """Model discrepancy of a predicted pose, by travel [1, 1, rad/m], shape (3,)."""
+        return np.array([self.model_discrepancy_position, self.model_discrepancy_position, self.model_discrepancy_yaw])
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +111,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     floor = np.diag([noise.floor_position**2, noise.floor_position**2, noise.floor_yaw**2])
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
-    growth = np.array([noise.growth_position, noise.growth_position, noise.growth_yaw]) ** 2 * max(1.0, len(moving) / _SHARING)
+    growth = noise.fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)
     scatter = _scatter(record, before, after)
     neighbours = min(max(noise.correlation, 0.0), _MOST_CORRELATION) ** stride
     repeated = _repetition(neighbours)
@@ -110,10 +120,10 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         n = len(groups[end])
         shared = max(0.0, 1.0 - 2.0 * scatter)
         apart = min(1.0, _repetition(noise.correlation) / n)
-        stated[end] = stated[end] / repeated * (noise.lone_frame**2 if n == 1 else shared + (1.0 - shared) * apart)
+        stated[end] = stated[end] / repeated * (noise.single_frame_inflation**2 if n == 1 else shared + (1.0 - shared) * apart)
     covariance = np.array([c + floor + np.diag(growth * way**2) for c, way in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    discrepancy = travel[:, None] * np.array([noise.discrepancy_position, noise.discrepancy_position, noise.discrepancy_yaw])
+    discrepancy = travel[:, None] * noise.model_discrepancy
     return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours)
 
 

@@ -53,7 +53,7 @@ def draw_knowledge(path: Path, posterior: ModelPosterior, known: Identifiability
     spectrum.set_xlabel(f"combinations of the cells, best known first ({known.n_pinned} pinned down, {known.n_open} open)")
     spectrum.set_ylabel("deviation after / before")
     spectrum.set_ylim(0, 1.05)
-    shape = posterior.parameters.shape
+    shape = posterior.unknowns.shape
     best = known.combinations[:4]
     axes = bottom.subplots(1, len(best), squeeze=False)[0]
     for ax, combination in zip(axes, best, strict=True):

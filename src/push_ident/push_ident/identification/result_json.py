@@ -58,7 +58,7 @@ def result_json(
             "identifiable": posterior.total_mass_identifiable,
         },
         "knowledge": knowledge_json(identifiability(posterior)),
-        "misfit": result.misfit,
+        "misfit": result.reduced_chi2,
         "status": result.status.name.lower(),
         "notes": list(notes),
     }

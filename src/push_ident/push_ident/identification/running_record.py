@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.scoring import PushScore, score_push
 from push_ident.types import PushRecord
 

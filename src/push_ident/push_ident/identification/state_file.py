@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.files import write_whole
@@ -52,15 +52,15 @@ class _Past(_Part):
 
 
 class _Score(_Part):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants", populate_by_name=True)
 
     number: int
     source: str
     start: float
-    error: float
-    expected: float
-    distance2: float
-    uniform: float
+    cell_error: float = Field(alias="error")
+    expected_cell_error: float = Field(alias="expected")
+    mahalanobis2: float = Field(alias="distance2")
+    uniform_cell_error: float = Field(alias="uniform")
 
 
 class _Record(_Part):
@@ -123,12 +123,12 @@ def save_state(
             hessian=past.cost.hessian.tolist(),
             log_forces=past.log_forces.tolist(),
         ),
-        starts=[x.tolist() for x in state.starts],
+        starts=[x.tolist() for x in state.warm_starts],
         status=state.status.name if state.status else None,
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
     )
-    write_whole(path, content.model_dump_json(), "the state of the identification")
+    write_whole(path, content.model_dump_json(by_alias=True), "the state of the identification")
 
 
 def load_state(path: Path) -> KeptState:
@@ -137,20 +137,20 @@ def load_state(path: Path) -> KeptState:
     if content.format != _FORMAT:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to begin anew.")
     posterior = posterior_of(content.model, path)
-    parameters, past = posterior.parameters, None
+    unknowns, past = posterior.unknowns, None
     try:
         if content.past:
             point, gradient, hessian = (np.array(v) for v in (content.past.point, content.past.gradient, content.past.hessian))
-            if point.shape != gradient.shape or hessian.shape != (parameters.size, parameters.size) or point.shape != (parameters.size,):
-                raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {parameters.size}; the file is damaged.")
+            if point.shape != gradient.shape or hessian.shape != (unknowns.size, unknowns.size) or point.shape != (unknowns.size,):
+                raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {unknowns.size}; the file is damaged.")
             cost = Quadratic(point, gradient, hessian)
-            past = Summary(content.past.n_pushes, parameters.modes, cost, np.array(content.past.log_forces))
+            past = Summary(content.past.n_pushes, unknowns.modes, cost, np.array(content.past.log_forces))
         state = OnlineState(
-            shape=parameters.shape,
+            shape=unknowns.shape,
             prior=prior_of(content.prior),
-            records=tuple(_record(push, content.model.object_id, parameters.shape) for push in content.pushes),
+            records=tuple(_record(push, content.model.object_id, unknowns.shape) for push in content.pushes),
             past=past,
-            starts=tuple(np.array(x) for x in content.starts),
+            warm_starts=tuple(np.array(x) for x in content.starts),
             posterior=posterior,
             status=SolveStatus[content.status] if content.status else None,
         )

@@ -134,10 +134,10 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
     return {
         "figure": svg(draw_record(scores)),
         "n": summary.n,
-        "mean": summary.mean_error,
-        "expected": summary.mean_expected,
-        "uniform": summary.mean_uniform,
-        "share": f"{summary.share_within_ninety:.0%}",
+        "mean": summary.mean_cell_error,
+        "expected": summary.mean_expected_cell_error,
+        "uniform": summary.mean_uniform_cell_error,
+        "share": f"{summary.share_within_90:.0%}",
     }
 
 
@@ -155,7 +155,7 @@ def _next_push(posterior: ModelPosterior, pusher_radius: float) -> dict[str, Any
     rng = np.random.default_rng(0)
     # Where the object will lie is not known here: pushes are chosen in its own frame, with room around it.
     settings = PushSettings(pusher_radius=pusher_radius, workspace=(-10.0, 10.0, -10.0, 10.0))
-    shape = posterior.parameters.shape
+    shape = posterior.unknowns.shape
     try:
         candidates = candidate_pushes(shape, np.zeros(3), rng, _CANDIDATES, settings)
         ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, _REFERENCES, settings), rng=rng)
@@ -185,7 +185,7 @@ def _provenance(result: Identification, provenance: Provenance) -> list[tuple[st
     return [
         *rows,
         ("solver", f"{result.method}: {result.status.name.lower()}, {result.n_simulations} simulations, {result.time_s:.2f} s"),
-        ("squared residual per degree of freedom", f"{result.misfit:.2f} (1: as the noise that the poses state)"),
+        ("squared residual per degree of freedom", f"{result.reduced_chi2:.2f} (1: as the noise that the poses state)"),
         ("prior", prior),
         ("version", f"push_ident {__version__}, Python {platform.python_version()}"),
     ]

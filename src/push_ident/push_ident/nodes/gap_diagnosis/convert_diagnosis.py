@@ -1,4 +1,4 @@
-"""Between diagnoses and messages."""
+"""From diagnoses to messages."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["report_to_msg"]
 
 
 def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushes: int) -> GapReport:
-    """A diagnosis, given as the JSON of the command-line contract, as a message.
+    """A diagnosis as a message.
 
     Args:
-        content: see `push_ident.diagnosis.diagnose.to_json`.
-        object_id: that was diagnosed.
+        content: JSON of the command-line contract, see `push_ident.diagnosis.diagnosis_json.to_json`.
+        object_id: of the object.
         stamp: of its newest push [s].
-        n_pushes: that the diagnosis rests on.
+        n_pushes: that were diagnosed.
     """
     gap, proposal = content["gap"], content["next_push"]
     low, high = (_number(value) for value in gap["shrink_interval"])

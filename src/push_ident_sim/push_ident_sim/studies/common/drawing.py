@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +30,21 @@ __all__ = [
     "save",
 ]
 
-COLOURS = {
-    "gauss_newton": "#0072b2",
-    "fast_gradient": "#d55e00",
-    "autograd": "#009e73",
-    "finite_differences": "#cc79a7",
-    "random_search": "#7f7f7f",
-    "weighted_sampling": "#b8860b",
-    "scalar": "#9a9a9a",
-    "uniform": "#c9c9c9",
-    "truth": "#000000",
-}
-"""The same method has the same colour in all pictures; readers who confuse red and green can distinguish them."""
+COLOURS: Final = defaultdict(
+    lambda: "#56b4e9",
+    {
+        "gauss_newton": "#0072b2",
+        "fast_gradient": "#d55e00",
+        "autograd": "#009e73",
+        "finite_differences": "#cc79a7",
+        "random_search": "#7f7f7f",
+        "weighted_sampling": "#b8860b",
+        "scalar": "#9a9a9a",
+        "uniform": "#c9c9c9",
+        "truth": "#000000",
+    },
+)
+"""Each solver has one colour in all pictures, distinct for readers with red-green blindness; solvers without an entry share one."""
 
 
 def new_figure(columns: int, rows: int = 1, width: float = 4.6, height: float = 3.8) -> tuple[Figure, list[Axes]]:
@@ -54,7 +58,7 @@ def new_figure(columns: int, rows: int = 1, width: float = 4.6, height: float = 
 def dots(ax: Axes, position: float, values_m: Sequence[float], colour: str, *, width: float = 0.3, label: str | None = None) -> None:
     """Every value as a dot [mm] beside `position`, spread sideways evenly, with a bar at their mean."""
     n = len(values_m)
-    # Multiples of the golden section separate neighbours without randomness.
+    # Multiples of the golden section spread neighbours apart without randomness.
     across = [position + width * ((i * 0.6180339887498949) % 1.0 - 0.5) for i in range(n)]
     ax.plot(across, [1e3 * v for v in values_m], ".", color=colour, markersize=3.5, alpha=0.5, markeredgewidth=0)
     mean = 1e3 * sum(values_m) / n
@@ -114,7 +118,7 @@ def mean_in_millimetres(row: Mapping[str, float | None]) -> str:
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table with aligned columns. The first column is text, the others are numbers."""
+    """Aligned for the eye, too. The first column is text, the others are numbers."""
     lines = [list(head), *(list(row) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     padded = [

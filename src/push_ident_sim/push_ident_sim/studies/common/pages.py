@@ -103,8 +103,8 @@ def _origin_of_experiment(run: Json) -> str:
         else ""
     )
     return (
-        f"`push-ident experiment {run['experiment']}`: {objects}; {run['models']} ground truths each, "
-        f"from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
+        f"`push-ident experiment {run['experiment']} --seed {run['seed']} --models {run['models']}`: {objects}; {run['models']} ground "
+        f"truths each, from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
         f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}.{failed}"
         + (f" {run['remark']}" if run.get("remark") else "")
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from push_ident.identification.solvers import SOLVERS
 from push_ident_sim.recordings.truth import load_truth
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
@@ -25,7 +26,7 @@ from push_ident_sim.studies.common.measuring import curve_on_grid, error_row, fi
 
 __all__ = ["STUDY"]
 
-_METHODS = ("gauss_newton", "fast_gradient", "autograd", "finite_differences", "random_search", "weighted_sampling")
+_METHODS = tuple(SOLVERS)
 _N_TRAIN = 4
 _AXES = {"n_simulations": "simulations of a push", "time_s": "time [s]"}
 _MOMENTS = (0.1, 1.0, 10.0, 30.0)

@@ -13,6 +13,8 @@ from scipy.special import gammainc
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.solvers import DEFAULT_SOLVER
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import ObjectModel, PushRecord, SolveStatus
 from push_ident_sim.recordings.truth import load_truth, true_model
 from push_ident_sim.studies.common.base import Json
@@ -45,7 +47,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
     _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
-    result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
+    result, values = fit_errors(train[:_N_TRAIN], test, thing, DEFAULT_SOLVER, settings)
     truth, posterior = true_model(thing), result.posterior
     ends = [end for observed, true in zip(test, clean, strict=True) if (end := _end(posterior, observed, true))]
     samples = _samples(posterior, np.random.default_rng([case.model, 2]))
@@ -68,7 +70,7 @@ def _end(posterior: ModelPosterior, observed: PushRecord, true: PushRecord) -> t
     """Level of the true end of a push in its prediction, and the expected and the actual cell error [m]; None without a prediction."""
     start = observe_push(observed)
     time = np.append(start.time, observed.poses.time[-1])
-    prediction = predict(posterior, observed.pusher, start.pose[0], time, first_covariance=start.first_covariance)
+    prediction = predict(posterior, PushScenario(observed.pusher, start.pose[0], time), first_covariance=start.first_covariance)
     if prediction.status is SolveStatus.SIMULATION_FAILED:
         return None
     end = true.poses.pose[-1]
@@ -79,7 +81,7 @@ def _end(posterior: ModelPosterior, observed: PushRecord, true: PushRecord) -> t
 
 def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
     z = rng.multivariate_normal(posterior.z, posterior.covariance, size=_N_SAMPLES, method="eigh")
-    return [posterior.parameters.model(row) for row in z]
+    return [posterior.unknowns.model(row) for row in z]
 
 
 def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
@@ -91,7 +93,7 @@ def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
 def _cells(truth: ObjectModel, samples: Sequence[ObjectModel], posterior: ModelPosterior) -> list[float]:
     """Levels of the cells' shares in the logarithm; a cell without load lies outside every region."""
     shares = np.log([model.mass * model.friction / np.mean(model.mass * model.friction) for model in samples])
-    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.parameters.map_remainder
+    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.unknowns.map_remainder
     product = truth.mass * truth.friction
     with np.errstate(divide="ignore"):
         error = np.log(product / product.mean()) - shares.mean(axis=0)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.types import ObjectModel
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import load_truth, true_model
@@ -29,7 +30,7 @@ def _shares(model: ObjectModel) -> NDArray[np.float64]:
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
-    result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
+    result, values = fit_errors(train[:_N_TRAIN], test, thing, DEFAULT_SOLVER, settings)
     truth, learned, posterior = true_model(thing), result.model, result.posterior
     product, total = learned.mass * learned.friction, posterior.total_mass
     # The deviation at a known total mass: the total is one factor of all cells, and poses do not determine it.

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.identification.budget import Budget
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.physics.simulation import compile_kernels
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, load_truth
 from push_ident_sim.studies.common.base import Json
@@ -84,7 +84,7 @@ def _tables(summary: Json) -> str:
     others = [
         [f"{race['object']}, {race['cells']} cells", *(millimetres(race[f"{model}_m"]) for model in ("uniform", "scalar", "truth"))]
         for race in races
-        if race["method"] == "gauss_newton"
+        if race["method"] == DEFAULT_SOLVER
     ]
     return "\n\n".join(
         [
@@ -123,8 +123,8 @@ STUDY = Benchmark(
     question=(
         "Two objects in PyBullet, observed as above. Times are those of the solve, by the wall clock, two solves side by side, each "
         "with one thread. The error is tested at up to 30 of the better points during the solve and at the end; better means a better "
-        "fit of the training pushes, which need not predict others better. One ground truth an object: `experiments.md` has the "
-        "averages over many."
+        "fit of the training pushes, which need not predict others better. One ground truth an object: [Experiments](experiments.md) "
+        "has averages over many."
     ),
     pieces=_pieces,
     summarise=_summarise,

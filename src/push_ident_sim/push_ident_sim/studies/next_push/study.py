@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.identification.next_push import Criterion, PlannedPush
-from push_ident.identification.push_study import Policy, choose_at_random, choose_by, learning_curve
+from push_ident.identification.push_study import CurveOptions, Policy, choose_at_random, choose_by, learning_curve
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord
 from push_ident_sim.engines.bullet.push_world import PushWorld
@@ -55,7 +55,9 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     pushed = _BulletObject(thing, pushes.pusher_radius, settings.noise, np.random.default_rng([case.model, own, 3]))
     try:
         rng = np.random.default_rng([case.model, own, 4])
-        errors = learning_curve(pushed, _policy(case.variant, pushes), test, rng, push_settings=pushes, n_pushes=_N_PUSHES)
+        errors = learning_curve(
+            pushed, _policy(case.variant, pushes), test, rng, push_settings=pushes, options=CurveOptions(n_pushes=_N_PUSHES)
+        )
     finally:
         pushed.close()
     return {"errors_m": micrometres(errors)}

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.identification.identify import prior_posterior
 from push_ident.identification.next_push import Criterion, candidate_pushes, rank_pushes, reference_pushes
-from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
+from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
+from push_ident.identification.result import prior_posterior
 from push_ident.pushing.push import PushSettings
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
@@ -118,8 +118,7 @@ def main() -> None:
                 held_out,
                 np.random.default_rng([arguments.seed, i, 4]),
                 push_settings=SETTINGS,
-                n_pushes=arguments.pushes,
-                n_candidates=arguments.candidates,
+                options=CurveOptions(n_pushes=arguments.pushes, n_candidates=arguments.candidates),
             )
         print(f"\robject {i + 1}/{arguments.objects}", end="", file=sys.stderr, flush=True)
     print("\r", end="", file=sys.stderr)

@@ -11,7 +11,7 @@ import numpy as np
 from push_ident.errors import PerceptionError
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.identification.next_push import Criterion, PlannedPush, candidate_pushes
-from push_ident.identification.push_study import choose_at_random, choose_by, learning_curve
+from push_ident.identification.push_study import CurveOptions, choose_at_random, choose_by, learning_curve
 from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.tracking import TrackStatus
@@ -162,7 +162,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         test = filmed.unseen(_N_TEST, np.random.default_rng([*own, 6]))
         policy = choose_at_random if case.variant == _RANDOM else choose_by(Criterion.ERROR, _PUSHES)
         rng = np.random.default_rng([*own, 7])
-        errors = learning_curve(filmed, policy, test, rng, push_settings=_PUSHES, n_pushes=_N_PUSHES, n_candidates=60)
+        options = CurveOptions(n_pushes=_N_PUSHES, n_candidates=60)
+        errors = learning_curve(filmed, policy, test, rng, push_settings=_PUSHES, options=options)
     finally:
         filmed.close()
     return {"errors_m": micrometres(errors)}

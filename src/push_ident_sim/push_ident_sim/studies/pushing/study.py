@@ -84,12 +84,12 @@ def _make_push(bench: LiveCell, seed: int) -> list[Json]:
         return [{"code": int(result.error_code), "text": result.error_text, "purpose": int(PushRecord.PURPOSE_REQUESTED), "made": False}]
     ends = [received for received, _ in motions[1:]] + [np.inf]
     return [
-        _measure(bench.kinematics, heard, record, received, command, end)
+        measure(bench.kinematics, heard, record, received, command, end)
         for record, (received, command), end in zip(heard.records, motions, ends, strict=False)
     ]
 
 
-def _measure(kinematics: ArmKinematics, heard: Heard, record: PushRecord, received: float, command: JointTrajectory, end: float) -> Json:
+def measure(kinematics: ArmKinematics, heard: Heard, record: PushRecord, received: float, command: JointTrajectory, end: float) -> Json:
     """One push, from the messages between its command, received at `received` [s], and the next at `end`."""
     states = [state for state in heard.states if received <= state[0] < end]
     stamp = np.array([state[1] for state in states])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.types import PoseTrack, PushRecord
 from push_ident_sim.recordings.truth import load_truth
 from push_ident_sim.studies.common.base import Json
@@ -32,7 +33,7 @@ _N_TEST = 5
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     first = _N_TRAIN * int(case.variant.removeprefix("pair-"))
-    return fit_errors([_ends(record) for record in train[first : first + _N_TRAIN]], test[:_N_TEST], thing, "gauss_newton", settings)[1]
+    return fit_errors([_ends(record) for record in train[first : first + _N_TRAIN]], test[:_N_TEST], thing, DEFAULT_SOLVER, settings)[1]
 
 
 def _ends(record: PushRecord) -> PushRecord:

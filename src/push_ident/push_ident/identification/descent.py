@@ -1,4 +1,4 @@
-"""Plain gradient descent on the cost, whatever the gradient comes from."""
+"""Gradient descent on the cost, for any source of the gradient."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from push_ident.types import Float64Array, SolveStatus
 __all__ = ["descend"]
 
 _FIRST_STEP = 0.3
-"""Length of the first step, in prior deviations."""
+"""Length of the first step, in prior standard deviations."""
 _SMALLEST_STEP = 1e-6
+"""Length at which the descent has stalled, in prior standard deviations."""
 
 
 def descend(
@@ -28,7 +29,7 @@ def descend(
         problem: what to fit.
         x0: start, shape (problem.size,).
         cost: at a point.
-        gradient: of the cost at a point, given the cost there; None when the budget ran out before it was known.
+        gradient: of the cost at a point, given the cost there; None where the budget ended first.
     """
     x, meter = np.array(x0), problem.meter
     best = cost(x)
@@ -36,7 +37,7 @@ def descend(
         return x, SolveStatus.SIMULATION_FAILED
     meter.offer(x, best)
     step = _FIRST_STEP
-    slowest = meter.seconds  # of an evaluation: none is begun that the budget would not let end
+    slowest = meter.seconds  # time of an evaluation: none starts that the budget would not let end
 
     def spent() -> bool:
         return meter.spent or meter.seconds_left < slowest
