@@ -121,12 +121,8 @@ def measure_gap(
     report(f"holding out each of {n} pushes once, in {len(folds)} fits")
     stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
-    results = map_in_threads(lambda task: _hold_out(*task), [(one, fold) for one in fits for fold in folds])
-    by_fit = [results[k * len(folds) : (k + 1) * len(folds)] for k in range(len(fits))]
-    errors = np.empty((len(fits), n))
-    for number, own in enumerate(by_fit):
-        for fold, result in zip(folds, own, strict=True):
-            errors[number, fold] = result.errors
+    by_fit = _hold_out_all(fits, folds)
+    errors = np.array([_by_push(own, folds) for own in by_fit])
     density = np.array([[result.log_density for result in own] for own in by_fit])
     evidence = np.array([one.log_evidence for one in fits])[:, None] - density
     return Gap(
@@ -146,6 +142,20 @@ def _folds(n_pushes: int, max_folds: int) -> list[list[int]]:
     """Numbers of the pushes that are held out together: one each, or two and more where there are more pushes than folds."""
     n_folds = min(n_pushes, max_folds)
     return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]
+
+
+def _hold_out_all(fits: Sequence[Fit], folds: Sequence[Sequence[int]]) -> list[list[_HeldOutFold]]:
+    """Of each fit, the results of all folds."""
+    results = map_in_threads(lambda task: _hold_out(*task), [(fit, fold) for fit in fits for fold in folds])
+    return [results[k * len(folds) : (k + 1) * len(folds)] for k in range(len(fits))]
+
+
+def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) -> Float64Array:
+    """Cell errors of all folds in the order of the pushes [m], shape (n_pushes,)."""
+    errors = np.empty(sum(map(len, folds)))
+    for fold, result in zip(folds, results, strict=True):
+        errors[list(fold)] = result.errors
+    return errors
 
 
 def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:

@@ -110,6 +110,7 @@ class DepthCamera:
 
     @sim_object.setter
     def sim_object(self, thing: SimObject) -> None:
+        """Place another object before the camera."""
         self._sim_object = thing
         self._object = _object_mesh(thing)
 

@@ -87,7 +87,7 @@ def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:
     low, high = gap.shrink_interval
     return (
         f"{error} without and {after:.1f} mm with {', '.join(found)}; the noise of the poses causes {noise:.1f} mm. Of the gap above the "
-        f"noise, {100 * gap.shrink:.0f} % are closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
+        f"noise, {100 * gap.shrink:.0f} % is closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
     )
 
 

@@ -45,6 +45,7 @@ def known_support_errors(report: ImportReport, records: list[PushRecord]) -> np.
 
 
 def main() -> None:
+    """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=Path("../shared/data"))
     parser.add_argument("--splits", type=int, default=10)

@@ -68,10 +68,12 @@ class NodeProcess:
 
     @property
     def pid(self) -> int:
+        """Of the process."""
         return self._popen.pid
 
     @property
     def runs(self) -> bool:
+        """Whether the process still runs."""
         return self._popen.poll() is None
 
     @property

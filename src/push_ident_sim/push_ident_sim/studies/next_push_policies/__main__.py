@@ -52,6 +52,7 @@ def random_object(rng: np.random.Generator) -> ObjectModel:
 
 
 def random_shape(rng: np.random.Generator) -> ObjectShape:
+    """Two or three overlapping rectangles of cells, 50 to 120 cells in all."""
     n = 20
     while True:
         cells = np.zeros((n, n), dtype=bool)
@@ -92,6 +93,7 @@ def mean_and_error(values: Float64Array) -> tuple[Float64Array, Float64Array]:
 
 
 def main() -> None:
+    """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--objects", type=int, default=20)
     parser.add_argument("--pushes", type=int, default=5)
