@@ -365,7 +365,7 @@ def test_acceleration_limits_that_fit_no_joint_are_refused(
 
 def test_push_out_of_reach_is_refused_with_the_point_and_the_miss(arm: ArmKinematics) -> None:
     far = PushPlan2D(np.array([0.5, 0.0]), np.array([0.48, 0.0]), 0.0, 0.05, 0.1)
-    with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm off") as error:
+    with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm away") as error:
         plan_push(arm, PARKED, far, MOTION)
     assert error.value.code == PushCode.UNREACHABLE
 
