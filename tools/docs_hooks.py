@@ -28,6 +28,7 @@ import document_commands  # noqa: E402
 import document_effects  # noqa: E402
 import document_messages  # noqa: E402
 import document_nodes  # noqa: E402
+import document_policy  # noqa: E402
 import document_python  # noqa: E402
 
 ROOT_DOCUMENTS = {
@@ -43,6 +44,7 @@ GENERATED: dict[str, Callable[[], str]] = {
     "reference/effects.md": document_effects.document,
     "reference/messages.md": document_messages.document,
     "reference/nodes.md": document_nodes.document,
+    "reference/policy.md": document_policy.document,
 }
 
 EQUATION_SIZE = 20

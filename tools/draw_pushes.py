@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Patch, Polygon
 from PIL import Image
 
 from push_ident.geometry.se2 import transform_points
@@ -109,14 +109,20 @@ def picture(shots: list[Shot], number: int, frame: int, truth: Float64Array, top
         axes.set_axis_off()
     done = shots[: number + (frame == FRAMES - 1)]
     places = np.arange(len(shots))
-    bars.bar(places[: len(done)] - 0.2, [1e3 * s.equal_error for s in done], 0.38, color=EQUAL, label="equal cells")
-    bars.bar(places[: len(done)] + 0.2, [1e3 * s.error for s in done], 0.38, color=PREDICTED, label="identified")
+    bars.bar(places[: len(done)] - 0.2, [1e3 * s.equal_error for s in done], 0.38, color=EQUAL)
+    bars.bar(places[: len(done)] + 0.2, [1e3 * s.error for s in done], 0.38, color=PREDICTED)
     highest = 1e3 * max(s.equal_error for s in shots)
     bars.set(xlim=(-0.6, len(shots) - 0.4), ylim=(0, 1.15 * highest), xticks=places)
     bars.set_xticklabels([str(place + 1) for place in places])
     bars.tick_params(labelsize=7)
     bars.set_title("error of the prediction at the end of each push [mm]", fontsize=8)
-    bars.legend(fontsize=6.5, frameon=False, ncols=2, loc="upper right")
+    bars.legend(
+        handles=[Patch(color=EQUAL, label="equal cells"), Patch(color=PREDICTED, label="identified")],
+        fontsize=6.5,
+        frameon=False,
+        ncols=2,
+        loc="upper right",
+    )
     for side in ("top", "right"):
         bars.spines[side].set_visible(False)
     buffer = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Known maps are found again; what the pushes cannot tell is said."""
+"""Known maps are recovered from simulated pushes; what the pushes do not determine stays uncertain and is reported as such."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_four_noisy_pushes_predict_others_within_three_millimetres(seed: int) ->
     assert identified < 0.5 * uniform
 
 
-def test_end_poses_alone_are_enough() -> None:
+def test_end_poses_suffice() -> None:
     truth = hammer(4)
     records = [_ends_only(r) for r in random_records(truth, 14, 4)]
     result = identify(records[:8])

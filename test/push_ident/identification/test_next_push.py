@@ -1,4 +1,4 @@
-"""The next push is the one that tells most; one that tells nothing is never chosen."""
+"""The next push is the one with the most information; one without information is never chosen."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_push_made_before_tells_less_than_others(seed: int) -> None:
+def test_repeated_push_gives_less_information_than_others(seed: int) -> None:
     first, *others = _candidates(12, seed)
     seen = SimulatedObject(hammer(seed), np.random.default_rng(seed)).execute(first)
     before = _rank(prior_posterior(SHAPE), [first], n_draws=0).values[0]
@@ -107,7 +107,7 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     assert value.covariance == pytest.approx(fitted, abs=1e-8)
 
 
-def test_blurred_sight_tells_less() -> None:
+def test_noisier_sensor_gives_less_information() -> None:
     candidates = _candidates(3, 3)
     posterior = prior_posterior(SHAPE)
     sharp = PoseSensor()
@@ -119,7 +119,7 @@ def test_blurred_sight_tells_less() -> None:
 
 
 @pytest.mark.parametrize("criterion", Criterion)
-def test_pushes_that_miss_or_fail_come_last_and_tell_nothing(criterion: Criterion) -> None:
+def test_pushes_that_miss_or_fail_come_last_with_no_information(criterion: Criterion) -> None:
     good = _candidates(2, 4)
     path = good[0].pusher
     miss = replace(good[0], pusher=PusherPath(path.time, path.position + 1.0, path.radius))

@@ -23,7 +23,7 @@ TRUTH = hammer(3)
 RECORDS = random_records(TRUTH, 6, 3)
 
 
-def test_each_push_is_predicted_by_the_model_that_had_not_seen_it() -> None:
+def test_each_push_is_predicted_by_the_model_fitted_to_those_before_it() -> None:
     session = _session()
     scores = [session.finish(record) for record in RECORDS]
     assert [s.number for s in scores if s] == [1, 2, 3, 4, 5, 6]
@@ -85,7 +85,7 @@ def test_another_object_under_the_same_id_begins_anew_and_the_first_is_put_aside
     assert (tmp_path / "o1-before-2.state.json").exists()
 
 
-def test_prediction_of_a_push_under_way_follows_the_pusher() -> None:
+def test_prediction_of_an_unfinished_push_follows_the_pusher() -> None:
     session = _session()
     for record in RECORDS[:3]:
         session.finish(record)

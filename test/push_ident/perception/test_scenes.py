@@ -199,7 +199,7 @@ def another_focal_length(frame):
         (SIDE, None, (Cylinder(0.09, 0.0, 0.02),), "beside the robot"),
     ],
 )
-def test_a_further_camera_that_disagrees_is_left_out_and_says_why(from_main, from_side, camera, change, robot, why):
+def test_a_further_camera_that_disagrees_is_left_out_with_the_reason(from_main, from_side, camera, change, robot, why):
     traced, left_out = registered(from_main, from_side if change is None else [change(frame) for frame in from_side], camera, robot)
     assert re.search(why, left_out["side"]), left_out
     single, _ = registered(from_main, [])

@@ -385,13 +385,13 @@ def test_latency_shows_the_pose_of_an_earlier_time() -> None:
     assert seen.pose == pytest.approx(simulate(model, PushScenario(pusher, np.zeros(3), time - 0.021)).pose, abs=1e-12)
 
 
-def test_a_speed_scale_grows_with_the_way() -> None:
+def test_error_of_a_speed_scale_grows_with_travel() -> None:
     dt, way = 1 / 240, np.cumsum(np.random.default_rng(0).uniform(0, 1e-3, (50, 3)), axis=0)
     driven, _ = driven_path(effect_values({"pusher_speed_scale": [0.1]}), dt, way)
     assert driven[:, :2] - way[:, :2] == pytest.approx(0.1 * (way[:, :2] - way[0, :2]), abs=1e-12)
 
 
-def test_an_offset_of_the_tool_and_one_of_the_camera_cannot_be_told_apart() -> None:
+def test_an_offset_of_the_tool_and_one_of_the_camera_are_exact_twins() -> None:
     model, pusher, offset = plate(), straight_push((-0.07, 0.02), 0.2), np.array([2e-3, -1e-3])
     time, first = pusher.time[::6], np.array([0.01, 0.0, 0.2])
     tool = simulate(model, PushScenario(pusher, first, time), effects={"tool_offset": offset})

@@ -61,9 +61,7 @@ def identify_command(
     total_mass: Annotated[float | None, typer.Option(help="Total mass of the object, if it was weighed [kg].", show_default=False)] = None,
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
     friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[
-        float, typer.Option(help="Nominal friction between pusher and object.")
-    ] = _NOMINAL.pusher_friction,
+    pusher_friction: Annotated[float, typer.Option(help="Nominal friction between pusher and object.")] = _NOMINAL.pusher_friction,
     max_seconds: Annotated[float, typer.Option(help="Longest time of the solve [s].")] = 30.0,
     max_simulations: Annotated[int | None, typer.Option(help="Largest number of simulated pushes.", show_default=False)] = None,
     seed: Annotated[int, typer.Option(help="Seed of methods that draw at random.")] = 0,
