@@ -57,27 +57,7 @@ EFFECT_NAMES_OUTSIDE: dict[str, str] = {
     "push_ident_sim/studies/blind/summary.py": "not derived from a field of the catalogue yet",
     "push_ident_sim/studies/settle/study.py": "the effects that the study shows",
 }
-UNDOCUMENTED: frozenset[str] = frozenset(
-    {
-        "push_ident/identification/budget.py:Meter.best",
-        "push_ident/identification/budget.py:Meter.seconds",
-        "push_ident/identification/budget.py:Meter.spent",
-        "push_ident/identification/export/description.py:ObjectDescription.cell_names",
-        "push_ident/identification/identifiability.py:Identifiability.n_open",
-        "push_ident/identification/push_study.py:PushableObject.shape",
-        "push_ident/identification/push_study.py:SimulatedObject.execute",
-        "push_ident/identification/push_study.py:SimulatedObject.pose",
-        "push_ident/identification/push_study.py:SimulatedObject.shape",
-        "push_ident/identification/session.py:ObjectSession.shape",
-        "push_ident/physics/effect_values.py:EffectValues.effects",
-        "push_ident_sim/cell/camera.py:DepthCamera.sim_object",
-        "push_ident_sim/studies/cmu_icra16/study.py:main",
-        "push_ident_sim/studies/common/live_nodes.py:NodeProcess.pid",
-        "push_ident_sim/studies/common/live_nodes.py:NodeProcess.runs",
-        "push_ident_sim/studies/next_push_policies/study.py:main",
-        "push_ident_sim/studies/next_push_policies/study.py:random_shape",
-    }
-)
+UNDOCUMENTED: frozenset[str] = frozenset({"push_ident/physics/effect_values.py:EffectValues.effects"})
 PRIVATE_IN_TESTS: dict[str, str] = {
     "test/push_ident_sim/studies/test_blind.py": "not rewritten yet",
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import resource
 import signal
 import subprocess
@@ -22,6 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from helpers.domains import own_domain
 from push_ident.bags.salvage import salvage
 from push_ident.nodes.convert import position_to_msg
 from push_ident.nodes.recording_port import RECORDING_QOS
@@ -36,7 +36,7 @@ class User:
     """Publishes the pusher and hears what the recorder says of itself."""
 
     def __init__(self) -> None:
-        self.domain = random.randint(1, 100)
+        self.domain = own_domain()
         self.context = Context()
         rclpy.init(context=self.context, domain_id=self.domain)
         self.node = Node("user", context=self.context)

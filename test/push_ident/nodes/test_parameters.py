@@ -10,6 +10,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from helpers.domains import own_domain
 from push_ident.errors import InputError
 from push_ident.nodes.parameters import Parameter, Parameters
 
@@ -25,7 +26,7 @@ TABLE = (
 @pytest.fixture(scope="module")
 def context():
     context = Context()
-    rclpy.init(context=context, domain_id=101)
+    rclpy.init(context=context, domain_id=own_domain())
     yield context
     context.try_shutdown()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -29,6 +28,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
 from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, render
+from helpers.domains import own_domain
 from helpers.paths import CONFIG
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import transform_points
@@ -116,7 +116,7 @@ def wait_for(condition: Callable[[], object], timeout: float = 10.0) -> None:
 
 @pytest.fixture(scope="module")
 def domain() -> int:
-    return random.randint(1, 100)
+    return own_domain()
 
 
 @pytest.fixture(scope="module")
@@ -351,7 +351,7 @@ def end(process: subprocess.Popen[str]) -> str:
 
 def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tmp_path):
     outline, mark_pose = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)]), (0.05, -0.03, 0.7)
-    other = domain + 1
+    other = own_domain()
     file = tmp_path / "camera.yaml"
     pose = ", ".join(str(value) for value in mark_pose)
     parameters = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
@@ -374,7 +374,7 @@ def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tm
 
 
 def test_a_further_camera_helps_with_the_shape_and_a_missing_one_is_named(domain, tmp_path):
-    other = domain + 2
+    other = own_domain()
     file = tmp_path / "cameras.yaml"
     # As calibration writes it.
     lines = [*pose_lines(CAMERA), *pose_lines(SIDE, "side."), *pose_lines(SIDE, "wall."), "extra_cameras: [side, wall]"]

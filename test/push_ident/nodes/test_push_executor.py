@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import signal
 import subprocess
 import threading
@@ -20,6 +19,7 @@ from rclpy.node import Node
 from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory
 
+from helpers.domains import own_domain
 from helpers.executor_cell import ARM_TIMEOUT, CONTACT, FIST, PARKED, RADIUS, Call, Cell, Stalls, send, start_node, summary, wait_for
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.alone
 
 @pytest.fixture(scope="module")
 def domain() -> int:
-    return random.randint(1, 100)
+    return own_domain()
 
 
 @pytest.fixture(scope="module")
@@ -393,7 +393,7 @@ def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: 
 
 
 def test_of_two_executors_that_start_at_once_one_gets_the_arm_and_a_killed_one_leaves_it_free() -> None:
-    domain = 101  # without a cell: the lease needs none
+    domain = own_domain()  # without a cell: the lease needs none
     both = [start_node(domain) for _ in range(2)]
     try:
         wait_for(lambda: any(process.poll() is not None for process in both), 20.0)
@@ -416,7 +416,7 @@ def test_of_two_executors_that_start_at_once_one_gets_the_arm_and_a_killed_one_l
 
 def test_simulated_hand_is_activated_and_closed_to_a_fist() -> None:
     context = Context()
-    rclpy.init(context=context, domain_id=random.randint(1, 100))
+    rclpy.init(context=context, domain_id=own_domain())
     times = [f"{name}:=0.3" for name in ("activation_time", "closing_time")]
     arguments = ["--ros-args", "-p", "closed:=false", *(item for time in times for item in ("-p", time))]
     hand = SimHandNode(context=context, cli_args=arguments)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from yaml import safe_load
 
+from helpers.domains import own_domain
 from helpers.paths import CONFIG, ROOT
 from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
@@ -49,7 +49,7 @@ class Cell:
     """Publishes all that a viewer shows of one hammer."""
 
     def __init__(self) -> None:
-        self.domain = random.randint(1, 100)
+        self.domain = own_domain()
         self.context = Context()
         rclpy.init(context=self.context, domain_id=self.domain)
         self.node = Node("cell", context=self.context)

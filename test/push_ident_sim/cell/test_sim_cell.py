@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from helpers.domains import own_domain
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
@@ -412,7 +413,7 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_srvs.srv import Trigger
 
-    domain = 92
+    domain = own_domain()
     chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
@@ -469,7 +470,7 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
     pytest.importorskip("rclpy")
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": "91"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(own_domain())}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     try:
         time.sleep(6.0)

@@ -92,6 +92,7 @@ class ObjectSession:
 
     @property
     def shape(self) -> ObjectShape:
+        """Cells and outline of the object."""
         return self.online.state.shape
 
     @property

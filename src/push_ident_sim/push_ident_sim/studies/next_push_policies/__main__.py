@@ -1,6 +1,6 @@
 """Does choosing the next push pay? Random pushes against pushes ranked first, on objects simulated by this package.
 
-    .venv/bin/python -m push_ident_sim.studies.next_push_policies.study
+    .venv/bin/python -m push_ident_sim.studies.next_push_policies
         [--objects 20] [--pushes 5] [--candidates 100] [--seed 0] [--json FILE]
 
 Every object is a random shape with random maps. All policies start from the same random push and are measured on the same random pushes.
@@ -52,6 +52,7 @@ def random_object(rng: np.random.Generator) -> ObjectModel:
 
 
 def random_shape(rng: np.random.Generator) -> ObjectShape:
+    """Two or three overlapping rectangles of cells, 50 to 120 cells in all."""
     n = 20
     while True:
         cells = np.zeros((n, n), dtype=bool)
@@ -92,6 +93,7 @@ def mean_and_error(values: Float64Array) -> tuple[Float64Array, Float64Array]:
 
 
 def main() -> None:
+    """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--objects", type=int, default=20)
     parser.add_argument("--pushes", type=int, default=5)
