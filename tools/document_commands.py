@@ -28,8 +28,12 @@ def row_of(option: Any) -> str:
         name = ", ".join([*option.opts, *option.secondary_opts])
         if not option.is_flag:
             name += f" {option.metavar or option.name.upper()}"
-    default = "" if option.default in (None, False, ()) or not option.show_default or option.required else f"`{option.default}`"
-    return f"| `{escaped(name)}` | {'required' if option.required else default} | {escaped(option.help or '')} |"
+    meaning = escaped(option.help or "")
+    if option.required:
+        meaning += " Required."
+    elif option.show_default and option.default not in (None, False, (), ""):
+        meaning += f" Default: `{option.default}`."
+    return f"| `{escaped(name)}` | {meaning} |"
 
 
 def section_of(name: str, command: Any) -> str:
@@ -39,7 +43,7 @@ def section_of(name: str, command: Any) -> str:
         ["push-ident", name, *(option.metavar or option.name.upper() for option in arguments), *(["[OPTIONS]"] if options else [])]
     )
     lines = [f"## {name}", "", command.help or "", "", f"    {usage}", ""]
-    lines += ["| argument or option | default | meaning |", "|---|---|---|"]
+    lines += ["| argument or option | meaning |", "|---|---|"]
     lines += [row_of(option) for option in (*arguments, *options)]
     return "\n".join(lines) + "\n"
 

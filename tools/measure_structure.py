@@ -17,7 +17,8 @@ order of the calls, depth first. Reported are
 - `returns`: stays minus modules, the times that the walk enters a module which it had left.
 
 `all` follows every call. `pushes` follows only calls that hand on a push: an argument is one of the records, a part of one (its shape,
-poses, pusher path ...), or a container or dataclass that holds such an object. Each is also counted with folders in place of modules.
+poses, pusher path ...), or a container or dataclass that holds such an object. Each is counted twice: through the whole package, and within
+the folder of the entry function, where calls that leave the folder are not followed.
 """
 
 from __future__ import annotations
@@ -201,8 +202,9 @@ class Trace:
         return any(id(part) in self._ids for value in values for part in parts_of(value, DEPTH))
 
 
-def walk(calls: dict[Place, dict[Place, bool]], entry: Place, pushes_only: bool) -> list[str]:
+def walk(calls: dict[Place, dict[Place, bool]], entry: Place, *, pushes_only: bool, own_folder: bool) -> list[str]:
     """Modules of the reader's walk, one entry per function."""
+    folder = entry[0].rpartition("/")[0] + "/" if own_folder else ""
     visited: set[Place] = set()
     modules: list[str] = []
 
@@ -210,7 +212,7 @@ def walk(calls: dict[Place, dict[Place, bool]], entry: Place, pushes_only: bool)
         visited.add(place)
         modules.append(place[0])
         for callee, hands_on in calls.get(place, {}).items():
-            if callee not in visited and (hands_on or not pushes_only):
+            if callee not in visited and callee[0].startswith(folder) and (hands_on or not pushes_only):
                 visit(callee)
 
     visit(entry)
@@ -245,22 +247,19 @@ def walks(bag: Path, entries: Iterable[str], show: bool) -> None:
     package = Path(importlib.import_module("push_ident").__file__ or "").resolve().parent
     records = load_records(bag)
     print(f"{package}: {len(records)} pushes of {bag}")
-    print(f"{'':14}{'':8}{'modules':>9}{'stays':>7}{'returns':>9}   {'folders':>7}{'stays':>7}{'returns':>9}")
+    print(f"{'':22}{'whole package':>25}   {'own folder':>25}")
+    print(f"{'':22}" + f"{'modules':>9}{'stays':>7}{'returns':>9}   " * 2)
     for entry in entries:
         function, name = named(entry), entry.partition(":")[2]
         trace = Trace(package, records)
         trace.run(functools.partial(function, records))
         start = (Path(function.__code__.co_filename).relative_to(package).as_posix(), name)
         for title, pushes_only in (("all", False), ("pushes", True)):
-            modules = walk(trace.calls, start, pushes_only)
-            numbers = []
-            for path in (modules, [module.rpartition("/")[0] or module for module in modules]):
-                stays, different = stays_of(path), len(set(path))
-                numbers.append((different, len(stays), len(stays) - different))
-            (a, b, c), (d, e, f) = numbers
-            print(f"{name:14}{title:8}{a:9}{b:7}{c:9}   {d:7}{e:7}{f:9}")
+            paths = [stays_of(walk(trace.calls, start, pushes_only=pushes_only, own_folder=own)) for own in (False, True)]
+            (a, b, c), (d, e, f) = ((len(set(path)), len(path), len(path) - len(set(path))) for path in paths)
+            print(f"{name:14}{title:8}{a:9}{b:7}{c:9}   {d:9}{e:7}{f:9}")
             if show:
-                print("    " + " > ".join(stays_of(modules)))
+                print(*("    " + " > ".join(path) for path in paths), sep="\n")
 
 
 def main() -> None:

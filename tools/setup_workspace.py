@@ -120,6 +120,7 @@ def steps(ros: Ros) -> list[Step]:
         pip_step("python", "numpy, scipy, numba, Open3D, OpenCV and more"),
         pip_step("sim", f"PyBullet{rebuilt}"),
         pip_step("dev", "pytest, hypothesis, ruff, mypy"),
+        pip_step("docs", "MkDocs, for the documentation site"),
         pip_step("viewer", "Rerun, for the live view"),
         pip_step("fleet", "Ray, for fleets of bags"),
         pip_step("colcon", "colcon"),

@@ -1,4 +1,4 @@
-"""The client of a cell waits for a push as long as the executor tells how far it is."""
+"""The client of a cell waits for a push as long as the executor sends feedback."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def client() -> Iterator[CellClient]:
         thread.join(timeout=2.0)
 
 
-def test_long_push_is_waited_for_while_it_tells_how_far_it_is(client: CellClient) -> None:
+def test_client_waits_for_a_long_push_while_feedback_comes(client: CellClient) -> None:
     progress: list[float] = []
     started = time.monotonic()
     result = client.execute_push(

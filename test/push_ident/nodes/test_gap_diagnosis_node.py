@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from helpers.domains import own_domain
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
 from push_ident_sim.injected import InjectedEffects
@@ -38,7 +38,7 @@ class Cell:
     """The node, a bag that is played to it, and somebody who asks."""
 
     def __init__(self, bag: Path) -> None:
-        self.environment = os.environ | {"ROS_DOMAIN_ID": str(random.randint(1, 100))}
+        self.environment = os.environ | {"ROS_DOMAIN_ID": str(own_domain())}
         self.context = Context()
         rclpy.init(context=self.context, domain_id=int(self.environment["ROS_DOMAIN_ID"]))
         self.node = Node("user", context=self.context)
@@ -51,7 +51,7 @@ class Cell:
         self.node.create_subscription(GapReport, "gap_report", self.reports.append, latched)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         # The outline of the bag is exact: no camera traced it.
-        self.process = self.start("gap_diagnosis_node", outline_is_seen=False)
+        self.process = self.start("gap_diagnosis_node", outline_from_camera=False)
         player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=30.0)
         assert player.wait(60.0) == 0
         self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 30.0)

@@ -41,7 +41,7 @@ def times(start: float, end: float, rate: float = 20.0) -> list[float]:
     return list(np.arange(start, end, 1 / rate))
 
 
-def test_pause_of_the_pusher_tells_pushes_apart() -> None:
+def test_pause_of_the_pusher_separates_pushes() -> None:
     pushes = play(times(0, 10), times(2, 3) + times(6, 7))
     assert len(pushes) == 2
     first, second = pushes[0].records[0], pushes[1].records[0]
@@ -50,7 +50,7 @@ def test_pause_of_the_pusher_tells_pushes_apart() -> None:
     assert second.poses.time[0] >= 5.5 and second.poses.time[-1] <= 7.5
 
 
-def test_object_hidden_around_a_push_is_taken_from_where_it_was_seen_last_and_next() -> None:
+def test_object_hidden_around_a_push_has_its_last_pose_before_and_its_first_pose_after() -> None:
     (push,) = play(times(0, 1) + times(5, 6), times(2, 3))
     assert push.records[0].poses.time == pytest.approx([0.95, 5.0])
 
@@ -60,7 +60,7 @@ def test_pose_nearer_to_another_push_is_not_taken() -> None:
     assert pushes[0].records == [] and pushes[1].records[0].poses.time == pytest.approx([5.5, 9.0])
 
 
-def test_push_under_way_grows() -> None:
+def test_unfinished_push_grows() -> None:
     cutter = PushCutter()
     cutter.set_shape("o1", hammer_shape())
     lengths = []
@@ -79,7 +79,7 @@ def test_end_of_the_stream_needs_a_flush_and_is_handed_out_once() -> None:
     assert len(play(times(0, 3), times(2, 3), flush=True)) == 1
 
 
-def test_reset_forgets_what_was_under_way() -> None:
+def test_reset_forgets_the_unfinished_push() -> None:
     cutter = PushCutter()
     cutter.set_shape("o1", hammer_shape())
     cutter.add_pusher(5.0, np.zeros(2))
@@ -130,7 +130,7 @@ def test_push_that_failed_is_left_out_as_from_a_bag() -> None:
     assert made.records[0].pusher.time[0] == 6.0
 
 
-def test_push_is_not_handed_out_before_the_forces_on_its_way() -> None:
+def test_push_is_not_handed_out_before_its_forces_have_arrived() -> None:
     cutter = PushCutter()
     cutter.set_shape("o1", hammer_shape())
     cutter.add_wrench(0.0, np.zeros(2))

@@ -1,4 +1,4 @@
-"""The second engine: laws of friction and contact that nobody else here has, and the closed forms that they must keep."""
+"""The planar engine: laws of friction and contact that only it has, and the closed forms that they must keep."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def off(name: str, motions: list[TrueMotion], others: list[TrueMotion]) -> float
     return float(np.mean([cell_error(cells, a.pose[-1], b.pose[-1]) for a, b in zip(motions, others, strict=True)]))
 
 
-def test_disc_slides_as_far_as_coulomb_says_and_alike_in_all_directions() -> None:
+def test_disc_slides_its_coulomb_distance_in_every_direction() -> None:
     thing, speed = disc(), 0.4
     world, expected = PlanarWorld(thing, RADIUS), speed**2 / (2 * 0.3 * GRAVITY)
     for angle in 2 * np.pi * np.arange(12) / 12 + 0.1:
@@ -52,7 +52,7 @@ def test_disc_slides_as_far_as_coulomb_says_and_alike_in_all_directions() -> Non
         assert abs(way[0] * along[1] - way[1] * along[0]) < 2e-6 and abs(way[2]) < 1e-4
 
 
-def test_disc_spins_down_as_coulomb_says() -> None:
+def test_disc_spins_down_by_coulomb_friction() -> None:
     # Uniform friction mu on cells at r, inertia about the centre: alpha = mu g sum r / sum (r^2 + size^2 / 6).
     thing, spin = disc(), 12.0
     r = np.hypot(*thing.cells.T)

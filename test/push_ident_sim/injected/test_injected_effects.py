@@ -1,4 +1,4 @@
-"""Effects injected into the simulated cell: off they are nothing at all, on each does in Bullet what its entry says, by closed forms."""
+"""Injected effects: at size zero they change nothing; otherwise each follows its law in Bullet, by closed forms."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_effect_fades_with_its_size(name: str) -> None:
         ({"viscous_film": 3.0}, {"friction": 0.02, "seconds": 3 * STEP}, (-1.0 - 3.0 * SPEED / MASS / (0.02 * G), 0.0)),
     ],
 )
-def test_thrown_disc_is_slowed_as_the_effect_says(effects: dict, throw: dict, expected: tuple[float, float]) -> None:
+def test_thrown_disc_is_slowed_by_the_law_of_the_effect(effects: dict, throw: dict, expected: tuple[float, float]) -> None:
     along, left, turning = thrown(effects, **throw)
     assert along == pytest.approx(expected[0], rel=0.03)
     assert left == pytest.approx(expected[1], abs=0.01)
@@ -227,7 +227,7 @@ def test_object_is_larger_than_its_outline() -> None:
     np.testing.assert_allclose(np.diff(places), -0.002, atol=3e-4)
 
 
-def test_tool_is_not_where_it_is_reported() -> None:
+def test_reported_tool_pose_has_the_injected_error() -> None:
     speed, far = 0.1, slice(100, 180)
 
     def aside(effects: dict) -> np.ndarray:
@@ -291,7 +291,7 @@ def test_correlated_noise_keeps_its_deviation() -> None:
     assert [np.corrcoef(e[1:], e[:-1])[0, 1] for e in errors.T] == pytest.approx([0.6] * 3, abs=0.12)
 
 
-def test_rendered_camera_sees_what_is_said_of_poses() -> None:
+def test_rendered_camera_has_the_errors_of_the_pose_sensor() -> None:
     thing, reported, pose = block(), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)), np.array([0.05, 0.08, 0.3])
 
     def centre(effects: dict) -> np.ndarray:
@@ -345,7 +345,7 @@ def test_truth_with_an_effect_has_a_file_of_its_own_and_keeps_the_reported_path(
         assert np.abs(other.poses.pose[-1] - record.poses.pose[-1]).max() > 1e-3
 
 
-def test_command_writes_a_bag_whose_effect_is_in_the_truth_alone(tmp_path: Path) -> None:
+def test_command_writes_a_bag_whose_effect_appears_only_in_the_truth(tmp_path: Path) -> None:
     bag, truth = tmp_path / "tilted", tmp_path / "truth.json"
     call = ["simulate", "--object", "toolbox", "--effect", "table_tilt=0.03", "--pushes", "2", "--out", str(bag), "--truth", str(truth)]
     app(call, standalone_mode=False)

@@ -1,4 +1,4 @@
-"""From the contents of a bag to push records."""
+"""Push records from the contents of a bag."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     Where the bag has push records, they give the intervals of the pushes, and only those with error code 0 are used. Else a pause of the
     pusher over `gap` [s] ends a push.
 
-    Failed pushes and those with fewer than 2 pusher samples or 2 poses are left out with a line in `contents.notes`; `source` counts them
-    nevertheless, from 0. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
+    Failed pushes and those with fewer than 2 pusher samples or 2 poses are left out with a line in `contents.notes`; `source` still
+    counts them, from 0. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
     """
     if object_id not in contents.objects:
         known = ", ".join(contents.objects) or "none"
@@ -39,12 +39,12 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     ]
     contents.notes.extend(note for note in skipped if note not in contents.notes)
     if not records:
-        raise BagError(f"{contents.path}: not one of {len(pushes)} pushes is usable; {skipped[0] if skipped else 'there are none'}")
+        raise BagError(f"{contents.path}: none of {len(pushes)} pushes is usable; {skipped[0] if skipped else 'there are none'}")
     return records
 
 
 def _cutter_of(contents: BagContents, object_id: str, gap: float) -> PushCutter:
-    """A cutter that has all samples of the bag that concern one object."""
+    """A cutter with all samples of the bag for one object."""
     cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
     track = contents.objects[object_id]
     assert track.shape is not None

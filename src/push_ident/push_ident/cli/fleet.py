@@ -14,7 +14,7 @@ from push_ident.cli.output import JsonOption, console, millimetres, warn, write_
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
 from push_ident.identification.prior import Prior
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 
 __all__ = ["fleet_command"]
 
@@ -32,7 +32,7 @@ def fleet_command(
     workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: one per core.")] = 0,
     again: Annotated[bool, typer.Option("--again", help="Retry bags that failed in an earlier run.")] = False,
     object_id: ObjectOption = "",
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
     hold_out: Annotated[int, typer.Option(metavar="N", help="Hold out every Nth push as a test; 0: none.")] = 4,
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
     friction: Annotated[float, typer.Option(help="Nominal friction coefficient of the support.")] = _NOMINAL.friction,

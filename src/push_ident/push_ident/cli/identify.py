@@ -23,7 +23,7 @@ from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import push_errors, result_json
 from push_ident.identification.running_record import running_record
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import Float64Array, SolveStatus
 
@@ -47,7 +47,7 @@ CameraOption = Annotated[
 
 def identify_command(
     bags: BagsArgument,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
     train: Annotated[
         str,
         typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all."),

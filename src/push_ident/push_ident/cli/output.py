@@ -1,4 +1,4 @@
-"""What all commands share: where they print, how they end, how they write JSON."""
+"""Output of all commands: console, warnings, JSON, common options."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def warn(text: str) -> None:
 
 
 def millimetres(metres: float) -> str:
-    """A length for a table; a dash where there is none."""
+    """A length in a table; a dash for a value that is not finite."""
     return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else "-"
 
 

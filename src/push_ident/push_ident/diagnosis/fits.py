@@ -7,15 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.diagnosis.parallel import side_by_side
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
+__all__ = ["fit_base", "fit_effects", "fit_some_values", "polished", "with_another", "without_pushes"]
 
 _MAX_ITERATIONS: Final = 40
 """Of a fit that starts from another one."""
@@ -41,7 +41,7 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
     def problem_at(amplitude: float) -> FitProblem:
         return FitProblem(records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics)
 
-    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, run_all=side_by_side)
+    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, run_all=map_in_threads)
     return max(fit_amplitudes(problem_at, np.zeros(problem_at(1.0).size), policy), key=lambda fit: fit.log_evidence)
 
 
@@ -128,8 +128,3 @@ def _refit(base: Fit, unknowns: Unknowns, effects: Float64Array, needed_cost: fl
     x0 = base.problem.layout.moved(base.x, problem.layout)
     x0[problem.layout.slice_of("effects")] = effects
     return Fit(problem, *minimise(problem, x0, _MAX_ITERATIONS, tolerance=_COARSE_TOLERANCE, needed_cost=needed_cost), base.amplitude)
-
-
-# Names of the code before, until all callers have changed.
-EffectFit = Fit
-fit_effects_but = fit_some_values

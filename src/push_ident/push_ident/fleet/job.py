@@ -20,6 +20,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.model_file import model_content
 from push_ident.identification.prior import Prior
 from push_ident.identification.result_json import result_json
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.offline.loading import load_pushes
 
 __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
@@ -35,7 +36,7 @@ class FleetOptions:
     """Options of the identification of each bag."""
 
     prior: Prior = field(default_factory=Prior)
-    method: str = "gauss_newton"
+    method: str = DEFAULT_SOLVER
     object_id: str = ""
     """Object to identify; empty: in each bag the one with the most pushes."""
     held_out: int = 4

@@ -73,10 +73,12 @@ class Meter:
 
     @property
     def seconds(self) -> float:
+        """Time since the start, or between start and stop [s]."""
         return self._clock() - self._started if self._stopped is None else self._stopped
 
     @property
     def spent(self) -> bool:
+        """Whether a limit of the budget is reached."""
         limit = self.budget
         return (limit.max_simulations is not None and self.n_simulations >= limit.max_simulations) or (
             limit.max_seconds is not None and self.seconds >= limit.max_seconds
@@ -89,6 +91,7 @@ class Meter:
 
     @property
     def best(self) -> Sample | None:
+        """The best point so far; None before the first."""
         return self.history[-1] if self.history else None
 
     def count(self, n: int) -> None:

@@ -79,6 +79,7 @@ class Identifiability:
 
     @property
     def n_open(self) -> int:
+        """Combinations of the cells that the pushes leave open."""
         return sum(c.knowledge is Knowledge.OPEN for c in self.combinations)
 
 

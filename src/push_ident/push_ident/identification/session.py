@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.errors import InputError, PlanningError
-from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.next_push import PlannedPush, RankingOptions, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
 from push_ident.identification.prediction import Prediction, predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, RunningRecord, score_push
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.identification.state_file import load_state, save_state
+from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
 
@@ -29,7 +31,7 @@ _LATEST = 0.1
 _N_REFERENCES = 12
 _SOURCES = 200
 """Latest pushes that a model names as what it rests on."""
-_KNOWN = 10_000
+REMEMBERED_PUSHES = 10_000
 """Latest pushes that are known when they come again: memory must not grow for as long as pushes come in."""
 
 
@@ -38,7 +40,7 @@ class SessionOptions:
     """How objects are identified online."""
 
     prior: Prior = field(default_factory=Prior)
-    method: str = "gauss_newton"
+    method: str = DEFAULT_SOLVER
     window: int = 8
     """Pushes simulated again at every solve."""
     max_seconds: float = 10.0
@@ -90,6 +92,7 @@ class ObjectSession:
 
     @property
     def shape(self) -> ObjectShape:
+        """Cells and outline of the object."""
         return self.online.state.shape
 
     @property
@@ -160,16 +163,14 @@ class ObjectSession:
 
     def predict_under_way(self, partial: PushRecord, horizon: float) -> Prediction:
         """Where the object will be while the pusher goes on as it does now, for `horizon` seconds."""
-        seen = observe_push(partial, self.options.noise)
+        observed = observe_push(partial, self.options.noise)
         path = _continued(partial.pusher, horizon)
         now = float(partial.pusher.time[-1])
         time = np.linspace(now, now + horizon, 11)
         return predict(
             self.posterior,
-            path,
-            seen.pose[0],
-            time,
-            first_covariance=seen.first_covariance,
+            PushScenario(path, observed.pose[0], time),
+            first_covariance=observed.first_covariance,
             noise=self.options.noise,
             n_samples=_SAMPLES_UNDER_WAY,
         )
@@ -191,11 +192,11 @@ class ObjectSession:
         except PlanningError:
             return None
         reference = reference_pushes(self.shape, rng, _N_REFERENCES, push_settings)
-        best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, noise=self.options.noise).best
+        best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, options=RankingOptions(noise=self.options.noise)).best
         if best is None:
             return None
         time = np.linspace(best.pusher.time[0], best.pusher.time[-1], 31)
-        return best, predict(self.posterior, best.pusher, best.pose_object_in_table, time, noise=self.options.noise)
+        return best, predict(self.posterior, PushScenario(best.pusher, best.pose_object_in_table, time), noise=self.options.noise)
 
     def replaced_by(self, shape: ObjectShape) -> ObjectSession:
         """Session of another object that took over the id; the state of this one is put aside on disk."""
@@ -229,14 +230,14 @@ class _KnownPushes:
     """
 
     def __init__(self, keys: Sequence[tuple[float, float, float]] = ()) -> None:
-        self._ring = np.full((_KNOWN, 3), np.nan)
+        self._ring = np.full((REMEMBERED_PUSHES, 3), np.nan)
         self._n = 0
         for key in keys:
             self.add(key)
 
     def add(self, key: tuple[float, float, float]) -> None:
         """One more; for it, the oldest is forgotten where there are too many."""
-        self._ring[self._n % _KNOWN] = key
+        self._ring[self._n % REMEMBERED_PUSHES] = key
         self._n += 1
 
     def __contains__(self, key: tuple[float, float, float]) -> bool:
@@ -245,7 +246,7 @@ class _KnownPushes:
     @property
     def keys(self) -> list[tuple[float, float, float]]:
         """In the order they came."""
-        order = np.arange(max(0, self._n - _KNOWN), self._n) % _KNOWN
+        order = np.arange(max(0, self._n - REMEMBERED_PUSHES), self._n) % REMEMBERED_PUSHES
         return [(time, x, y) for time, x, y in self._ring[order].tolist()]
 
 

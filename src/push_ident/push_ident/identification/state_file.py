@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.files import write_whole
@@ -52,15 +52,15 @@ class _Past(_Part):
 
 
 class _Score(_Part):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants", populate_by_name=True)
 
     number: int
     source: str
     start: float
-    error: float
-    expected: float
-    distance2: float
-    uniform: float
+    cell_error: float = Field(alias="error")
+    expected_cell_error: float = Field(alias="expected")
+    mahalanobis2: float = Field(alias="distance2")
+    uniform_cell_error: float = Field(alias="uniform")
 
 
 class _Record(_Part):
@@ -128,7 +128,7 @@ def save_state(
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
     )
-    write_whole(path, content.model_dump_json(), "the state of the identification")
+    write_whole(path, content.model_dump_json(by_alias=True), "the state of the identification")
 
 
 def load_state(path: Path) -> KeptState:

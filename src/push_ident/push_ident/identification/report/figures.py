@@ -91,9 +91,9 @@ def draw_record(scores: Sequence[PushScore]) -> Figure:
     ax = figure.subplots()
     numbers = [score.number for score in scores]
     for name, colour, style, values in (
-        ("predicted before the push", "#1f5fa8", "o-", [s.error for s in scores]),
-        ("expected by the prediction", "#9fb8d6", "--", [s.expected for s in scores]),
-        ("equal cells, nominal", "#444444", "_", [s.uniform for s in scores]),
+        ("predicted before the push", "#1f5fa8", "o-", [s.cell_error for s in scores]),
+        ("expected by the prediction", "#9fb8d6", "--", [s.expected_cell_error for s in scores]),
+        ("equal cells, nominal", "#444444", "_", [s.uniform_cell_error for s in scores]),
     ):
         ax.plot(numbers, 1e3 * np.array(values), style, color=colour, label=name)
     ax.set_xticks(numbers)

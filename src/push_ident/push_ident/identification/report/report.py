@@ -134,10 +134,10 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
     return {
         "figure": svg(draw_record(scores)),
         "n": summary.n,
-        "mean": summary.mean_error,
-        "expected": summary.mean_expected,
-        "uniform": summary.mean_uniform,
-        "share": f"{summary.share_within_ninety:.0%}",
+        "mean": summary.mean_cell_error,
+        "expected": summary.mean_expected_cell_error,
+        "uniform": summary.mean_uniform_cell_error,
+        "share": f"{summary.share_within_90:.0%}",
     }
 
 

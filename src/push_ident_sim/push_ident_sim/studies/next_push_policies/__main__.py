@@ -1,6 +1,6 @@
 """Does choosing the next push pay? Random pushes against pushes ranked first, on objects simulated by this package.
 
-    .venv/bin/python -m push_ident_sim.studies.next_push_policies.study
+    .venv/bin/python -m push_ident_sim.studies.next_push_policies
         [--objects 20] [--pushes 5] [--candidates 100] [--seed 0] [--json FILE]
 
 Every object is a random shape with random maps. All policies start from the same random push and are measured on the same random pushes.
@@ -18,7 +18,7 @@ import numpy as np
 
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.identification.next_push import Criterion, candidate_pushes, rank_pushes, reference_pushes
-from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
+from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
 from push_ident.identification.result import prior_posterior
 from push_ident.pushing.push import PushSettings
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
@@ -52,6 +52,7 @@ def random_object(rng: np.random.Generator) -> ObjectModel:
 
 
 def random_shape(rng: np.random.Generator) -> ObjectShape:
+    """Two or three overlapping rectangles of cells, 50 to 120 cells in all."""
     n = 20
     while True:
         cells = np.zeros((n, n), dtype=bool)
@@ -92,6 +93,7 @@ def mean_and_error(values: Float64Array) -> tuple[Float64Array, Float64Array]:
 
 
 def main() -> None:
+    """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--objects", type=int, default=20)
     parser.add_argument("--pushes", type=int, default=5)
@@ -118,8 +120,7 @@ def main() -> None:
                 held_out,
                 np.random.default_rng([arguments.seed, i, 4]),
                 push_settings=SETTINGS,
-                n_pushes=arguments.pushes,
-                n_candidates=arguments.candidates,
+                options=CurveOptions(n_pushes=arguments.pushes, n_candidates=arguments.candidates),
             )
         print(f"\robject {i + 1}/{arguments.objects}", end="", file=sys.stderr, flush=True)
     print("\r", end="", file=sys.stderr)
