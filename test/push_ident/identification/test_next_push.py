@@ -99,7 +99,7 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     record = PushRecord("o1", SHAPE, PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3))), push.pusher)
     problem = FitProblem([record], posterior.unknowns, settings=settings)
     n = posterior.unknowns.size
-    prior = np.diag(np.r_[np.ones(n), np.zeros(3)])
+    prior = np.diag(problem.unit_prior)
     # The fit weighs frames by how well they agree; on average over the noise the weight is one.
     weight = problem.weigh(np.zeros((1, 3)))[1][0]
     fitted = np.linalg.inv(prior + (problem.evaluate(np.zeros(problem.size)).hessian - prior) / weight)[:n, :n]

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
+from push_ident.identification import solvers
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
-from push_ident.identification.identify import identify
+from push_ident.identification.identify import Earlier, identify
+from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
@@ -128,3 +131,54 @@ def test_contradictory_pushes_are_a_status_and_widen_the_posterior() -> None:
     contradictory = identify([*TRAIN, *(with_second_half_moved(r, (0.05, -0.05, 1.0)) for r in TRAIN)])
     assert contradictory.status is SolveStatus.POOR_FIT
     assert contradictory.posterior.pusher_friction.std > consistent.posterior.pusher_friction.std
+
+
+@pytest.mark.parametrize("method", QUICK)
+def test_solvers_do_what_their_capabilities_state(method: str) -> None:
+    can = SOLVERS[method].capabilities
+    budget = Budget(max_simulations=60)
+    result = identify(TRAIN, method=method, budget=budget)
+    unknowns, n_cells = result.posterior.unknowns, len(TRAIN[0].shape.cells)
+    assert can.cell_by_cell == np.array_equal(unknowns.modes, np.eye(n_cells))
+    assert can.gives_posterior == (not np.array_equal(result.posterior.covariance, np.eye(unknowns.size)))
+    assert can.gives_posterior == bool(np.isfinite(result.reduced_chi2))
+    again = identify(TRAIN, method=method, budget=budget, earlier=Earlier(result.warm_starts))
+    if can.resumes:
+        assert again.history[0].cost <= result.cost * (1 + 1e-6)
+    else:
+        assert again.history[0].cost == result.history[0].cost
+    if not can.takes_effects:
+        with pytest.raises(InputError, match="fits no effects"):
+            identify(TRAIN, method=method, effects=("table_tilt",))
+
+
+def test_solver_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "stays_put.py").write_text(
+        """
+from push_ident.identification.solver import CellByCellSolver
+from push_ident.types import SolveStatus
+
+class StaysPut(CellByCellSolver):
+    name = "stays_put"
+
+    def solve(self, problem, x0, rng):
+        problem.meter.offer(x0, problem.cost(x0))
+        return x0, SolveStatus.CONVERGED
+
+SOLVER = StaysPut()
+"""
+    )
+    monkeypatch.setattr(solvers, "__path__", [*solvers.__path__, str(tmp_path)])
+    monkeypatch.setitem(SOLVERS, "stays_put", solvers.discover()["stays_put"])
+    result = identify(TRAIN[:1], method="stays_put")
+    assert (result.method, result.status, result.n_simulations) == ("stays_put", SolveStatus.CONVERGED, 1)
+    online = OnlineIdentifier(OnlineIdentifier.new(TRAIN[0].shape), method="stays_put")
+    assert online.add(TRAIN[0]).status is SolveStatus.CONVERGED
+    assert online.update(TRAIN[1]) is not None
+
+
+def test_file_of_a_solver_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "alias.py").write_text("from push_ident.identification.solvers.random_search import SOLVER\n")
+    monkeypatch.setattr(solvers, "__path__", [*solvers.__path__, str(tmp_path)])
+    with pytest.raises(ImportError, match="alias"):
+        solvers.discover()

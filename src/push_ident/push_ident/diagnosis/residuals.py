@@ -156,7 +156,7 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     jacobian = problem.jacobian(fit.x)
     if jacobian is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
-        precision = np.diag(np.r_[np.ones(fit.unknowns.size), np.zeros(3 * len(counts))])
+        precision = np.diag(problem.unit_prior)
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(n_draws, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]

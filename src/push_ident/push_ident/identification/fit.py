@@ -79,11 +79,6 @@ class Fit:
         return self.problem.unknowns
 
     @property
-    def parameters(self) -> Unknowns:
-        """`unknowns` under the name of the code before."""
-        return self.problem.unknowns
-
-    @property
     def z(self) -> Float64Array:
         """Values of `unknowns`, shape (unknowns.size,)."""
         return self.problem.object_unknowns(self.x)

@@ -225,11 +225,6 @@ class Unknowns:
         return slice(start + own.start, start + own.stop)
 
     @property
-    def effect_slice(self) -> slice:
-        """Place of the block `effects` under the name of the code before."""
-        return self.slice_of("effects")
-
-    @property
     def n_modes(self) -> int:
         """Number of modes of each map."""
         return int(self.modes.shape[1])

@@ -9,10 +9,11 @@ from typing import Final
 from push_ident.errors import InputError
 from push_ident.identification.solver import Solver
 
-__all__ = ["DEFAULT_SOLVER", "SOLVERS", "solver_of"]
+__all__ = ["DEFAULT_SOLVER", "SOLVERS", "discover", "solver_of"]
 
 
-def _discover() -> dict[str, Solver]:
+def discover() -> dict[str, Solver]:
+    """The solvers in the files of this folder, those with a posterior first, else in alphabetical order."""
     found: dict[str, Solver] = {}
     for name in sorted(module.name for module in iter_modules(__path__)):
         solver: Solver = import_module(f"{__name__}.{name}").SOLVER
@@ -22,8 +23,8 @@ def _discover() -> dict[str, Solver]:
     return dict(sorted(found.items(), key=lambda item: not item[1].capabilities.gives_posterior))
 
 
-SOLVERS: Final = _discover()
-"""All solvers by their name, those with a posterior first."""
+SOLVERS: Final = discover()
+"""All solvers by name."""
 DEFAULT_SOLVER: Final = next(iter(SOLVERS))
 """Name of the solver that is used where none is named."""
 

@@ -234,7 +234,7 @@ def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
         off[:, 2] = wrap_angle(off[:, 2])
         parts.append(np.einsum("fij,fj->fi", seen.whitening, off).ravel())
     difference = np.concatenate(parts)
-    precision = np.diag(np.r_[np.ones(base.unknowns.size), np.zeros(3 * len(parts))])
+    precision = np.diag(problem.unit_prior)
     taken_up = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
     return float(difference @ (difference - taken_up))
 
