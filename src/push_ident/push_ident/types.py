@@ -280,7 +280,7 @@ class SolveStatus(Enum):
     MAX_ITERATIONS = "not converged within the iterations allowed; allow more, or start from a nearer model"
     BUDGET_SPENT = "stopped when the budget was spent, at the best point so far; allow more simulations or seconds"
     OUT_OF_REACH = "stopped early: the cost from which the result would matter is out of reach"
-    STALLED = "no step lowers the cost although the gradient is not zero; the pushes may contradict each other"
+    STALLED = "stopped at the best point so far, from which no step lowered the cost; the pushes may contradict each other"
     POOR_FIT = "the fit is far worse than the noise: the pushes contradict each other or the model; look at their poses, or diagnose"
     SIMULATION_FAILED = "the simulation did not converge for this model; check masses, outline and pusher path"
     NO_CONTACT = "no push touches the object; nothing can be learned from these pushes"

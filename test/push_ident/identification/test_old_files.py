@@ -9,7 +9,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from push_ident.errors import ModelFileError
 from push_ident.identification.model_file import load_model
 from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.state_file import load_state, save_state
@@ -25,6 +27,21 @@ def test_model_of_an_earlier_version_states_the_same_maps() -> None:
     assert posterior.model.mass.tolist() == written["mass"]
     assert posterior.model.friction.tolist() == written["friction"]
     assert posterior.model.pusher_friction == written["pusher_friction"]
+
+
+def test_model_whose_effects_had_another_prior_is_refused(tmp_path: Path) -> None:
+    """Its unknowns count in units of that prior: read in others, they would be other values."""
+    written = json.loads((FILES / "model_1.json").read_text())
+    n = len(written["z"])
+    at = n - 2  # effects come before the two scales
+    written |= {"effects": ["outline_error"], "effect_values": [4e-4], "z": [*written["z"][:at], 1.0, *written["z"][at:]]}
+    written["covariance"] = np.eye(n + 1).tolist()
+    (tmp_path / "model.json").write_text(json.dumps(written))
+    with pytest.raises(ModelFileError, match="other values of its effects"):
+        load_model(tmp_path / "model.json")
+    written["effect_values"] = [2e-3]
+    (tmp_path / "model.json").write_text(json.dumps(written))
+    assert load_model(tmp_path / "model.json")[1].effects.values.tolist() == [2e-3]
 
 
 def test_state_of_an_earlier_version_continues(tmp_path: Path) -> None:

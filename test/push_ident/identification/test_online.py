@@ -1,4 +1,4 @@
-"""Identification while pushing: what it remembers, what a frame costs, and that a killed process goes on as if nothing had been."""
+"""Identification while pushing: summed-up pushes, updates at a frame, and a killed process that continues bit by bit."""
 
 from __future__ import annotations
 

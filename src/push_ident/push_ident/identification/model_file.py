@@ -16,7 +16,7 @@ from push_ident.identification.files import write_whole
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.unknowns import Unknowns
-from push_ident.types import CellGrid, ObjectShape
+from push_ident.types import CellGrid, Float64Array, ObjectShape
 
 __all__ = ["ModelContent", "load_model", "model_content", "posterior_of", "prior_of", "read_checked", "save_model"]
 
@@ -127,6 +127,8 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
     z, covariance = np.array(content.z), np.array(content.covariance)
     if z.shape != (unknowns.size,) or covariance.shape != (unknowns.size, unknowns.size):
         raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {unknowns.size} for its cells; the file is damaged.")
+    if content.effect_values and not _equal(unknowns.effects_at(z).values, content.effect_values):
+        raise ModelFileError(f"{path} states other values of its effects than its unknowns give; identify again with this version.")
     return ModelPosterior(
         unknowns=unknowns,
         z=z,
@@ -134,6 +136,10 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
         total_mass=Estimate(content.total_mass, content.total_mass_std),
         total_mass_identifiable=content.total_mass_identifiable,
     )
+
+
+def _equal(values: Float64Array, stated: Sequence[float]) -> bool:
+    return len(values) == len(stated) and np.allclose(values, stated, rtol=1e-9, atol=1e-15)
 
 
 def prior_of(values: dict[str, float]) -> Prior:

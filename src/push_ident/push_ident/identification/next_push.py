@@ -136,7 +136,7 @@ def candidate_pushes(
         obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
         rest: time that the pusher stands still before and after the push [s].
         acceleration: of the pusher at both ends of its path [m/s^2]; by default it has its speed at once, which makes no difference where
-            friction alone decides.
+            only friction decides.
 
     Raises:
         PlanningError: UNREACHABLE where no push is safe.

@@ -30,7 +30,7 @@ def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Floa
     """Condition a posterior on the wrenches of the pushes; unchanged where there are none.
 
     Args:
-        posterior: from the poses alone.
+        posterior: from the poses.
         problem: pushes that it was fitted to.
         x: unknowns of the problem at the posterior's mean, for the first poses, shape (problem.size,).
         past: `log_force` of pushes that are not in the problem.
