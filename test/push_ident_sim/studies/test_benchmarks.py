@@ -12,10 +12,10 @@ import torch
 
 from push_ident.cli.main import app
 from push_ident.errors import InputError
-from push_ident_sim.studies import BENCHMARKS
-from push_ident_sim.studies.common.bench_runner import write_page
 from push_ident_sim.studies.common.benchmark import Settings
+from push_ident_sim.studies.common.pages import write_benchmarks
 from push_ident_sim.studies.common.timing import growth_exponent, interleaved
+from push_ident_sim.studies.registry import BENCHMARKS
 
 
 @pytest.fixture(autouse=True)
@@ -72,4 +72,4 @@ def test_command_names_what_there_is() -> None:
 
 def test_page_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="push-ident bench"):
-        write_page(list(BENCHMARKS.values()), tmp_path / "benchmarks.md")
+        write_benchmarks(BENCHMARKS.values(), tmp_path / "benchmarks.md")

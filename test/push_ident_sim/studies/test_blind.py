@@ -22,7 +22,6 @@ from push_ident.pushing.sampling import sample_push
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
-from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.blind import sealing
 from push_ident_sim.studies.blind.cases import (
     FIRST_REPORT_MODEL,
@@ -35,7 +34,8 @@ from push_ident_sim.studies.blind.cases import (
 from push_ident_sim.studies.blind.scoring import score_case, true_values
 from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
 from push_ident_sim.studies.common.experiment import Case, CaseResult
-from push_ident_sim.studies.common.runner import write_json
+from push_ident_sim.studies.common.files import write_json
+from push_ident_sim.studies.registry import EXPERIMENTS
 
 NOISE = CameraNoise()
 

@@ -22,12 +22,12 @@ from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings import truth
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
-from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row
-from push_ident_sim.studies.common.report import write_report
+from push_ident_sim.studies.common.pages import write_experiments
 from push_ident_sim.studies.common.runner import RunOptions, run_experiment
 from push_ident_sim.studies.convergence import study as convergence
+from push_ident_sim.studies.registry import EXPERIMENTS
 
 FEW = TruthSettings(n_train=2, n_test=1)
 
@@ -215,4 +215,4 @@ def test_command_names_what_there_is() -> None:
 
 def test_report_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--json"):
-        write_report(EXPERIMENTS, tmp_path / "experiments.md", "command")
+        write_experiments(EXPERIMENTS.values(), tmp_path / "experiments.md", "command")

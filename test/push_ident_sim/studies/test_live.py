@@ -82,9 +82,9 @@ def test_summary_counts_kills_and_losses_and_is_shown(tmp_path: Path) -> None:
         "traceback": False,
     }
     results = [CaseResult(Case("hammer", 0, "kills"), {"kills": kills}), CaseResult(Case("hammer", 0, "soak"), soak)]
-    summary = live.EXPERIMENT.summarise(results)
+    summary = live.STUDY.summarise(results)
     assert (summary["kills"]["equal"], summary["kills"]["half_written"], summary["kills"]["differing"]) == (1, 1, ["scores"])
     assert live.lost(messages, counts) == {"poses": 0, "pusher samples": 1, "wrenches": 200}
-    text = live.EXPERIMENT.tables(summary)
+    text = live.STUDY.tables(summary)
     assert "| 1 of 2 |" in text and "600, 201" in text
-    assert list(live.EXPERIMENT.draw(summary, tmp_path)) == ["live.png"] and (tmp_path / "live.png").exists()
+    assert list(live.STUDY.draw(summary, tmp_path)) == ["live.png"] and (tmp_path / "live.png").exists()

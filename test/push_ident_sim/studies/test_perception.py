@@ -14,11 +14,11 @@ from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.depth import points_in_table
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.objects import make_object
-from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.common.arm_in_view import ArmInView
 from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.common.seeing import postures_of_pushes, see_pushes, views_of_pushes
 from push_ident_sim.studies.perception.recorded_scenes import find_objects, read_scene, scene_files
+from push_ident_sim.studies.registry import EXPERIMENTS
 
 SMALL = CameraIntrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
 EYE = look_at((0.0, -0.8, 0.65), (0.0, 0.0, 0.0))

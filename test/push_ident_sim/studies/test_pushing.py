@@ -93,13 +93,13 @@ def test_push_past_the_object_counts_as_no_contact_and_all_is_summed_up(arm: Arm
         CaseResult(Case("book", 0, "cancel"), {"stops": [held]}),
         CaseResult(Case("book", 0, "silence"), {"stops": [late, {"kind": "silence", "spurious": True, "code": 0, "text": ""}]}),
     ]
-    summary = pushing.EXPERIMENT.summarise(results)
+    summary = pushing.STUDY.summarise(results)
     row = summary["all"]
     assert (row["asked"], row["refused"], row["contact"], row["succeeded"]) == (2, 1, 1, 1)
     assert row["cross_max_m"] == miss["cross_max_m"]
     assert summary["codes"] == {"NONE": 1, "NO_CONTACT": 1}
     assert summary["stops"]["silence"]["within"] == 0 and summary["stops"]["silence"]["spurious"] == {"NONE": 1}
-    text = pushing.EXPERIMENT.tables(summary)
+    text = pushing.STUDY.tables(summary)
     assert "50.0 %" in text and "1 of 1" in text and "0 of 1" in text
-    for picture in pushing.EXPERIMENT.draw(summary, tmp_path):
+    for picture in pushing.STUDY.draw(summary, tmp_path):
         assert (tmp_path / picture).stat().st_size > 10_000

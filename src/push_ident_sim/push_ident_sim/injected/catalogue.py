@@ -39,7 +39,7 @@ class _Size(NamedTuple):
     lowest: float
     highest: float
     times_friction: bool = False
-    decided_by_world: bool = False
+    chosen_by_world: bool = False
 
 
 def _catalogued(name: str, acts_on: Part, how: str, *sizes: _Size) -> InjectedEffect:
@@ -53,7 +53,7 @@ def _catalogued(name: str, acts_on: Part, how: str, *sizes: _Size) -> InjectedEf
             size.lowest,
             size.highest,
             p.what,
-            None if size.decided_by_world else p.nominal,
+            None if size.chosen_by_world else p.nominal,
             p.shape,
             times_friction=size.times_friction,
         )
@@ -109,8 +109,8 @@ _ENTRIES = (
         "object",
         "a force on the object; without pull_x and pull_y the spring is relaxed where the object was put down",
         _Size(5.0, 0.0, 100.0),
-        _Size(0.0, -50.0, 50.0, decided_by_world=True),
-        _Size(0.0, -50.0, 50.0, decided_by_world=True),
+        _Size(0.0, -50.0, 50.0, chosen_by_world=True),
+        _Size(0.0, -50.0, 50.0, chosen_by_world=True),
     ),
     _catalogued(
         "moving_contents",
@@ -146,7 +146,7 @@ _ENTRIES = (
         "camera",
         (InjectedParameter("share", "1", 0.3, 0.0, 0.95, "of all frames"),),
         "Frames are lost at random.",
-        "frames are left out",
+        "frames are dropped",
     ),
     InjectedEffect(
         "noise_correlation",
@@ -167,7 +167,7 @@ _ENTRIES = (
         "table",
         (InjectedParameter("travel", "m", 2e-3, 0.0, 0.02, "shear at which a cell starts to slide", smallest=2e-4),),
         "The surface of the table shears before a cell slides, and springs back.",
-        "cells hang on springs that give way at their friction force; Bullet's own friction is off",
+        "cells hang on springs that give way at their friction force; Bullet's own friction is switched off",
     ),
     InjectedEffect(
         "viscous_film",

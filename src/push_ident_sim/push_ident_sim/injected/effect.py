@@ -30,9 +30,9 @@ class InjectedParameter:
     highest: float
     what: str = ""
     default: float | None = 0.0
-    """Value where it is not given. None: the world decides, see the effect."""
+    """Value where none is given. None: the world chooses it, see `how` of the effect."""
     is_shape: bool = False
-    """It only shapes what the others switch on; alone it does nothing."""
+    """It only shapes the effect that other parameters switch on."""
     smallest: float = 0.0
     """The simulation cannot bring about sizes between 0 and this."""
     times_friction: bool = False
@@ -43,8 +43,8 @@ class InjectedParameter:
         """One line for people."""
         sizes = f"{self.lowest:g} to {self.highest:g}"
         if self.default is None:
-            return f"{self.name} [{self.unit}]: {self.what}; {sizes}, may be left out"
-        typical = f"{self.default:g} where left out" if self.is_shape else f"typical {self.typical:g}"
+            return f"{self.name} [{self.unit}]: {self.what}; {sizes}, optional"
+        typical = f"{self.default:g} by default" if self.is_shape else f"typical {self.typical:g}"
         return f"{self.name} [{self.unit}]: {self.what}; {sizes}, {typical}" + (
             " times the friction coefficient" if self.times_friction else ""
         )
@@ -75,7 +75,7 @@ class InjectedEffect:
 
     @property
     def defaults(self) -> tuple[float, ...]:
-        """Values at which it does nothing, without those that the world decides."""
+        """Values at which it does nothing, without those that the world chooses."""
         return tuple(p.default for p in self.parameters if p.default is not None)
 
     def typical(self, mean_friction: float = 1.0) -> dict[str, tuple[float, ...]]:

@@ -22,7 +22,7 @@ def mean_friction(thing: SimObject) -> float:
 def push_height(effects: InjectedEffects, thing: SimObject) -> float:
     """Height above the table at which `thing` is pushed [m].
 
-    The effect states the lever, friction coefficient times height, as the core does: poses do not determine the two apart.
+    The effect states the lever, friction coefficient times height, as in the core: poses do not determine the two separately.
     """
     (lever,) = effects["push_height"]
     return lever / mean_friction(thing) if lever else 0.0

@@ -18,7 +18,7 @@ class InjectedEffects:
     """The effects injected into one simulation; none by default."""
 
     values: tuple[tuple[str, tuple[float, ...]], ...] = ()
-    """Names and parameters, sorted by name. Effects of size zero are left out, so that they change no bit of a simulation."""
+    """Names and parameters, sorted by name. Effects of size zero are dropped, so that they change no bit of a simulation."""
 
     def __post_init__(self) -> None:
         chosen: dict[str, tuple[float, ...]] = {}
@@ -37,7 +37,7 @@ class InjectedEffects:
 
     @classmethod
     def of(cls, values: Mapping[str, float | Sequence[float]]) -> InjectedEffects:
-        """From names and parameters: one number, or several; those that are left out at the end take their default."""
+        """From names and parameters: one number, or several; missing ones at the end take their default."""
         return cls(tuple((name, tuple(v) if isinstance(v, Sequence) else (float(v),)) for name, v in values.items()))
 
     @classmethod
@@ -75,7 +75,7 @@ class InjectedEffects:
 
 
 def _checked(effect: InjectedEffect, given: Sequence[float]) -> tuple[float, ...]:
-    """The values with defaults added. Those that the world decides are given all or not at all."""
+    """The values with defaults added. Those that the world chooses are given all or not at all."""
     named = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
     n_defaults, n_all = len(effect.defaults), len(effect.parameters)
     if not (0 < len(given) <= n_defaults or len(given) == n_all):

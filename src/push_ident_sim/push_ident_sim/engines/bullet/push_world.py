@@ -27,7 +27,7 @@ _FINGER_MASS = 0.02
 _PUSHER_EFFORT = 1e4
 """[N]: the object cannot hold the pusher back."""
 _SWINGING_STEPS = 30
-"""Time steps for which an object on springs must stand still to count as at rest: it may only be turning back."""
+"""Time steps for which an object on springs must be at rest: it may only be reversing."""
 _SETTLING_STEPS = 10
 """After the object was put down, so that every foot bears its load."""
 _ASIDE = np.array([10.0, 10.0])
@@ -35,7 +35,7 @@ _ASIDE = np.array([10.0, 10.0])
 
 
 class PushWorld:
-    """An object on a table, and a disc that follows a path whatever the object does. Not safe to share between threads."""
+    """An object on a table, and a disc that follows a path whatever force the object exerts. Not safe to share between threads."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class PushWorld:
         solver_iterations: int = 50,
         effects: InjectedEffects | None = None,
     ) -> None:
-        """`pusher_radius` [m] > 0, `time_step` [s]. Of the effects, those that act on what is seen are not this world's business."""
+        """`pusher_radius` [m] > 0, `time_step` [s]. Effects on poses and camera do not act here."""
         effects = effects or InjectedEffects()
         self.pusher_radius = pusher_radius
         self.time_step = time_step
@@ -107,14 +107,14 @@ class PushWorld:
         rest_speed: float = 1e-4,
         longest_rest: float = 1.0,
     ) -> TrueMotion:
-        """Put the object down and lead the pusher along `path`, then wait until the object rests.
+        """Place the object and move the pusher along `path`, then wait until the object rests.
 
         Args:
             pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
-            path: of the pusher, as its arm reports it; its clock starts at the first sample. Beyond the last sample the pusher stands.
+            path: of the pusher, as its arm reports it; its clock starts at the first sample. After the last sample the pusher is at rest.
             velocity: first velocity of its frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
-            pushes_done: how many went before this one; some effects grow with them.
-            watch: called after each time step, for what the motion does not tell.
+            pushes_done: number of earlier pushes; some effects grow with it.
+            watch: called after each time step, for quantities that the motion does not contain.
             rest_speed: the object rests when its frame is slower than this [m/s] and turns at less than ten times it [rad/s].
             longest_rest: wait no longer than this after the path [s].
         """
@@ -175,7 +175,7 @@ class PushWorld:
         self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
 
     def _begin(self, reported: FloatArray) -> FloatArray:
-        """Where the tool really is when a path begins at `reported`."""
+        """True place of the tool when a path begins at `reported`."""
         self._force = np.zeros(2)
         if self._tool is None:
             return reported

@@ -1,6 +1,6 @@
 """Effects between table and object: what the friction, load and mass of each cell become, and which forces come on top.
 
-Everything is read off the engine at the start of a time step and holds during that step.
+Everything is computed from the state at the start of a time step and holds during that step.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class SupportEffects:
         return any(name in effects for name in _ACTING) or acts_by_equation(effects, OnTable)
 
     def start(self, pose: FloatArray) -> None:
-        """The object was put down at `pose` (x, y, yaw)."""
+        """The object was placed at `pose` (x, y, yaw)."""
         self._anchor = tether_anchor(self._effects, pose[:2] + _rotation(pose[2]) @ self._centre)
         self._equations.start()
         self._contents = np.zeros(2)

@@ -9,7 +9,7 @@ implicit and so stable at any speed.
 The table under the cells is a bed of equal springs on which the rigid base stands with heave, pitch and roll: the loads are a linear
 function of the place in the base, and none is below zero. A cell without friction hangs above the table and bears nothing.
 
-All kernels stand in this file, as numba does not notice that a kernel of another file changed.
+All kernels are in this file, as numba does not notice a change of a kernel in another file.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Body(NamedTuple):
 
 
 class Path(NamedTuple):
-    """The path of the pusher's axis; beyond the last sample it stands."""
+    """The path of the pusher's axis; after the last sample it is at rest."""
 
     time: FloatArray
     """[s], shape (n_samples,), from 0."""
@@ -203,7 +203,7 @@ class _Touch(NamedTuple):
     """One contact; table axes."""
 
     normal_x: float
-    """Out of the object."""
+    """Outward from the object."""
     normal_y: float
     px: float
     """From the centre of mass [m]."""
@@ -230,7 +230,7 @@ def _press(touch: _Touch, laws: Laws, body: Body, frame: _Frame, state: State, d
     if press <= 0.0:
         state.bends[slot] = 0.0
         return
-    # The finger's skin moves along the tangent at -spin times radius where the object is.
+    # At the contact the surface of the finger moves along the tangent at -spin times radius.
     slide = slip_x * tangent_x + slip_y * tangent_y + finger * laws.finger_radius
     limit = laws.pusher_friction * press
     effective_t = 1.0 / (1.0 / body.mass + arm_t * arm_t / body.inertia)
@@ -335,7 +335,7 @@ def _rub(laws: Laws, body: Body, frame: _Frame, state: State, change: StepChange
             damping = _BRISTLE_DAMPING * 2.0 * np.sqrt(mass * load[i] / (weight * limit * laws.travel)) * held
             sx += damping * vx
             sy += damping * vy
-            # Spring and damper of a bristle together never hold more than it bears.
+            # Spring and damper of a bristle together never exceed its friction limit.
             size = max(1.0, np.sqrt(sx * sx + sy * sy))
             sx /= size
             sy /= size
@@ -406,7 +406,7 @@ def advance(
         change: what further effects do, the same in all these rows.
         clock: times of the simulation.
         first: number of the first row, from 1.
-        n_rows: at most so many are returned.
+        n_rows: largest number of rows to return.
 
     Returns:
         Rows of pose, shape (n, 3), of the pusher's place, shape (n, 2), of its mean force in the row, shape (n, 2); whether the object

@@ -1,4 +1,4 @@
-"""The numbers of every law that the planar engine knows, and effects that only it has."""
+"""Parameters of the laws of the planar engine, and the effects that only this engine has."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ OUTSIDE: dict[str, InjectedEffect] = {
         _outside("gust", "N", 0.4, 4.0, "A pull along y that oscillates at 1.5 Hz, with another phase in each push."),
     )
 }
-"""Effects that this engine alone has and no diagnosis can name, by name."""
+"""Effects that only this engine has and that no diagnosis can name, by name."""
 
 
 class Laws(NamedTuple):
-    """What holds during one push; lengths [m], forces [N], times [s], angles [rad]. Zero where an effect is absent."""
+    """Parameters that hold during one push; lengths [m], forces [N], times [s], angles [rad]. Zero where an effect is absent."""
 
     # Contact of pusher and object
     pusher_radius: float
     outline_offset: float
-    """By which the surface lies outside the outline."""
+    """Distance of the surface outside the outline."""
     pusher_friction: float
     contact_stiffness: float
     """[N/m]"""
     damping_ratio: float
     """Of the contact along its normal: 1 does not bounce."""
     contact_travel: float
-    """By which the tangential bristle bends before it slides."""
+    """Deflection at which the tangential bristle slides."""
     finger_radius: float
     """0 where the finger does not turn."""
     bearing_torque: float
@@ -63,7 +63,7 @@ class Laws(NamedTuple):
     gravity: float
     """Across the table [m/s^2]."""
     travel: float
-    """By which a bristle under a cell bends before it slides."""
+    """Deflection at which a bristle under a cell slides."""
     tilt_x: float
     tilt_y: float
     table_e1: float

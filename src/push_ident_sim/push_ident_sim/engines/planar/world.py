@@ -23,9 +23,9 @@ FloatArray = NDArray[np.float64]
 
 _GRAVITY = 9.81
 _TOOL_STEP = 1e-3
-"""In which effects on the tool are followed [s]."""
+"""Time step for effects on the path of the tool [s]."""
 _TOOL_REST = 0.4
-"""For which they are followed after the path [s]."""
+"""Time for which they are followed after the path [s]."""
 
 
 class PlanarWorld:
@@ -71,13 +71,13 @@ class PlanarWorld:
         rest_speed: float = 1e-4,
         longest_rest: float = 1.0,
     ) -> TrueMotion:
-        """Put the object down and lead the pusher along `path`, then wait until the object rests.
+        """Place the object and move the pusher along `path`, then wait until the object rests.
 
         Args:
             pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
-            path: of the pusher, as its arm reports it; its clock starts at the first sample. Beyond the last sample the pusher stands.
+            path: of the pusher, as its arm reports it; its clock starts at the first sample. After the last sample the pusher is at rest.
             velocity: first velocity of the object's frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
-            pushes_done: how many went before this one; some effects grow with them.
+            pushes_done: number of earlier pushes; some effects grow with it.
             rest_speed: the object rests when it is slower than this [m/s] and turns at less than ten times it [rad/s].
             longest_rest: wait no longer than this after the path [s].
 
@@ -158,7 +158,7 @@ class PlanarWorld:
         return load
 
     def close(self) -> None:
-        """Nothing is held; as in `PushWorld`."""
+        """Nothing to free; as in `PushWorld`."""
 
 
 def _three(values: ArrayLike, name: str) -> FloatArray:

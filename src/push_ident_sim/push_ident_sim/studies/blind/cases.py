@@ -29,7 +29,7 @@ from push_ident_sim.recordings.truth import (
     path_of_plan,
     true_model,
 )  # fmt: skip
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.physics.effects import EFFECTS
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Json
 
 __all__ = ["draw", "tables"]
 

@@ -25,7 +25,7 @@ from push_ident.types import PushRecord
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["TWINS", "Ask", "score_case", "true_values"]
 

@@ -23,9 +23,10 @@ from push_ident_sim.studies.blind.page import draw, tables
 from push_ident_sim.studies.blind.scoring import score_case
 from push_ident_sim.studies.blind.sealing import CAMERA, ENGINES, decision_hashes, seal_cases
 from push_ident_sim.studies.blind.summary import summarise_cases
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_PUSHES = {"14-pushes": 14, "8-pushes": 8, "6-pushes": 6, CAMERA: 8}
 _N_COMPARED = 3
@@ -97,20 +98,21 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     return summary
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="blind",
+    place=130,
     title="Blind check of the diagnosis",
     question=(
-        "Pushes come from engines that do not fit: Bullet with injected effects, and a planar integrator with bristles, springs and "
-        "a bed that tilts, each with nothing, one effect at sizes from undetectable to three times typical, two effects, or an "
-        "effect outside the catalogue. Seeds below 1000 set the policy; those from 1000 on are scored once, after the hashes of "
-        "truth and policy were written down. An effect is detectable where its true size would bring 5 nat of evidence on "
-        "average, and surely so where it would nine times out of ten; one outside the catalogue is visible where the same pushes "
-        "without it differ by a noncentrality of 25. The noncentrality is what is left of it when maps and the hardest rival are "
-        "fitted, too. The first name counts as right where it is the effect that was injected, or its twin that no push can tell from "
-        "it. S is the share of the gap on pushes held out that goes with the effect. Where a verdict leaves more than one effect "
-        "open, the pushes that it asks for are made, two at most. `camera`: the same through rendered depth images and perception. "
-        "`engines`: how far the engines are apart without any effect."
+        "Does a diagnosis name the right cause on pushes from other engines, when the truth is sealed? Pushes come from two engines "
+        "that the diagnosis does not use: Bullet with injected effects, and a planar integrator with bristles, springs and a bed that "
+        "tilts. Each case has no effect, one effect at sizes from undetectable to three times typical, two effects, or an effect "
+        "outside the catalogue. Seeds below 1000 set the policy; those from 1000 on are scored once, after the hashes of truth and "
+        "policy were written down. An effect is detectable where its true size brings 5 nat of log evidence on average, and clearly "
+        "detectable where it does so nine times out of ten; one outside the catalogue is detectable where the same pushes without it "
+        "differ by a noncentrality of 25. The noncentrality is that beside fitted maps and the hardest rival. The first name counts as "
+        "right where it is the injected effect or its exact twin. S is the share of the gap on held-out pushes that the effect "
+        "explains. Where a verdict leaves more than one effect, up to two requested pushes are made. `camera`: the same through "
+        "rendered depth images and perception. `engines`: the distance between the engines without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", CAMERA, ENGINES),
     fewer={"8-pushes": 8, "6-pushes": 8, CAMERA: 8, ENGINES: 2},

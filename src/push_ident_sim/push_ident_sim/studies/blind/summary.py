@@ -12,7 +12,8 @@ import numpy as np
 
 from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident_sim.studies.blind.scoring import TWINS
-from push_ident_sim.studies.common.experiment import CaseResult, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import CaseResult
 
 __all__ = ["Judged", "figures", "interval", "judge", "summarise_cases"]
 

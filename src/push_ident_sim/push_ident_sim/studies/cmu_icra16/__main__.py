@@ -1,6 +1,6 @@
-"""Real pushes of which only the end poses are known: uniform, identified and known-support models on pushes not trained on.
+"""Real pushes of which only the end poses are known: uniform, identified and known-support models on held-out pushes.
 
-    .venv/bin/python -m push_ident_sim.studies.cmu_icra16.study [FOLDER OF RECORDINGS] [--splits 10] [--seed 0] [--json FILE]
+    .venv/bin/python -m push_ident_sim.studies.cmu_icra16 [FOLDER OF RECORDINGS] [--splits 10] [--seed 0] [--json FILE]
 
 The recording (Zhou, Paolini, Bagnell, Mason, ICRA 2016; Apache-2.0) is not part of this repository: `FOLDER/cmu_icra16/*.txt`.
 """
@@ -38,9 +38,9 @@ def known_support_errors(report: ImportReport, records: list[PushRecord]) -> np.
     standing = ObjectShape(CellGrid(report.supports, shape.cells.size), shape.outline)
     errors = []
     for record in records:
-        seen = observe_push(record)
-        end = simulate_body(standing, body, PUSHER_FRICTION, PushScenario(record.pusher, seen.pose[0], seen.time[-1:])).pose[-1]
-        errors.append(cell_error(shape.cells, end, seen.pose[-1]))
+        observed = observe_push(record)
+        end = simulate_body(standing, body, PUSHER_FRICTION, PushScenario(record.pusher, observed.pose[0], observed.time[-1:])).pose[-1]
+        errors.append(cell_error(shape.cells, end, observed.pose[-1]))
     return np.array(errors)
 
 
@@ -62,7 +62,7 @@ def main() -> None:
     print(
         f"{len(records)} pushes, mean cell motion {1e3 * moved:.1f} mm; means over {arguments.splits} random splits, seed {arguments.seed}"
     )
-    print(f"{'trained on':>10} {'uniform':>10} {'scalars':>10} {'identified':>10} {'supports':>10}  [mm, on the pushes not trained on]")
+    print(f"{'trained on':>10} {'uniform':>10} {'scalars':>10} {'identified':>10} {'supports':>10}  [mm, on held-out pushes]")
     rng = np.random.default_rng(arguments.seed)
     rows = {}
     for n in (2, 5, 10):

@@ -1,6 +1,6 @@
 """Does choosing the next push pay? Random pushes against pushes ranked first, on objects simulated by this package.
 
-    .venv/bin/python -m push_ident_sim.studies.next_push_policies.study
+    .venv/bin/python -m push_ident_sim.studies.next_push_policies
         [--objects 20] [--pushes 5] [--candidates 100] [--seed 0] [--json FILE]
 
 Every object is a random shape with random maps. All policies start from the same random push and are measured on the same random pushes.
