@@ -30,7 +30,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
-from push_ident.nodes.seen_objects import SeenObjects
+from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import points_in_table
 from push_ident.types import DepthFrame, Float64Array
@@ -76,7 +76,7 @@ class ViewerNode(Node):
             raise InputError(f"Rerun is not installed ({error}); run `pip install -r requirements/viewer.txt`.") from None
         self._start()
         group = MutuallyExclusiveCallbackGroup()
-        self._objects = SeenObjects(self, group)
+        self._objects = TrackedObjects(self, group)
         self._topics = ObjectTopics(self, self._on_new_object)
         self._info: CameraInfo | None = None
         self._camera: Float64Array | None = None
