@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
-from geometry_msgs.msg import Point, Pose
 from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
-from push_ident.nodes.convert import TABLE_FRAME, planar_pose_to_msg, stamp_to_msg
+from push_ident.nodes.convert import stamp_to_msg
 from push_ident.nodes.convert_model import (
     cloud_to_msg,
     map_status,
     map_to_msg,
+    markers_to_msg,
     path_to_msg,
     prediction_path_to_msg,
     prediction_to_msg,
@@ -35,10 +33,6 @@ from push_ident_msgs.msg import PushScore as PushScoreMsg
 __all__ = ["ObjectOutput"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_LOW, _HIGH = np.array([0.17, 0.25, 0.55]), np.array([0.98, 0.80, 0.15])
-"""Colours of a cell that bears little and of one that bears much."""
-_THICKNESS: Final = 0.004
-"""Of the markers above the table [m]."""
 
 
 class ObjectOutput:
@@ -81,7 +75,7 @@ class ObjectOutput:
         self._map.publish(msg)
         self._cloud.publish(cloud_to_msg(msg))
         if pose is not None and self._markers.get_subscription_count() > 0:
-            self._markers.publish(_markers(msg, pose))
+            self._markers.publish(markers_to_msg(msg, pose))
 
     @property
     def prediction_is_wanted(self) -> bool:
@@ -108,30 +102,3 @@ class ObjectOutput:
         """Withdraw the publishers."""
         for publisher in self._all:
             node.destroy_publisher(publisher)
-
-
-def _markers(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
-    """Cells coloured by the friction they bear, clearer where it is known better; centre of friction as a ball."""
-    placed: Pose = planar_pose_to_msg(msg.header.stamp, pose, np.eye(3)).pose.pose
-    load, std = np.array(msg.mass_friction), np.array(msg.mass_friction_std)
-    share = load / max(float(load.max()), 1e-12)
-    alpha = np.clip(1.0 - 0.8 * std / np.maximum(load, 1e-12), 0.15, 1.0)
-    cells = _marker(msg, placed, 0, Marker.CUBE_LIST)
-    cells.scale.x = cells.scale.y = 0.95 * msg.cell_size
-    cells.scale.z = _THICKNESS
-    for x, y, s, a in zip(msg.x, msg.y, share, alpha, strict=True):
-        red, green, blue = _LOW + s * (_HIGH - _LOW)
-        cells.points.append(Point(x=float(x), y=float(y), z=0.0))
-        cells.colors.append(ColorRGBA(r=float(red), g=float(green), b=float(blue), a=float(a)))
-    centre = _marker(msg, placed, 1, Marker.SPHERE_LIST)
-    centre.scale.x = centre.scale.y = centre.scale.z = 0.8 * msg.cell_size
-    centre.color = ColorRGBA(r=0.85, g=0.1, b=0.1, a=1.0)
-    centre.points.append(Point(x=msg.centre_of_friction.x, y=msg.centre_of_friction.y, z=_THICKNESS))
-    return MarkerArray(markers=[cells, centre])
-
-
-def _marker(msg: MassFrictionMap, pose: Pose, number: int, kind: int) -> Marker:
-    marker = Marker(ns=msg.object_id, id=number, type=kind, action=Marker.ADD, pose=pose)
-    marker.header.frame_id = TABLE_FRAME
-    marker.header.stamp = msg.header.stamp
-    return marker
