@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -44,18 +43,15 @@ class ObjectOutput:
     """
 
     def __init__(self, node: Node, object_id: str) -> None:
-        def publisher(kind: Any, name: str) -> Publisher:
-            return node.create_publisher(kind, f"objects/{object_id}/{name}", _LATCHED)
-
         self._id = object_id
-        self._map = publisher(MassFrictionMap, "mass_friction_map")
-        self._cloud = publisher(PointCloud2, "mass_friction_cloud")
-        self._markers = publisher(MarkerArray, "markers")
-        self._prediction = publisher(PushPrediction, "prediction")
-        self._prediction_path = publisher(Path, "prediction_path")
-        self._next_push = publisher(Path, "next_push")
-        self._next_prediction = publisher(PushPrediction, "next_push_prediction")
-        self._score = publisher(PushScoreMsg, "push_score")
+        self._map = node.create_publisher(MassFrictionMap, f"objects/{object_id}/mass_friction_map", _LATCHED)
+        self._cloud = node.create_publisher(PointCloud2, f"objects/{object_id}/mass_friction_cloud", _LATCHED)
+        self._markers = node.create_publisher(MarkerArray, f"objects/{object_id}/markers", _LATCHED)
+        self._prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/prediction", _LATCHED)
+        self._prediction_path = node.create_publisher(Path, f"objects/{object_id}/prediction_path", _LATCHED)
+        self._next_push = node.create_publisher(Path, f"objects/{object_id}/next_push", _LATCHED)
+        self._next_prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/next_push_prediction", _LATCHED)
+        self._score = node.create_publisher(PushScoreMsg, f"objects/{object_id}/push_score", _LATCHED)
         self._all = (
             self._map,
             self._cloud,
