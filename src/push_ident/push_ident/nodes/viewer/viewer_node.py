@@ -16,8 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import InputError, PushIdentError
-from push_ident.geometry.outline import points_in_polygon
-from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
     depth_frame_from_msgs,
@@ -32,7 +31,7 @@ from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.depth import height_inside, points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
 
@@ -169,16 +168,14 @@ class ViewerNode(Node):
         unknown = [object_id for object_id in self._objects.ids if object_id not in self._tops]
         if not unknown or self._camera is None:
             return
-        points = points_in_table(frame, self._camera)[::2, ::2].reshape(-1, 3)
-        points = points[np.isfinite(points[:, 2])].astype(np.float64)
+        points = points_in_table(frame, self._camera)
         for object_id in unknown:
             try:
                 latest = self._objects.get(object_id, _MAX_AGE)
             except PushIdentError:
                 continue
-            inside = points[points_in_polygon(transform_points(inverse(latest.pose), points[:, :2]), latest.shape.outline)]
-            if len(inside):
-                self._tops[object_id] = max(float(np.median(inside[:, 2])), 0.0)
+            if (top := height_inside(points, transform_points(latest.pose, latest.shape.outline))) is not None:
+                self._tops[object_id] = top
 
     def _on_tool(self, msg: PoseStamped) -> None:
         try:
