@@ -192,7 +192,7 @@ class PerceptionNode(Node):
         self._notes["calibration"] = self._main.extrinsics.progress
         if self._main.pose is None:
             return False
-        self._tell_calibration("", self._main)
+        self._report_calibration("", self._main)
         self._perception = Perception(self._main.pose, perception_settings(self._configured.as_dict()))
         return True
 
@@ -206,7 +206,7 @@ class PerceptionNode(Node):
             self._notes[f"calibration_{name}"] = camera.extrinsics.progress
             if camera.pose is None:
                 return
-            self._tell_calibration(name, camera)
+            self._report_calibration(name, camera)
         self._counter[f"{name}_frames"] += 1
         if self._perception is not None:
             self._perception.add_further_view(name, frame, camera.pose, self._robot_at(frame.stamp))
@@ -217,7 +217,7 @@ class PerceptionNode(Node):
         self._notes[f"camera_{name}"] = why
         self._log(f"{name}_{kind}", f"Camera {name}: {why}")
 
-    def _tell_calibration(self, name: str, camera: _Camera) -> None:
+    def _report_calibration(self, name: str, camera: _Camera) -> None:
         """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
         found = camera.extrinsics.found if isinstance(camera.extrinsics, FromMark) else None
         if found is None:
