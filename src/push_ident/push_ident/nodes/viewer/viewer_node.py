@@ -1,4 +1,4 @@
-"""Node `viewer`: what the cell sees, knows and expects, in a Rerun viewer: in a browser, in a window, or in a file."""
+"""Node `viewer`: observations, maps and predictions of a cell in a Rerun viewer: in a browser, in a window, or in a file."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ PARAMETERS: Final = (
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_AGE: Final = 5.0
-"""An object that was not seen for so long [s] is not drawn."""
+"""An object without a pose for so long [s] is not drawn."""
 _NO_TOP: Final = 0.0
-"""Height at which objects are drawn until the camera has seen their upper side [m]."""
+"""Height at which objects are drawn until a depth image shows their upper side [m]."""
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
 
 
 class ViewerNode(Node):
-    """Listens, and draws; it publishes nothing and nothing waits for it."""
+    """Subscribes and draws; it publishes nothing, and no other node depends on it."""
 
     def __init__(self) -> None:
         super().__init__("viewer_node")
@@ -100,7 +100,7 @@ class ViewerNode(Node):
         self.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
-        """Hand over what is still held back."""
+        """Write what is still buffered."""
         self._scene.close()
 
     def _start(self) -> None:
@@ -208,13 +208,13 @@ class ViewerNode(Node):
     def _draw_objects(self) -> None:
         for object_id in self._objects.ids:
             try:
-                seen = self._objects.get(object_id, _MAX_AGE)
+                tracked = self._objects.get(object_id, _MAX_AGE)
             except PushIdentError:
                 continue
-            if seen.stamp != self._drawn.get(object_id):
-                self._drawn[object_id] = seen.stamp
-                self._at(seen.stamp)
-                self._scene.seen(object_id, seen.shape.outline, seen.pose, self._tops.get(object_id, _NO_TOP))
+            if tracked.stamp != self._drawn.get(object_id):
+                self._drawn[object_id] = tracked.stamp
+                self._at(tracked.stamp)
+                self._scene.observed(object_id, tracked.shape.outline, tracked.pose, self._tops.get(object_id, _NO_TOP))
 
     def _on_map(self, msg: MassFrictionMap) -> None:
         cells = np.column_stack([msg.x, msg.y])
@@ -242,8 +242,8 @@ class ViewerNode(Node):
             self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_next_push(self, object_id: str, msg: PathMsg) -> None:
-        way = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
-        self._scene.next_push(object_id, way, self._tops.get(object_id, _NO_TOP))
+        path = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
+        self._scene.next_push(object_id, path, self._tops.get(object_id, _NO_TOP))
 
     def _on_next_prediction(self, msg: PushPrediction) -> None:
         outline = self._outline(msg.object_id)
@@ -277,7 +277,7 @@ class ViewerNode(Node):
             parts += [f"## {object_id}", *(f"**{key}** {value}  " for key, value in words.items())]
         warnings = [f"**{name}** {text}  " for name, text in sorted(self._warnings.items()) if text]
         if warnings:
-            parts += ["## Not well", *warnings]
+            parts += ["## Warnings", *warnings]
         self._scene.words("\n".join(parts))
 
     def _warn(self, text: str) -> None:
