@@ -116,7 +116,7 @@ class IdentificationNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
-        """Stop the worker; the solve under way is dropped."""
+        """Stop the worker; the running solve is abandoned."""
         if self._configured is not None:
             self._configured.close()
             self._configured = None
@@ -349,7 +349,7 @@ class _Identification:
             elif latest is not None:
                 _, pose, covariance = latest
             else:
-                raise InputError(f"There is no pose of object `{session.object_id}` yet; give `object_pose`.")
+                raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
             path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
             prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
         except PushIdentError as error:

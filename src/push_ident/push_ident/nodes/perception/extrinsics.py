@@ -1,4 +1,4 @@
-"""The pose of a camera: from parameters, from tf2, or from images of the calibration mark."""
+"""The pose of a camera: from parameters, from tf2, or from depth frames of the calibration mark."""
 
 from __future__ import annotations
 

@@ -19,10 +19,10 @@ from push_ident.types import CameraIntrinsics, Float64Array
 __all__ = ["CellMap", "RerunScene"]
 
 _LIFT: Final = 0.001
-"""Between things drawn on top of each other [m]."""
+"""Distance in height between lines drawn on top of each other [m]."""
 _GHOSTS: Final = 6
 """Outlines that show a predicted motion."""
-_SEEN, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
+_OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
     [0, 158, 115],
     [213, 94, 0],
     [230, 159, 0],
@@ -30,7 +30,7 @@ _SEEN, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
     [0, 114, 178],
     [204, 121, 167],
 )
-"""Colours that colour-blind people can distinguish (Okabe and Ito)."""
+"""Colours for all kinds of colour vision (Okabe and Ito)."""
 _SHOWN: Final = 0.25
 """Half the edge of the part of the table that the picture shows [m]."""
 _WIDTH: Final = 0.0012
@@ -128,7 +128,7 @@ class RerunScene:
 
     def observed(self, object_id: str, outline: Float64Array, pose: Float64Array, top: float) -> None:
         """The observed pose of an object: outline (n, 2) in its frame, pose (x, y, yaw), height of its upper side [m]."""
-        self._log(f"table/objects/{object_id}/seen", self._lines([transform_points(pose, outline)], top + 2 * _LIFT, _SEEN))
+        self._log(f"table/objects/{object_id}/observed", self._lines([transform_points(pose, outline)], top + 2 * _LIFT, _OBSERVED))
         turn = np.eye(3)
         turn[:2, :2] = rotation(pose[2])
         placed = self._rr.Transform3D(translation=[pose[0], pose[1], top + _LIFT], mat3x3=turn)
@@ -136,7 +136,7 @@ class RerunScene:
             self._log(f"table/{name}/{object_id}", placed)
 
     def map(self, object_id: str, cells: CellMap) -> None:
-        """Friction that each cell bears, and how well it is known; both follow the object."""
+        """Friction load of each cell and its relative standard deviation; both follow the object."""
         relative = cells.deviation / np.maximum(cells.load, 1e-12)
         for name, share, palette in (
             ("load", cells.load / max(float(cells.load.max()), 1e-12), cv2.COLORMAP_VIRIDIS),
@@ -147,13 +147,13 @@ class RerunScene:
             self._log(f"table/{name}/{object_id}/centre", centre)
 
     def predicted(self, object_id: str, outline: Float64Array, poses: Float64Array, top: float) -> None:
-        """A predicted motion, poses (n, 3), as outlines along the motion; without poses it is removed."""
+        """A predicted motion, poses (n, 3), as outlines along it; no poses remove it."""
         chosen = np.unique(np.linspace(0, len(poses) - 1, min(_GHOSTS, len(poses))).astype(int))
         ghosts = [transform_points(poses[i], outline) for i in chosen]
         self._log(f"table/objects/{object_id}/predicted", self._lines(ghosts, top + 3 * _LIFT, _PREDICTED))
 
     def next_push(self, object_id: str, path: Float64Array, top: float) -> None:
-        """Path (n, 2) of the tool in the proposed push; an empty one removes it."""
+        """Path (n, 2) of the tool in the push to make next; an empty one removes it."""
         rr = self._rr
         name = f"table/objects/{object_id}/next_push"
         if len(path) < 2:

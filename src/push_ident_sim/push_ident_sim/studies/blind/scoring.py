@@ -27,13 +27,11 @@ from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.base import Json
 
-__all__ = ["TWINS", "Ask", "score_case", "true_values"]
+__all__ = ["Ask", "score_case", "true_values", "twins_of"]
 
 FloatArray = NDArray[np.float64]
 Ask = Callable[[PlannedPush, int], PushRecord | None]
 
-TWINS = {"tool_offset": "camera_translation", "camera_translation": "tool_offset"}
-"""Effects that no push can tell apart: either name is right."""
 _RESIDUAL_NAMES = {
     "push": "wear",
     "phase": "pusher_lag",
@@ -49,6 +47,11 @@ _FEW = 5
 """Frames that make a group."""
 _TUNED = "pusher_friction"
 """The one existing parameter that the base model takes as given."""
+
+
+def twins_of(name: str) -> tuple[str, ...]:
+    """Effects that no push can distinguish from one of the catalogue: either name is right. None for a name outside the catalogue."""
+    return EFFECTS[name].exact_twins if name in EFFECTS else ()
 
 
 def true_values(effects: InjectedEffects, name: str, put_down: FloatArray) -> FloatArray:
@@ -115,7 +118,7 @@ def score_case(
 def _is_open(found: Diagnosis) -> bool:
     """Whether more than one effect is left, twins apart."""
     first = found.effects[-1].name if found.effects else ""
-    return any(name != TWINS.get(first) for name in found.confusion_set)
+    return any(name not in twins_of(first) for name in found.confusion_set)
 
 
 def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, ask: Ask) -> Json:
@@ -203,7 +206,7 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
         alone = float(size @ fisher @ size)
         hardest, rival = alone, ""
         for other in places:
-            if other in (name, TWINS.get(name)):
+            if other in (name, *twins_of(name)):
                 continue
             between = precision[np.ix_(own, place(other))]
             rest = fisher - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
@@ -255,7 +258,7 @@ def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Js
     after = found.gap.after if is_found else measure_gap(fit, fit, ValidationPolicy()).before
     gap = replace(found.gap, after=after)
     own, first = fit.effects, found.selection.steps[0] if found.selection else None
-    same = {*wanted, *(TWINS.get(name) for name in wanted)}
+    same = {*wanted, *(twin for name in wanted for twin in twins_of(name))}
     rivals = {c.name: _apart(fit, c.fit) for c in first.candidates if c.name not in same} if first and len(wanted) == 1 else {}
     return {
         "gain": fit.log_evidence - base.log_evidence,
