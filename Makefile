@@ -20,7 +20,7 @@ setup:  ## .venv with every package pinned, ROS 2 Jazzy, workspace built; again:
 	       "or name it: make setup PYTHON=/path/to/python3.12" >&2; exit 1; fi
 	@$(PYTHON) tools/setup_workspace.py
 
-demo: setup  ## the whole path on a simulated cell: see, push, identify, predict
+demo: setup  ## the whole path on a simulated cell: observe, push, identify, predict
 	$(VENV)/push-ident demo
 
 docs: setup  ## the documentation site, in out/site; open out/site/index.html

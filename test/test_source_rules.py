@@ -24,7 +24,6 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 LONG_FUNCTIONS: dict[str, str] = {
     "push_ident/physics/reference.py:reference_rollout": "not split yet",
     "push_ident/physics/simulation.py:_run": "not split yet",
-    "push_ident/cli/identify.py:identify_command": "not split yet",
     "push_ident_sim/engines/planar/laws.py:laws_of": "not split yet",
     "push_ident_sim/studies/perception/study.py:_tables": "not split yet",
 }

@@ -12,6 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md", "changelog/README.md")
+ELSEWHERE = ("camera.yaml", "joint_limits.yaml")
+"""Files that documents name and that are made by a command or belong to an arm."""
 PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "**Consequences**: ")
 
 
@@ -60,6 +62,20 @@ def test_links_of_the_documents_at_the_root_lead_somewhere() -> None:
             if "://" not in link and not (document.parent / link).exists():
                 broken.append(f"{name}: {link}")
     assert not broken
+
+
+def test_files_that_documents_name_exist() -> None:
+    """A file or folder in backticks is one of the repository, given by the end of its path."""
+    paths = [path for folder in ("src", "test", "tools", "docs", "bags", "changelog") for path in (ROOT / folder).rglob("*")]
+    known = {f"/{path.relative_to(ROOT)}" + ("/" if path.is_dir() else "") for path in (*paths, *ROOT.iterdir())}
+    documents = [ROOT / name for name in ROOT_DOCUMENTS[:4]]
+    documents += [path for folder in ("decisions", "how-to", "concepts") for path in (ROOT / "docs" / folder).glob("*.md")]
+    missing = []
+    for document in documents:
+        for name in re.findall(r"`((?:[\w-]+/)*[\w-]+(?:\.py|\.yaml|\.toml|/))`", document.read_text(encoding="utf-8")):
+            if name not in ELSEWHERE and not any(path.endswith(f"/{name}") for path in known):
+                missing.append(f"{document.name}: {name}")
+    assert not missing
 
 
 def test_readme_is_short() -> None:

@@ -30,7 +30,7 @@ def test_page_is_one_file_with_every_section(tmp_path: Path) -> None:
     assert not [value for value in loaded if value and not value.startswith("#")]
     assert page.count("<svg") == 3
     for text in (
-        "2 pushes that they never saw",
+        "2 pushes not used in the fit",
         "held out",
         "pinned down",
         "Next push",
@@ -40,7 +40,7 @@ def test_page_is_one_file_with_every_section(tmp_path: Path) -> None:
     ):
         assert text in page
     assert "o&lt;1&gt;" in page and "o<1>" not in page
-    assert "Do not trust" not in page
+    assert "Do not use these maps" not in page
 
 
 def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
@@ -50,18 +50,18 @@ def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
     errors = _errors(RESULT, [3])
     write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), errors, SOURCE, 0.01, scores)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 4 and "How soon it was known" in page
+    assert page.count("<svg") == 4 and "Predictions before each push" in page
 
 
 def test_page_states_when_no_push_was_held_out(tmp_path: Path) -> None:
     page = _write(tmp_path, RESULT, _errors(RESULT, []))
     assert "No push was held out" in page
-    assert "never saw" not in page
+    assert "not used in the fit" not in page
 
 
 def test_page_of_a_solve_that_failed_warns_first(tmp_path: Path) -> None:
     page = _write(tmp_path, replace(RESULT, status=SolveStatus.POOR_FIT), _errors(RESULT, [3]))
-    assert page.index("Do not trust these maps") < page.index("<svg")
+    assert page.index("Do not use these maps") < page.index("<svg")
 
 
 def test_same_result_gives_the_same_page(tmp_path: Path) -> None:

@@ -107,9 +107,12 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     report = result.report
     assert result.success and result.message == report.verdict
     assert report.n_pushes == N_PUSHES and report.verdict in ("named", "one_of", "several")
-    assert "table_tilt" in [*(e.name for e in report.effects), *report.confusable]
-    assert report.after < report.before
-    assert report.ranking[0] and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
+    tilt = next(effect for effect in report.effects if effect.name == "table_tilt")
+    assert list(tilt.parameters) == ["x", "y"]
+    assert max(tilt.std) < 0.25 * TILT
+    assert all(abs(value - true) < 3 * std for value, true, std in zip(tilt.values, (TILT, 0.0), tilt.std, strict=True))
+    assert report.noise < report.after < 0.7 * report.before
+    assert report.ranking[0] == "table_tilt" and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
     assert json.loads(report.json)["verdict"] == report.verdict
     assert "fitting the base model" in stages
     cell.wait_for(lambda: cell.reports, 5.0)

@@ -206,7 +206,7 @@ def test_impossible_goal_is_refused_with_its_code(
 
 
 def test_goal_inside_a_slot_and_goal_behind_another_object_are_unreachable() -> None:
-    with pytest.raises(PlanningError, match=r"come down|would touch") as error:
+    with pytest.raises(PlanningError, match=r"be lowered|would touch") as error:
         push_from_goal(shape_of(SLOTTED), [0, 0, 0], [0, -0.02], -np.pi / 2, 0.05, 0.1, SETTINGS)
     assert error.value.code == PushCode.UNREACHABLE
     beyond = BAR + np.array([0.0, 0.06])
@@ -365,7 +365,7 @@ def test_acceleration_limits_that_fit_no_joint_are_refused(
 
 def test_push_out_of_reach_is_refused_with_the_point_and_the_miss(arm: ArmKinematics) -> None:
     far = PushPlan2D(np.array([0.5, 0.0]), np.array([0.48, 0.0]), 0.0, 0.05, 0.1)
-    with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm off") as error:
+    with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm away") as error:
         plan_push(arm, PARKED, far, MOTION)
     assert error.value.code == PushCode.UNREACHABLE
 
@@ -377,7 +377,7 @@ def test_start_beyond_a_joint_limit_is_refused_by_its_name(arm: ArmKinematics, p
 
 
 def test_link_that_would_come_near_the_table_is_refused_by_its_name(arm: ArmKinematics, push: PushPlan2D) -> None:
-    with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_\d would come 0\.\d+ m near the table, limit 0\.500") as error:
+    with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_\d would be 0\.\d+ m above the table, limit 0\.500") as error:
         plan_push(arm, PARKED, push, replace(MOTION, link_height=0.5))
     assert error.value.code == PushCode.LIMIT
 

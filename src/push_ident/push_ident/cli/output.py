@@ -1,4 +1,4 @@
-"""Output of all commands: console, warnings, JSON, common options."""
+"""Common parts of all commands: console, options, JSON files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Wr
 
 
 def warn(text: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     _errors.print(text, style="yellow", highlight=False, soft_wrap=True)
 
 

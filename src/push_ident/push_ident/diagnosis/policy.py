@@ -226,7 +226,7 @@ class CameraPolicy:
     """Fitted error of the camera in prior standard deviations (`EffectParameter.camera_std`), above which the camera itself is in question
     [1]. About one in eighty by chance for each number."""
     outlier_residual_ratio: float = 2.5
-    """Residual ratio of one push above which it is an outlier [1]. Camera nulls: single pushes were off by 2 mm beside others at 0.2 mm."""
+    """Residual ratio of one push above which it is an outlier [1]. In camera nulls single pushes had errors of 2 mm, others 0.2 mm."""
     max_outlier_share: float = 0.25
     """Share of the pushes that may be outliers; more have a common cause. Judgement."""
 

@@ -1,4 +1,4 @@
-"""Models as files: JSON, checked on the way in, with their posterior and where they came from."""
+"""Models as files: JSON, validated when it is read, with their posterior and their sources."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _Content = TypeVar("_Content", bound=BaseModel)
 
 
 class ModelContent(BaseModel):
-    """What a model file holds."""
+    """Content of a model file."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -35,17 +35,17 @@ class ModelContent(BaseModel):
     version: str
     object_id: str
     sources: list[str]
-    """Bags and pushes that the model rests on."""
+    """Bags and pushes that the model was fitted to."""
     cell_size: float
     cells: list[tuple[float, float]]
     outline: list[tuple[float, float]]
     prior: dict[str, float]
     modes: list[list[float]]
-    """Of the maps, one row a cell. Kept, since eigenvectors differ between machines."""
+    """Of the maps, one row per cell. Kept, since eigenvectors differ between machines."""
     effects: list[str] = []
-    """Names of the effects that act beside the maps."""
+    """Names of the effects that were fitted beside the maps."""
     effect_values: list[float] = []
-    """Of their parameters, as `z` has them too."""
+    """Of their parameters; they follow from `z`."""
     z: list[float]
     covariance: list[list[float]]
     total_mass: float
@@ -54,11 +54,11 @@ class ModelContent(BaseModel):
     mass: list[float]
     friction: list[float]
     pusher_friction: float
-    """The last three follow from the others; they are there for readers of the file."""
+    """The last three follow from the other fields; they are there for readers of the file."""
 
 
 def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str]) -> ModelContent:
-    """A posterior, ready to be written."""
+    """Content of the file of a posterior."""
     shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(
         format=_FORMAT,
@@ -84,7 +84,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
 
 
 def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
-    """Write a model; the file appears whole or not at all."""
+    """Write a model; the file appears complete or not at all."""
     write_whole(path, model_content(posterior, object_id, sources).model_dump_json(indent=1), "the model")
 
 
@@ -102,7 +102,7 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
 
 
 def read_checked(path: Path, content: type[_Content], what: str, remedy: str) -> _Content:
-    """Read JSON of a known form. Raises ModelFileError: not there, too large, or of another form."""
+    """Read JSON of a known form. Raises ModelFileError: missing, too large, or of another form."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not {what}.")
@@ -116,7 +116,7 @@ def read_checked(path: Path, content: type[_Content], what: str, remedy: str) ->
 
 
 def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
-    """The posterior that was written. Raises ModelFileError where its parts do not fit together."""
+    """The posterior of a file. Raises ModelFileError where its parts contradict each other."""
     if content.format != _FORMAT:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:
@@ -137,7 +137,7 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
 
 
 def prior_of(values: dict[str, float]) -> Prior:
-    """A prior that was written; names that this version does not know are left out."""
+    """The prior of a file; fields that this version does not have are ignored."""
     known = {name: value for name, value in values.items() if name in Prior.__dataclass_fields__}
     known["max_modes"] = int(known.get("max_modes", Prior().max_modes))
     return Prior(**known)  # type: ignore[arg-type]

@@ -50,7 +50,7 @@ class PushableObject(Protocol):
 
     @property
     def shape(self) -> ObjectShape:
-        """Cells and outline of the object."""
+        """Outline and cells of the object."""
 
     @property
     def pose(self) -> Float64Array:
@@ -89,16 +89,16 @@ class SimulatedObject:
 
     @property
     def shape(self) -> ObjectShape:
-        """Cells and outline of the object."""
+        """As `PushableObject.shape`."""
         return self.model.shape
 
     @property
     def pose(self) -> Float64Array:
-        """Present true pose of the object, shape (3,)."""
+        """As `PushableObject.pose`; the same before every push."""
         return self._pose
 
     def execute(self, push: PlannedPush) -> PushRecord:
-        """Simulate a push planned from `pose`, and record it as the sensor observes it."""
+        """As `PushableObject.execute`, with noisy poses."""
         time = np.arange(push.pusher.time[0], push.pusher.time[-1], 1.0 / self._sensor.rate)
         motion = simulate(self.model, PushScenario(push.pusher, self._pose, time), settings=self._settings)
         observed = motion.pose + self._rng.standard_normal(motion.pose.shape) @ self._noise_root.T

@@ -1,4 +1,4 @@
-"""The state of an identification that goes on, as a file: JSON, checked on the way in, with every number to the last bit."""
+"""The state of an online identification as a file: JSON, validated when it is read, with every number to the last bit."""
 
 from __future__ import annotations
 
@@ -79,20 +79,20 @@ class _State(_Part):
     status: str | None
     record: _Record
     keys: list[tuple[float, float, float]]
-    """When and where each push that is known began [s, m, m]."""
+    """When and where each known push began [s, m, m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptState:
-    """What a state file holds."""
+    """Content of a state file."""
 
     object_id: str
     state: OnlineState
     sources: tuple[str, ...]
-    """Bags and pushes that it rests on."""
+    """Bags and pushes of the estimate."""
     record: RunningRecord
     pushes: tuple[tuple[float, float, float], ...]
-    """When and where each push that is known began [s, m, m]."""
+    """When and where each known push began [s, m, m]."""
 
 
 def save_state(
@@ -104,7 +104,7 @@ def save_state(
     record: RunningRecord | None = None,
     pushes: Sequence[tuple[float, float, float]] = (),
 ) -> None:
-    """Write a state, and what `KeptState` has beside it; the file appears whole or not at all.
+    """Write a state with the other fields of `KeptState`; the file appears complete or not at all.
 
     Raises ModelFileError where it cannot be written.
     """
@@ -133,9 +133,9 @@ def save_state(
 
 def load_state(path: Path) -> KeptState:
     """Read a state. Raises ModelFileError: no such file, or not one written by `save_state`."""
-    content = read_checked(path, _State, "a state of the identification", "remove it to begin anew")
+    content = read_checked(path, _State, "a state of the identification", "remove it to start again")
     if content.format != _FORMAT:
-        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to begin anew.")
+        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to start again.")
     posterior = posterior_of(content.model, path)
     unknowns, past = posterior.unknowns, None
     try:
@@ -155,7 +155,7 @@ def load_state(path: Path) -> KeptState:
             status=SolveStatus[content.status] if content.status else None,
         )
     except (InputError, KeyError, ValueError) as error:
-        raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to begin anew.") from None
+        raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to start again.") from None
     latest = tuple(PushScore(**score.model_dump()) for score in content.record.latest)
     record = RunningRecord(content.record.n, content.record.sums, latest)
     return KeptState(content.model.object_id, state, tuple(content.model.sources), record, tuple(content.keys))

@@ -1,4 +1,4 @@
-"""From the topics of a cell to finished pushes: what every node needs that learns from pushes."""
+"""Collects finished pushes from the topics of a cell."""
 
 from __future__ import annotations
 
@@ -33,35 +33,35 @@ from push_ident_msgs.msg import PushRecord as PushRecordMsg
 __all__ = ["PushCollector"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# What a busy moment leaves waiting is kept: a sender that keeps all, as the bag player does, is held back rather than overwritten.
+# Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
 _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _SILENCE: Final = 2.0
-"""Wall time without a message after which a push counts as finished [s]: the source has gone."""
+"""Wall time without a message after which a push counts as finished [s]: the source has stopped."""
 _HIDDEN: Final = 10.0
-"""The same where no object was seen since the push [s]: the arm may still be in the way."""
+"""The same while no object has a pose since the push [s]: the arm may still hide it."""
 _NO_CLOCK: Final = 3.0
 """Wall time without /clock after which simulated time counts as missing [s]."""
 _FAILED: Final = "pushes that failed, left out"
 _PERIOD: Final = 0.1
-"""Between two looks for pushes that are complete [s], wall time."""
+"""Wall time between two checks for complete pushes [s]."""
 
 
 class PushCollector:
     """Subscribes to objects, pusher, wrench and push records of a cell, and cuts them into pushes.
 
     Args:
-        node: that subscribes.
+        node: node that subscribes.
         gap: pause of the pusher that ends a push [s].
         on_object: called with the id of each object as soon as its pose is published.
-        on_shape: called with id and shape of an object whenever its shape is told; what it raises as `PushIdentError` refuses the shape.
-        on_pushes: called with complete pushes, each a list of one record per object; empty where too little was seen.
+        on_shape: called with id and shape of an object whenever its shape is published; a `PushIdentError` refuses the shape.
+        on_pushes: called with complete pushes, each a list of one record per object; empty without enough observations.
         on_frame: called with the id of an object after each new pose while a push is under way.
 
     Attributes:
-        active: whether messages are taken in.
-        counts: of messages, by kind and what became of them.
-        last_error: why a message was refused last.
-        radius: of the pusher [m]; 0 until it is told.
+        active: whether messages are used.
+        counts: numbers of messages, by kind and outcome.
+        last_error: reason of the latest refusal of a message.
+        radius: radius of the pusher [m]; 0 until it is published.
     """
 
     def __init__(
@@ -99,15 +99,15 @@ class PushCollector:
         ]
         self._topics = ObjectTopics(node, self._on_new_object)
 
-    # ---- what is known
+    # ---- state
 
     @property
     def now(self) -> float:
-        """Latest stamp seen [s]."""
+        """Latest stamp of all streams [s]."""
         return self._cutter.now
 
     def latest(self, object_id: str) -> tuple[float, Float64Array, Float64Array] | None:
-        """Stamp [s], pose and covariance of an object as it was seen last; None before that."""
+        """Stamp [s], latest pose and covariance of an object; None before the first."""
         return self._latest.get(object_id)
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
@@ -120,16 +120,16 @@ class PushCollector:
             ]
 
     def partial(self, object_id: str) -> PushRecord | None:
-        """The push under way as far as it has come; None while there is none."""
+        """The part so far of the push under way; None while there is none."""
         with self._lock:
             return self._cutter.partial(object_id)
 
     def what_is_missing(self) -> str:
-        """Why no pushes come in; empty when they can."""
+        """Why no pushes arrive; empty if they can."""
         if self._lacks_clock():
             return "use_sim_time is true but nothing comes on /clock; is the simulator or bag player running?"
         if not self.active:
-            return "inactive: nothing is taken in; activate the node"
+            return "inactive: messages are ignored; activate the node"
         if not self._topics.ids:
             return "no objects/<id>/pose is published; is perception (or a bag player) running?"
         if not self._shapes:
@@ -153,7 +153,7 @@ class PushCollector:
         self._node.get_logger().warning(why, throttle_duration_sec=5.0)
 
     def pause(self) -> None:
-        """Take no more messages in; a push under way is let go."""
+        """Ignore further messages; a push under way is dropped."""
         with self._lock:
             self.active = False
             self._cutter.reset()
@@ -165,7 +165,7 @@ class PushCollector:
         for entity in self._entities:
             entity.destroy()
 
-    # ---- what comes in
+    # ---- messages
 
     def _on_new_object(self, object_id: str) -> None:
         node, prefix = self._node, f"objects/{object_id}"
@@ -251,7 +251,7 @@ class PushCollector:
             self.counts["push records"] += 1
 
     def _arrived(self, what: str, taken: bool) -> bool:
-        """Count a message; whether it was taken."""
+        """Count a message; return whether it was used."""
         self.counts[what if taken else f"{what} with old stamps"] += 1
         if self._cutter.run > self._run:
             self._run = self._cutter.run
@@ -275,7 +275,7 @@ class PushCollector:
             self._on_pushes([push.records for push in pushes if push.interval.error_code == 0])
 
     def _lacks_clock(self) -> bool:
-        """Whether the node waits for a /clock that nobody publishes."""
+        """Whether the node waits for a /clock without publisher."""
         simulated = self._node.get_parameter("use_sim_time").value
         patient = time.monotonic() - self._began < _NO_CLOCK
         return bool(simulated and not patient and self._node.get_clock().now().nanoseconds == 0)

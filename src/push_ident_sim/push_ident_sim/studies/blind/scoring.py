@@ -27,7 +27,7 @@ from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.base import Json
 
-__all__ = ["MakePush", "exact_twins", "score_case", "true_values"]
+__all__ = ["MakePush", "score_case", "true_values", "twins_of"]
 
 FloatArray = NDArray[np.float64]
 MakePush = Callable[[PlannedPush, int], PushRecord | None]
@@ -50,7 +50,7 @@ _TUNED = "pusher_friction"
 """The existing parameter that the base model does not fit."""
 
 
-def exact_twins(name: str) -> tuple[str, ...]:
+def twins_of(name: str) -> tuple[str, ...]:
     """Effects that no push can distinguish from one; none for a name outside the catalogue."""
     return EFFECTS[name].exact_twins if name in EFFECTS else ()
 
@@ -119,7 +119,7 @@ def score_case(
 def _is_open(found: Diagnosis) -> bool:
     """Whether the confusion set has an effect that is no exact twin of the named one."""
     first = found.effects[-1].name if found.effects else ""
-    return any(name not in exact_twins(first) for name in found.confusion_set)
+    return any(name not in twins_of(first) for name in found.confusion_set)
 
 
 def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, make_push: MakePush) -> Json:
@@ -207,7 +207,7 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
         beside_base = float(size @ fisher @ size)
         hardest, rival = beside_base, ""
         for other in places:
-            if other in (name, *exact_twins(name)):
+            if other in (name, *twins_of(name)):
                 continue
             between = precision[np.ix_(own, place(other))]
             rest = fisher - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
@@ -259,7 +259,7 @@ def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Js
     after = found.gap.after if is_found else measure_gap(fit, fit, ValidationPolicy()).before
     gap = replace(found.gap, after=after)
     own, first = fit.effects, found.selection.steps[0] if found.selection else None
-    same = {*wanted, *(twin for name in wanted for twin in exact_twins(name))}
+    same = {*wanted, *(twin for name in wanted for twin in twins_of(name))}
     rivals = {c.name: _separation(fit, c.fit) for c in first.candidates if c.name not in same} if first and len(wanted) == 1 else {}
     return {
         "gain": fit.log_evidence - base.log_evidence,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from push_ident.physics.effects import CAUSES, EFFECTS
-from push_ident_sim.studies.blind.scoring import exact_twins
+from push_ident_sim.studies.blind.scoring import twins_of
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.experiment import CaseResult
 
@@ -65,7 +65,7 @@ class Judged:
 
 
 def _one_of_twins(name: str) -> str:
-    return min(name, *exact_twins(name), name)
+    return min((name, *twins_of(name)))
 
 
 def judge(result: CaseResult) -> Judged:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -15,27 +14,16 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import planar_pose_from_msg, shape_from_msgs
 from push_ident.nodes.discovery import ObjectTopics
+from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["SeenObject", "SeenObjects"]
+__all__ = ["TrackedObjects"]
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-@dataclass(frozen=True, slots=True)
-class SeenObject:
-    """One object as it was seen last."""
-
-    object_id: str
-    shape: ObjectShape
-    stamp: float
-    """Of the pose [s]."""
-    pose: Float64Array
-    """(x, y, yaw) in the table frame [m, m, rad]."""
-
-
-class SeenObjects:
+class TrackedObjects:
     """Subscribes to pose, cells and outline of each object that appears; messages that are refused are logged and dropped."""
 
     def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
@@ -53,7 +41,7 @@ class SeenObjects:
         # Other threads add to both: `set` copies in one step.
         return tuple(sorted(set(self._poses) & set(self._shapes)))
 
-    def get(self, object_id: str, max_age: float) -> SeenObject:
+    def get(self, object_id: str, max_age: float) -> TrackedObject:
         """The object, or the only one when `object_id` is empty.
 
         Raises PlanningError UNKNOWN_OBJECT when there is none, several, or the pose was received more than `max_age` [s] ago.
@@ -69,7 +57,7 @@ class SeenObjects:
         age = time.monotonic() - received
         if age > max_age:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, f"the pose of `{object_id}` was received {age:.1f} s ago, limit {max_age:.1f} s.")
-        return SeenObject(object_id, self._shapes[object_id], stamp, pose)
+        return TrackedObject(object_id, self._shapes[object_id], stamp, pose)
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
