@@ -141,7 +141,7 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
     for entity in (
         "/table/camera/depth",
         "/table/tool",
-        "/table/objects/o1/seen",
+        "/table/objects/o1/observed",
         "/table/objects/o1/predicted",
         "/table/objects/o1/next_push/tool",
         "/table/objects/o1/next_push/end",

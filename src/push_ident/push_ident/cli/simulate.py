@@ -35,7 +35,7 @@ def simulate_command(
     ] = None,
     effects: Annotated[bool, typer.Option("--effects", help="List the effects and end.")] = False,
 ) -> None:
-    """Push an object in the simulated cell and write what is seen of it as a bag."""
+    """Push an object in the simulated cell and write the observations as a bag."""
     injected = sim_module("push_ident_sim.injected")
     if effects:
         for entry in injected.INJECTED.values():

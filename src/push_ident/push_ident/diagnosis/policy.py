@@ -120,9 +120,8 @@ class ValidationPolicy:
     """Standard errors by which the held-out error exceeds the pose noise, above which there is a gap to close [1]. About 95 %,
     two-sided."""
     min_log_bayes_factor_without_push: float = -1.0
-    """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of 31 true effects with
-    14 pushes, 30 kept a third of their evidence and more; with six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding
-    of fits."""
+    """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of 31 true effects with 14 pushes, 30 kept
+    a third of their evidence and more. With six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding of fits."""
     noise_draws: int = 64
     """Draws of the pose noise a push for the error that noise makes without any gap. Its median is then known to about 15 %."""
     bootstrap_draws: int = 2000
@@ -193,7 +192,7 @@ class NextPushPolicy:
     first_pose_std: tuple[float, float, float] = (0.01, 0.01, 0.1)
     """Standard deviation of the first pose beside what the frames show [m, m, rad]: a fit may place it anywhere. A wide prior."""
     min_mahalanobis2: float = 1.0
-    """Squared Mahalanobis distance of the predictions from which a push is worth making [1]. Judgement: one standard deviation."""
+    """Squared Mahalanobis distance of the predictions from which a push is proposed [1]. Judgement: one standard deviation."""
     resolving_mahalanobis2: float = 9.0
     """And from which one push is expected to resolve the tie [1]: three standard deviations are rarely mistaken."""
 
@@ -225,7 +224,7 @@ class CameraPolicy:
     """Fitted error of the camera in prior standard deviations (`EffectParameter.camera_std`), above which the camera itself is in question
     [1]. About one in eighty by chance for each number."""
     outlier_residual_ratio: float = 2.5
-    """Residual ratio of one push above which it is an outlier [1]. Camera nulls: single pushes had errors of 2 mm, others of 0.2 mm."""
+    """Residual ratio of one push above which it is an outlier [1]. In camera nulls single pushes had errors of 2 mm, others 0.2 mm."""
     max_outlier_share: float = 0.25
     """Share of the pushes that may be outliers; more have a common cause. Judgement."""
 

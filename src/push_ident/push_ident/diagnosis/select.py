@@ -75,7 +75,7 @@ def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> 
 
 
 def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, is_first: bool) -> list[EffectScore]:
-    """Effects that are worth a refit, in the order of their scores.
+    """Effects whose scores justify a refit, in the order of the scores.
 
     Args:
         scores: the most promising first.
@@ -98,7 +98,7 @@ def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, is_
 
 
 def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) -> Step:
-    """Score all absent effects beside a selection, and refit those that are worth it."""
+    """Score all absent effects beside a selection, and refit those whose scores justify it."""
     fit = selection.fit
     report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
     information = effect_information(fit)
@@ -107,14 +107,14 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     if chosen:
         report(f"refitting with {', '.join(score.name for score in chosen)}")
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
-    worth = required_log_bayes_factor(selection, policy) - policy.tie_margin if selection.found else -np.inf
-    candidates = _ranked(map_in_threads(partial(_refit, fit, worth), chosen), policy.tie_margin)
+    required = required_log_bayes_factor(selection, policy) - policy.tie_margin if selection.found else -np.inf
+    candidates = _ranked(map_in_threads(partial(_refit, fit, required), chosen), policy.tie_margin)
     return Step(fit, information, scores, tuple(candidates))
 
 
-def _refit(fit: Fit, worth: float, score: EffectScore) -> Candidate:
+def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:
     start = np.concatenate([fit.effect_unknowns, score.start])
-    own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, worth)
+    own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, required)
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
 
 

@@ -310,7 +310,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
 
 
 def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC1") -> tuple[Image, CameraInfo]:
-    """Image and camera info of one depth frame; `16UC1` rounds to millimetres and writes 0 where nothing was seen."""
+    """Image and camera info of one depth frame; `16UC1` rounds to millimetres and writes 0 where nothing was measured."""
     if encoding == "16UC1":
         pixels: NDArray[Any] = np.nan_to_num(np.rint(frame.depth * 1e3), nan=0.0).clip(0, 65535).astype("<u2")
     elif encoding == "32FC1":

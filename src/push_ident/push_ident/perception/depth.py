@@ -51,7 +51,7 @@ def depth_from_buffer(
         raise FrameError(f"Depth encoding is {encoding[:40]!r}, expected one of {', '.join(ACCEPTED_ENCODINGS)}; publish rectified depth.")
     pixel, unit = ACCEPTED_ENCODINGS[encoding]
     if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
-        raise FrameError(f"Depth image is {width} x {height} pixels, expected 1 to {_MAX_SIDE} each way.")
+        raise FrameError(f"Depth image is {width} x {height} pixels, expected 1 to {_MAX_SIDE} per side.")
     if step < width * pixel.itemsize or step % pixel.itemsize:
         raise FrameError(f"Depth step is {step} bytes, expected at least {width * pixel.itemsize} for {width} pixels of {encoding}.")
     if step * height != len(data):

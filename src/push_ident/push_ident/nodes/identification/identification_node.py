@@ -100,7 +100,7 @@ class IdentificationNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take no more messages in; a push under way is let go."""
+        """Ignore further messages; a push under way is dropped."""
         assert self._configured is not None
         self._configured.pause()
         return TransitionCallbackReturn.SUCCESS
@@ -116,7 +116,7 @@ class IdentificationNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
-        """Stop the worker; the solve under way is let go."""
+        """Stop the worker; the running solve is abandoned."""
         if self._configured is not None:
             self._configured.close()
             self._configured = None
@@ -219,7 +219,7 @@ class _Identification:
 
     def _on_frame(self, object_id: str) -> None:
         with self._wake:
-            # A frame that the worker had no time for is not lost: the next update sees it too.
+            # A frame that the worker had no time for is not lost: the next update includes it.
             self._counts["frames taken together"] += object_id in self._frames
             self._frames.setdefault(object_id, time.monotonic())
             self._wake.notify()
@@ -257,7 +257,7 @@ class _Identification:
     def _finish(self, push: list[PushRecord]) -> None:
         """Learn from a finished push."""
         if not push:
-            self._collector.refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden?")
+            self._collector.refuse("pushes", "a push is left out: no object has poses before and after it; is it hidden?")
         for record in push:
             session = self._sessions[record.object_id]
             known_again = session.n_known_again
@@ -313,12 +313,12 @@ class _Identification:
 
     def _suggest(self, object_id: str) -> None:
         """Publish the push to make next."""
-        session, seen = self._sessions[object_id], self._collector.latest(object_id)
-        if seen is None or not self._collector.radius:
+        session, latest = self._sessions[object_id], self._collector.latest(object_id)
+        if latest is None or not self._collector.radius:
             return
         settings = PushSettings(pusher_radius=self._collector.radius)
         others = self._collector.outlines_of_others(object_id)
-        suggestion = session.suggest(seen[1], settings, others, n_candidates=self._settings["suggest_candidates"])
+        suggestion = session.suggest(latest[1], settings, others, n_candidates=self._settings["suggest_candidates"])
         if suggestion is not None:
             self._outputs[object_id].publish_next_push(*suggestion, session.status)
             self._counts["pushes suggested"] += 1
@@ -340,14 +340,14 @@ class _Identification:
     def _predict_push(self, request: PredictPush.Request, response: PredictPush.Response) -> PredictPush.Response:
         try:
             session = self._chosen(request.object_id)
-            seen, covariance = self._collector.latest(session.object_id), None
+            latest, covariance = self._collector.latest(session.object_id), None
             if request.object_pose.header.frame_id:
                 position_from_msg(request.object_pose)  # refuses another frame
                 pose = planar_pose_of(request.object_pose.pose)
-            elif seen is not None:
-                _, pose, covariance = seen
+            elif latest is not None:
+                _, pose, covariance = latest
             else:
-                raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
+                raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
             path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
             prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
         except PushIdentError as error:

@@ -1,4 +1,4 @@
-"""Where a camera stands: from parameters, from tf2, or from what it sees of the calibration mark."""
+"""The pose of a camera: from parameters, from tf2, or from depth frames of the calibration mark."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def mark_of(values: dict[str, Any]) -> Mark:
 
 
 class Extrinsics(ABC):
-    """A way to the pose of one camera."""
+    """A source of the pose of one camera."""
 
     refusal = "without_extrinsics"
     """Key in diagnostics of frames without a pose."""

@@ -84,7 +84,7 @@ class PerceptionNode(Node):
         self._counter: Counter[str] = Counter()
         self._last_error = ""
         self._logged: dict[str, float] = {}
-        self._last_seen: Observation | None = None
+        self._last_observation: Observation | None = None
         self._notes: dict[str, str] = {}
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._started_at = self._diagnosed_at = self._wall.now()
@@ -174,14 +174,14 @@ class PerceptionNode(Node):
                 self._restart(frame.stamp)
             self._last_stamp = frame.stamp
             followed: list[str] = []
-            seen = self._perception.observe(
+            observation = self._perception.observe(
                 frame, self._robot_at(frame.stamp), lambda objects: followed.extend(self._publish_poses(objects, stamp))
             )
         except PerceptionError as error:
             self._refuse("frames_without_result", str(error))
             return
         self._counter["frames"] += 1
-        self._publish(seen, stamp, followed)
+        self._publish(observation, stamp, followed)
 
     def _begin(self, frame: DepthFrame) -> bool:
         """Start perception as soon as it is known where the camera stands; the next frame asks again when it is not."""
@@ -192,7 +192,7 @@ class PerceptionNode(Node):
         self._notes["calibration"] = self._main.extrinsics.progress
         if self._main.pose is None:
             return False
-        self._tell_calibration("", self._main)
+        self._report_calibration("", self._main)
         self._perception = Perception(self._main.pose, perception_settings(self._configured.as_dict()))
         return True
 
@@ -206,7 +206,7 @@ class PerceptionNode(Node):
             self._notes[f"calibration_{name}"] = camera.extrinsics.progress
             if camera.pose is None:
                 return
-            self._tell_calibration(name, camera)
+            self._report_calibration(name, camera)
         self._counter[f"{name}_frames"] += 1
         if self._perception is not None:
             self._perception.add_further_view(name, frame, camera.pose, self._robot_at(frame.stamp))
@@ -217,7 +217,7 @@ class PerceptionNode(Node):
         self._notes[f"camera_{name}"] = why
         self._log(f"{name}_{kind}", f"Camera {name}: {why}")
 
-    def _tell_calibration(self, name: str, camera: _Camera) -> None:
+    def _report_calibration(self, name: str, camera: _Camera) -> None:
         """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
         found = camera.extrinsics.found if isinstance(camera.extrinsics, FromMark) else None
         if found is None:
@@ -225,7 +225,7 @@ class PerceptionNode(Node):
         self._calibrated += pose_lines(found.camera_in_table, f"{name}." if name else "")
         note = self._notes[f"extrinsics_{name}" if name else "extrinsics"] = (
             f"calibrated from {found.n_frames} frames: outline of the mark {found.outline_residual * 1e3:.2f} mm, "
-            f"its height {found.height_error * 1e3:+.2f} mm, table {found.plane_noise * 1e3:.2f} mm off"
+            f"its height {found.height_error * 1e3:+.2f} mm, noise of the table {found.plane_noise * 1e3:.2f} mm"
         )
         self.get_logger().info(f"Extrinsics {name} {note}. {' '.join(self._calibrated[-2:])}")
         if self._configured["calibration_file"]:
@@ -264,23 +264,23 @@ class PerceptionNode(Node):
             self._latencies.append(self._main.input.silence)
         return tracked
 
-    def _publish(self, seen: Observation, stamp: Time, followed: list[str]) -> None:
-        for object_id, shape in seen.new_shapes.items():
+    def _publish(self, observation: Observation, stamp: Time, followed: list[str]) -> None:
+        for object_id, shape in observation.new_shapes.items():
             self.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
             _, cells_publisher, outline_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
             outline_publisher.publish(outline)
-        if seen.new_shapes:
-            self._note_views(seen.further_views)
-        self._publish_poses((known for known in seen.objects if known.object_id not in followed), stamp)
+        if observation.new_shapes:
+            self._note_views(observation.further_views)
+        self._publish_poses((known for known in observation.objects if known.object_id not in followed), stamp)
         if self._perception is not None and self._camera_published is not self._perception.camera_in_table:
             self._camera_published = self._perception.camera_in_table
             self._camera_publisher.publish(transform_to_msg(stamp, self._camera_published))
-        if seen.occupancy is not None:
-            grid = seen.occupancy
+        if observation.occupancy is not None:
+            grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
-        self._last_seen = seen
+        self._last_observation = observation
 
     def _note_views(self, why_left_out: dict[str, str]) -> None:
         """Count which further cameras helped with the shape of a new object, and say why others did not."""
@@ -346,9 +346,9 @@ class PerceptionNode(Node):
         if self._latencies:
             values["latency_ms"] = f"{1e3 * float(np.median(self._latencies)):.1f} median, {1e3 * max(self._latencies):.1f} worst"
             self._latencies.clear()
-        if self._last_seen is not None:
-            values |= {f"stage_{name}": count for name, count in self._last_seen.counts.items()}
-            values |= {f"object_{known.object_id}": known.status.value for known in self._last_seen.objects}
+        if self._last_observation is not None:
+            values |= {f"stage_{name}": count for name, count in self._last_observation.counts.items()}
+            values |= {f"object_{known.object_id}": known.status.value for known in self._last_observation.objects}
         values |= {f"note_{name}": note for name, note in self._notes.items() if note}
         status = DiagnosticStatus(name=f"{self.get_name()}: perception", hardware_id=TABLE_FRAME, message=why or "poses are published")
         status.level = DiagnosticStatus.ERROR if silent or rate == 0 else DiagnosticStatus.WARN if why else DiagnosticStatus.OK
@@ -367,9 +367,9 @@ class PerceptionNode(Node):
         source = self._configured["extrinsics"]
         if self._perception is None and source != "parameters" and waited > self._configured["extrinsics_timeout"]:
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
-        if rate == 0 or self._last_seen is None:
+        if rate == 0 or self._last_observation is None:
             return self._last_error or "no depth frame has been taken in yet"
-        return self._last_seen.why_no_pose()
+        return self._last_observation.why_no_pose()
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic

@@ -1,4 +1,4 @@
-"""Node `viewer`: what the cell sees, knows and expects, in a Rerun viewer: in a browser, in a window, or in a file."""
+"""Node `viewer`: observations, maps and predictions of a cell in a Rerun viewer: in a browser, in a window, or in a file."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ PARAMETERS: Final = (
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_AGE: Final = 5.0
-"""An object that was not seen for so long [s] is not drawn."""
+"""An object without a pose for this time is not drawn [s]."""
 _NO_TOP: Final = 0.0
-"""Height at which objects are drawn until the camera has seen their upper side [m]."""
+"""Height at which objects are drawn until the camera has measured their upper side [m]."""
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
 
@@ -171,10 +171,10 @@ class ViewerNode(Node):
         points = points_in_table(frame, self._camera)
         for object_id in unknown:
             try:
-                tracked = self._objects.get(object_id, _MAX_AGE)
+                latest = self._objects.get(object_id, _MAX_AGE)
             except PushIdentError:
                 continue
-            if (top := height_inside(points, transform_points(tracked.pose, tracked.shape.outline))) is not None:
+            if (top := height_inside(points, transform_points(latest.pose, latest.shape.outline))) is not None:
                 self._tops[object_id] = top
 
     def _on_tool(self, msg: PoseStamped) -> None:
@@ -208,13 +208,13 @@ class ViewerNode(Node):
     def _draw_objects(self) -> None:
         for object_id in self._objects.ids:
             try:
-                seen = self._objects.get(object_id, _MAX_AGE)
+                latest = self._objects.get(object_id, _MAX_AGE)
             except PushIdentError:
                 continue
-            if seen.stamp != self._drawn.get(object_id):
-                self._drawn[object_id] = seen.stamp
-                self._at(seen.stamp)
-                self._scene.seen(object_id, seen.shape.outline, seen.pose, self._tops.get(object_id, _NO_TOP))
+            if latest.stamp != self._drawn.get(object_id):
+                self._drawn[object_id] = latest.stamp
+                self._at(latest.stamp)
+                self._scene.observed(object_id, latest.shape.outline, latest.pose, self._tops.get(object_id, _NO_TOP))
 
     def _on_map(self, msg: MassFrictionMap) -> None:
         cells = np.column_stack([msg.x, msg.y])
@@ -242,8 +242,8 @@ class ViewerNode(Node):
             self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_next_push(self, object_id: str, msg: PathMsg) -> None:
-        way = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
-        self._scene.next_push(object_id, way, self._tops.get(object_id, _NO_TOP))
+        path = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
+        self._scene.next_push(object_id, path, self._tops.get(object_id, _NO_TOP))
 
     def _on_next_prediction(self, msg: PushPrediction) -> None:
         outline = self._outline(msg.object_id)

@@ -71,7 +71,7 @@ def _ends(model: ObjectModel, pushes: Sequence[PusherPath], settings: Simulation
     return [simulate(model, PushScenario(push, _AT_REST, FRAMES[-1:]), settings=settings).pose[-1] for push in pushes]
 
 
-def _apart(model: ObjectModel, ends: Sequence[Float64Array], others: Sequence[Float64Array]) -> float:
+def _mean_error(model: ObjectModel, ends: Sequence[Float64Array], others: Sequence[Float64Array]) -> float:
     """Cell error of `ends` against `others`, mean over the pushes [m]."""
     return float(np.mean([cell_error(model.shape.cells, a, b) for a, b in zip(ends, others, strict=True)]))
 
@@ -92,7 +92,7 @@ def _against_cells(cells_along: Sequence[int], rounds: int, seed: int) -> Json:
                 "cells": n**2,
                 **{what: _per_push(times[n, what]) for what in _CALLS},
                 "gradient_error": _gradient_error(model, pushes, settings, np.random.default_rng([seed, n])),
-                "end_off_m": _apart(models[max(models)], _ends(model, pushes, settings), finest),
+                "end_off_m": _mean_error(models[max(models)], _ends(model, pushes, settings), finest),
             }
             for n, model in models.items()
         ],
@@ -131,7 +131,11 @@ def _against_step(steps: Sequence[float], rounds: int, seed: int) -> Json:
     finest = _ends(model, pushes, SimulationSettings(step=_FINEST_STEP))
     return {
         "steps": [
-            {"step_s": step, "rollout": _per_push(times[step]), "end_off_m": _apart(model, _ends(model, pushes, settings), finest)}
+            {
+                "step_s": step,
+                "rollout": _per_push(times[step]),
+                "end_off_m": _mean_error(model, _ends(model, pushes, settings), finest),
+            }
             for step, settings in each.items()
         ]
     }

@@ -92,7 +92,7 @@ class _FilmedObject:
             self._put_back()
         return record
 
-    def unseen(self, n: int, rng: np.random.Generator) -> list[PushRecord]:
+    def test_pushes(self, n: int, rng: np.random.Generator) -> list[PushRecord]:
         """Random test pushes, with the true poses of the object frame of perception."""
         records = []
         for _ in range(n):
@@ -159,7 +159,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     # Noise, test pushes and the first push are the same for both policies.
     filmed = _FilmedObject(thing, [*own, 5])
     try:
-        test = filmed.unseen(_N_TEST, np.random.default_rng([*own, 6]))
+        test = filmed.test_pushes(_N_TEST, np.random.default_rng([*own, 6]))
         policy = choose_at_random if case.variant == _RANDOM else choose_by(Criterion.ERROR, _PUSHES)
         rng = np.random.default_rng([*own, 7])
         options = CurveOptions(n_pushes=_N_PUSHES, n_candidates=60)
