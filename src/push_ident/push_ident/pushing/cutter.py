@@ -144,7 +144,7 @@ class PushCutter:
         self.run = 1
         """Counts how often time was set back, from 1."""
 
-    # ---- what comes in
+    # ---- input
 
     @property
     def now(self) -> float:
@@ -187,7 +187,7 @@ class PushCutter:
         return True
 
     def add_record(self, record: PushInterval) -> None:
-        """A push record; the pusher samples of its interval may still be on their way. One that covers no time is ignored."""
+        """A push record; the pusher samples of its interval may still arrive. One that covers no time is ignored."""
         if record.end <= record.start:
             return
         if not self._find_runs:
@@ -254,7 +254,7 @@ class PushCutter:
     # ---- what is complete
 
     def partial(self, object_id: str) -> PushRecord | None:
-        """The push under way as far as it has come; None while there is none, or too little of it."""
+        """The part so far of the push under way; None while there is none, or too little of it."""
         if self._open is None or object_id not in self._shapes:
             return None
         interval = PushInterval(0, "", self._open.start, self._open.end, 0)
