@@ -28,32 +28,22 @@ LONG_FUNCTIONS: dict[str, str] = {
     "push_ident_sim/studies/perception/study.py:_tables": "not split yet",
 }
 MANY_PARAMETERS: dict[str, str] = {
-    "push_ident/physics/lcp.py:forward": "not grouped yet",
-    "push_ident/physics/simulation.py:simulate_body": "not grouped yet",
-    "push_ident/physics/simulation.py:simulate_body_with_pullback": "not grouped yet",
-    "push_ident/physics/simulation.py:_run": "not grouped yet",
+    "push_ident/physics/lcp.py:forward": "torch gives the arguments of an autograd function one by one",
 }
 LONG_MODULES: dict[str, str] = {
-    "push_ident/nodes/push_executor/push_executor_node.py": "not split yet",
     "push_ident/physics/sensitivity.py": "not split yet",
     "push_ident/physics/simulation.py": "not split yet",
     "push_ident/physics/table.py": "not split yet",
 }
 EFFECT_NAMES_OUTSIDE: dict[str, str] = {
-    "push_ident/nodes/push_executor/parameters.py": "push_height is also a parameter of the node: how high the tool pushes",
-    "push_ident/physics/effect.py": "restitution enters the contact, beside the table",
-    "push_ident/physics/effect_values.py": "restitution enters the contact, beside the table",
+    "push_ident/nodes/push_executor/parameters.py": "push_height is a parameter of the arm's motion: the height of the tool over the table",
+    "push_ident/physics/effect.py": "restitution is also a quantity of the contact",
+    "push_ident/physics/effect_values.py": "restitution is also a quantity of the contact",
     "push_ident/physics/reference.py": "restitution is a quantity of the paper's engine",
     "push_ident/physics/simulation.py": "not derived from a field of Effect yet",
-    "push_ident/identification/export/mjcf.py": "not derived from a field of Effect yet",
-    "push_ident/identification/export/sdf.py": "not derived from a field of Effect yet",
-    "push_ident_sim/cell/sim_cell_node.py": "not derived from a field of the catalogue yet",
-    "push_ident_sim/cell/world.py": "restitution is a quantity of the engine",
-    "push_ident_sim/recordings/recording.py": "not derived from a field of the catalogue yet",
-    "push_ident_sim/recordings/truth.py": "not derived from a field of the catalogue yet",
-    "push_ident_sim/studies/blind/cases.py": "not derived from a field of the catalogue yet",
-    "push_ident_sim/studies/blind/scoring.py": "not derived from a field of the catalogue yet",
-    "push_ident_sim/studies/blind/summary.py": "not derived from a field of the catalogue yet",
+    "push_ident_sim/studies/blind/cases.py": "what each engine of the check can inject, and what a camera can film",
+    "push_ident_sim/studies/blind/scoring.py": "the baseline that guesses an effect from where residuals are largest",
+    "push_ident_sim/studies/blind/summary.py": "the effects whose figures are shown one by one",
     "push_ident_sim/studies/settle/study.py": "the effects that the study shows",
 }
 UNDOCUMENTED: frozenset[str] = frozenset({"push_ident/physics/effect_values.py:EffectValues.effects"})
