@@ -356,7 +356,7 @@ def test_random_push_is_reproduced_by_its_seed(cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("change", "code", "text"),
     [
-        ({"object_id": "cup"}, PushCode.UNKNOWN_OBJECT, "seen: box"),
+        ({"object_id": "cup"}, PushCode.UNKNOWN_OBJECT, "known: box"),
         ({"frame_id": "camera"}, PushCode.INVALID_GOAL, "frame_id is `camera`"),
         ({"direction": float("nan")}, PushCode.INVALID_GOAL, "direction"),
         ({"direction": 0.0}, PushCode.INVALID_GOAL, "does not push into"),

@@ -129,9 +129,10 @@ def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidat
 
 
 def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Selection:
-    """The selection with its fit repeated from the maps beside the best effect, where the fit was stuck; else the selection itself."""
+    """The selection with its fit repeated from the maps beside the best effect, where it had stopped at a kink of the cost; else the
+    selection itself."""
     freed = fit_effects(best.fit, selection.fit.names)
-    if freed.log_evidence <= selection.fit.log_evidence + policy.stuck_gain:
+    if freed.log_evidence <= selection.fit.log_evidence + policy.min_restart_gain:
         return selection
     freed = polished(freed)
     return replace(selection, base=freed if selection.fit is selection.base else selection.base, fit=freed)

@@ -288,7 +288,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
     Args:
         image: `16UC1` or `32FC1`.
         info: Its camera.
-        max_skew: Stamps further apart [s] are refused; None accepts any (a camera that stands still and publishes its info once).
+        max_skew: Stamps further apart [s] are refused; None accepts any (a camera that publishes its info once).
 
     Raises:
         FrameError: Image and info do not belong together, or one is refused for itself.

@@ -75,11 +75,11 @@ class ObjectOutput:
 
     @property
     def prediction_is_wanted(self) -> bool:
-        """Whether anybody listens to the prediction of the push under way."""
+        """Whether anybody subscribes to the prediction of the push under way."""
         return bool(self._prediction.get_subscription_count() or self._prediction_path.get_subscription_count())
 
     def publish_prediction(self, prediction: Prediction, status: SolveStatus | None, push_id: int) -> PushPrediction:
-        """Of the push under way, or of one that was asked about."""
+        """Of the push under way, or in answer to a request."""
         msg = prediction_to_msg(prediction, self._id, map_status(status), push_id=push_id)
         self._prediction.publish(msg)
         self._prediction_path.publish(prediction_path_to_msg(msg))

@@ -1,4 +1,4 @@
-"""Perception as a node: depth frames in, shapes, poses and the workspace occupancy out."""
+"""Node `perception`: depth images to shapes and poses of objects, and the occupancy of the workspace."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _SILENT: Final = 2.0
 
 @dataclass(slots=True)
 class _Camera:
-    """One camera: its images, and where it stands as soon as that is known."""
+    """One camera: its images, and its pose as soon as that is known."""
 
     extrinsics: Extrinsics
     input: DepthInput
@@ -67,7 +67,7 @@ class _Camera:
 
 
 class PerceptionNode(Node):
-    """Converts, calls `Perception`, publishes; what goes wrong is counted and told in /diagnostics."""
+    """Converts, calls `Perception`, publishes; faults are counted and reported in /diagnostics."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("perception_node", **kwargs)
@@ -184,7 +184,7 @@ class PerceptionNode(Node):
         self._publish(observation, stamp, followed)
 
     def _begin(self, frame: DepthFrame) -> bool:
-        """Start perception as soon as it is known where the camera stands; the next frame asks again when it is not."""
+        """Start perception as soon as the pose of the camera is known; until then each frame tries again."""
         try:
             self._main.pose = self._main.extrinsics.find(frame)
         except PerceptionError as error:
@@ -212,7 +212,7 @@ class PerceptionNode(Node):
             self._perception.add_further_view(name, frame, camera.pose, self._robot_at(frame.stamp))
 
     def _leave_out(self, name: str, kind: str, why: str) -> None:
-        """Tell what is wrong with a further camera; perception goes on without it."""
+        """Report the fault of a further camera; perception continues without it."""
         self._counter[f"{name}_{kind}"] += 1
         self._notes[f"camera_{name}"] = why
         self._log(f"{name}_{kind}", f"Camera {name}: {why}")
@@ -283,7 +283,7 @@ class PerceptionNode(Node):
         self._last_observation = observation
 
     def _note_views(self, why_left_out: dict[str, str]) -> None:
-        """Count which further cameras helped with the shape of a new object, and say why others did not."""
+        """Count which further cameras helped with the shape of a new object, and report why others did not."""
         for name in self._further:
             why = why_left_out.get(name, "none of its frames came before the object was taken in")
             if why:
@@ -319,7 +319,7 @@ class PerceptionNode(Node):
         self._log(kind, why)
 
     def _log(self, kind: str, why: str) -> None:
-        """One line, each kind at most every few seconds; rclpy would throttle all kinds together."""
+        """One line, each kind at intervals of at least some seconds; rclpy would throttle all kinds together."""
         now = time.monotonic()
         if now >= self._logged.get(kind, -np.inf) + _LOG_PERIOD:
             self._logged[kind] = now

@@ -1,4 +1,4 @@
-"""What a viewer shows, written with Rerun: the only module that knows it.
+"""The content of the viewer, written with Rerun; no other module uses it.
 
 Entities are named by the frame they live in: `table` holds everything; `table/camera` is the depth camera, so that whatever stands on
 the table can also be drawn into its picture.
@@ -215,14 +215,14 @@ class RerunScene:
                             name=title, origin="table/camera", contents=[*on_table, f"+ table/{what}/**"], visual_bounds=bounds
                         )
                         for what, title in (
-                            ("load", "Camera, and the friction each cell bears (yellow: most)"),
+                            ("load", "Camera, and friction force of each cell (yellow: largest)"),
                             ("uncertainty", "Relative deviation of it (black: known, white: unknown)"),
                         )
                     )
                 ),
                 layout.Horizontal(
                     layout.Spatial3DView(
-                        name="Seen (green), predicted (orange), next push (pink)",
+                        name="Observed (green), predicted (orange), next push (pink)",
                         origin="table",
                         contents=[*on_table, "+ table/load/**"],
                         eye_controls=above,

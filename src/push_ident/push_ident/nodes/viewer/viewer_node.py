@@ -64,7 +64,7 @@ _JUMP_BACK: Final = 1.0
 
 
 class ViewerNode(Node):
-    """Listens, and draws; it publishes nothing and nothing waits for it."""
+    """Subscribes and draws; it publishes nothing, and no other node depends on it."""
 
     def __init__(self) -> None:
         super().__init__("viewer_node")
@@ -100,7 +100,7 @@ class ViewerNode(Node):
         self.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
-        """Hand over what is still held back."""
+        """Write what is still buffered."""
         self._scene.close()
 
     def _start(self) -> None:
@@ -277,7 +277,7 @@ class ViewerNode(Node):
             parts += [f"## {object_id}", *(f"**{key}** {value}  " for key, value in words.items())]
         warnings = [f"**{name}** {text}  " for name, text in sorted(self._warnings.items()) if text]
         if warnings:
-            parts += ["## Not well", *warnings]
+            parts += ["## Warnings", *warnings]
         self._scene.words("\n".join(parts))
 
     def _warn(self, text: str) -> None:
