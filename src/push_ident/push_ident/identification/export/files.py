@@ -17,14 +17,14 @@ from push_ident.identification.export.urdf import urdf
 __all__ = ["SUFFIXES", "write_description"]
 
 SUFFIXES = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
-"""Of the files of each format."""
+"""Suffix of the file of each format."""
 
 
 def write_description(path: Path, thing: ObjectDescription, format_name: str) -> list[Path]:
     """Write an object for a simulator. The same object gives the same bytes.
 
     Args:
-        path: file to write. SDF and URDF have no solids from corners: their outline goes into a mesh beside it, `path` with .obj added.
+        path: file to write. SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added.
         thing: the object.
         format_name: one of `SUFFIXES`.
 
@@ -32,7 +32,7 @@ def write_description(path: Path, thing: ObjectDescription, format_name: str) ->
         The files written.
 
     Raises:
-        InputError: a format that is not known.
+        InputError: unknown format.
         PushIdentError: a file cannot be written.
     """
     mesh = path.with_name(path.name + ".obj")
@@ -42,7 +42,7 @@ def write_description(path: Path, thing: ObjectDescription, format_name: str) ->
         write = sdf if format_name == "sdf" else urdf
         files = {mesh: _outline_mesh(thing).encode(), path: _xml(write(thing, mesh.name))}
     else:
-        raise InputError(f"The format `{format_name}` is not known, expected one of {', '.join(SUFFIXES)}.")
+        raise InputError(f"The format `{format_name}` is unknown, expected one of {', '.join(SUFFIXES)}.")
     for file, content in files.items():
         _write_whole(file, content)
     return list(files)
