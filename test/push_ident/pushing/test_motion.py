@@ -56,8 +56,8 @@ def test_plan_starts_where_the_arm_is_ends_at_home_and_never_jumps(arm: ArmKinem
 
 def test_lowered_tool_moves_only_along_the_push_line(plan: ArmPlan, push: PushPlan2D) -> None:
     low = plan.tip[:, 2] < MOTION.free_height
-    off = (plan.tip[low, :2] - push.tool_at_contact) @ np.array([-push.heading[1], push.heading[0]])
-    assert np.max(np.abs(off)) < 5e-4
+    deviation = (plan.tip[low, :2] - push.tool_at_contact) @ np.array([-push.heading[1], push.heading[0]])
+    assert np.max(np.abs(deviation)) < 5e-4
     assert np.min(plan.tip[:, 2]) >= MOTION.push_height - 1e-4
     going_down = plan.trajectory.time < plan.lowered
     assert plan.tip[low & going_down, :2] == pytest.approx(np.tile(push.tool_start(0.03), (np.sum(low & going_down), 1)), abs=5e-4)

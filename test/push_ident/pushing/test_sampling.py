@@ -42,8 +42,8 @@ def test_random_pushes_keep_cone_and_ranges_and_touch_where_they_say() -> None:
         assert inward @ push.heading >= np.cos(SETTINGS.cone) - 1e-9
         assert 0.04 <= push.distance <= 0.10 and 0.1 <= push.speed <= 0.2
         assert signed_distance(push.contact_point[None], outline)[0] == pytest.approx(0.0, abs=1e-9)
-        way = push.tool_at_contact - np.linspace(SETTINGS.clearance, 2e-4, 300)[:, None] * push.heading
-        assert np.min(signed_distance(way, outline)) > SETTINGS.pusher_radius - 2e-4
+        approach = push.tool_at_contact - np.linspace(SETTINGS.clearance, 2e-4, 300)[:, None] * push.heading
+        assert np.min(signed_distance(approach, outline)) > SETTINGS.pusher_radius - 2e-4
 
 
 def test_random_push_is_reproduced_by_its_seed() -> None:
