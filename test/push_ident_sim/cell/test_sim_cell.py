@@ -444,7 +444,7 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
         wait(lambda: bool(heard["cells"] and len(heard["pose"]) > 5 and len(heard["health"]) > 1))
         values = {v.key: v.value for v in heard["health"][-1].status[0].values}
         assert float(values["real time factor"]) > 0 and float(values["processor, physics [s/s]"]) > 0
-        assert "table_tilt" in heard["health"][-1].status[0].message and "truth, not seen" in heard["health"][-1].status[0].message
+        assert "table_tilt" in heard["health"][-1].status[0].message and "not from a camera" in heard["health"][-1].status[0].message
         hammer = make_object("hammer")
         assert sum(v == 100 for v in heard["cells"][0].data) == len(hammer)
         assert ask(Trigger, "reset", Trigger.Request()).success
