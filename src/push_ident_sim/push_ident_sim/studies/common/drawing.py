@@ -103,7 +103,7 @@ def save(figure: Figure, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110, metadata={"Software": None})
     except OSError as error:
-        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a folder with write permission.") from None
 
 
 def millimetres(metres: float | None, digits: int = 2) -> str:
