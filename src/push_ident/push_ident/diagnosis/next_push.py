@@ -14,7 +14,7 @@ from push_ident.errors import PlanningError
 from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.parameters import Mechanics
-from push_ident.physics.effect_values import seen_poses, true_pose
+from push_ident.physics.effect_values import reported_poses, true_pose
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -162,7 +162,7 @@ def _outcome(model: _Predictor, push: PlannedPush, seen: Observation) -> _Outcom
     motion = mechanics.simulate(PushScenario(push.pusher, start, seen.time, model.order), settings=model.settings, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
-    _, by_pose, by_value = seen_poses(mechanics.effects, start[None])
+    _, by_pose, by_value = reported_poses(mechanics.effects, start[None])
     derivative = mechanics.derivative.copy()
     derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
     whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian).reshape(3 * len(seen.time), -1)

@@ -47,7 +47,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from push_ident.errors import InputError
-from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, RECOVERY_SPEED, find_contacts, max_candidates
+from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, find_contacts, max_candidates
+from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.lcp import Lcp, LcpStatus, solve_lcp
 from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
