@@ -1,4 +1,4 @@
-"""The rules by which a newcomer finds the way: who may import whom."""
+"""Which module may import which."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ CORE_FILES = sorted(p for p in CORE.rglob("*.py") if p.name != "__init__.py" or 
 
 
 @pytest.mark.parametrize("path", CORE_FILES, ids=lambda p: str(p.relative_to(CORE)))
-def test_stage_imports_only_what_stands_before_it(path: Path) -> None:
+def test_stage_imports_only_earlier_stages(path: Path) -> None:
     own = ORDER.index(stage_of(path))
     for name in imported(path):
         parts = name.split(".")

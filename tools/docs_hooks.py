@@ -1,10 +1,11 @@
-"""Hooks of the documentation site (mkdocs.yml): pages made from the code and from the documents at the root, equations as MathML.
+"""Hooks of the documentation site (mkdocs.yml): pages made from the code and from the documents at the root, equations as SVG.
 
 Nothing that is made here is stored in the repository, so it cannot be out of date.
 """
 
 from __future__ import annotations
 
+import functools
 import html
 import posixpath
 import re
@@ -13,11 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from latex2mathml.converter import convert
+import ziamath
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
-from mkdocs.structure.nav import Navigation, Section
+from mkdocs.structure.nav import Navigation
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -27,6 +28,7 @@ import document_commands  # noqa: E402
 import document_effects  # noqa: E402
 import document_messages  # noqa: E402
 import document_nodes  # noqa: E402
+import document_policy  # noqa: E402
 import document_python  # noqa: E402
 
 ROOT_DOCUMENTS = {
@@ -42,8 +44,15 @@ GENERATED: dict[str, Callable[[], str]] = {
     "reference/effects.md": document_effects.document,
     "reference/messages.md": document_messages.document,
     "reference/nodes.md": document_nodes.document,
+    "reference/policy.md": document_policy.document,
 }
 
+EQUATION_SIZE = 20
+"""Of the letters of an equation in its drawing [px]."""
+
+ziamath.config.svg2 = False  # outlines in place of symbols, whose names would meet on a page
+
+_INCLUDE = re.compile(r"<!-- include: (\S+) -->")
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)(#[^)]*)?\)")
 
 
@@ -61,7 +70,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links of the pages to documents at the root (`../README.md`) become links to the pages made of them."""
+    """Links to documents at the root (`../README.md`) become links to their pages; `<!-- include: FILE -->` becomes the file."""
 
     def resolve(match: re.Match[str]) -> str:
         head, target, anchor = match[1], match[2], match[3] or ""
@@ -72,20 +81,18 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
             return match[0]
         return f"{head}{posixpath.relpath(ROOT_DOCUMENTS[path], posixpath.dirname(page.file.src_uri) or '.')}{anchor})"
 
-    return _LINK.sub(resolve, markdown)
+    def included(match: re.Match[str]) -> str:
+        return f"\n```python\n{(ROOT / match[1]).read_text(encoding='utf-8')}```"
+
+    return _INCLUDE.sub(included, _LINK.sub(resolve, markdown))
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """Equations become MathML, which browsers draw by themselves."""
-
-    def inline(match: re.Match[str]) -> str:
-        return mathml(match[1], "inline")
-
-    def block(match: re.Match[str]) -> str:
-        return mathml(match[1], "block")
-
-    content = re.sub(r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', block, content, flags=re.DOTALL)
-    return re.sub(r'<span class="arithmatex">\\\((.*?)\\\)</span>', inline, content, flags=re.DOTALL)
+    """Equations become pictures: no script, no font and no network is needed to read them."""
+    content = re.sub(
+        r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', lambda m: picture_of(m[1], is_block=True), content, flags=re.DOTALL
+    )
+    return re.sub(r'<span class="arithmatex">\\\((.*?)\\\)</span>', lambda m: picture_of(m[1], is_block=False), content, flags=re.DOTALL)
 
 
 def on_nav(nav: Navigation, config: MkDocsConfig, files: Files) -> Navigation:
@@ -111,16 +118,24 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     return config
 
 
-def mathml(latex: str, display: str) -> str:
-    """An equation as MathML.
+@functools.cache
+def picture_of(latex: str, *, is_block: bool) -> str:
+    """An equation as SVG in the colour of the text; its LaTeX is the text for readers who cannot see it.
 
     Raises:
         PluginError: The equation is not understood.
     """
+    latex = " ".join(html.unescape(latex).split())
     try:
-        return convert(html.unescape(latex).strip(), display=display)
+        equation = ziamath.Latex(latex, size=EQUATION_SIZE, color="currentColor", inline=not is_block)
+        drawing, below = equation.svg(), equation.getyofst()
     except Exception as error:
-        raise PluginError(f"Equation `{latex.strip()}`: {error!r}") from error
+        raise PluginError(f"Equation `{latex}`: {error!r}") from error
+    width, height = (float(re.search(rf'\b{name}="([\d.]+)"', drawing)[1]) / EQUATION_SIZE for name in ("width", "height"))  # type: ignore[index]
+    style = f"width:{width:.3f}em;height:{height:.3f}em;vertical-align:{below / EQUATION_SIZE:.3f}em"
+    start = f'<svg class="equation" role="img" aria-label="{html.escape(latex)}" style="{style}"'
+    drawing = drawing.replace("<svg", start, 1)
+    return f'<div class="equation">{drawing}</div>' if is_block else drawing
 
 
 def moved_links(text: str, source: str, target: str) -> str:
@@ -132,6 +147,8 @@ def moved_links(text: str, source: str, target: str) -> str:
             return match[0]
         path = posixpath.normpath(posixpath.join(posixpath.dirname(source), link))
         page = ROOT_DOCUMENTS.get(path) or (path.removeprefix("docs/") if path.startswith("docs/") else None)
+        if link.endswith("/") and page is not None:
+            page = f"{page}/index.md"
         if page is None:
             return re.sub(r"^!?\[([^\]]*)\]\($", r"\1", head)
         return f"{head}{posixpath.relpath(page, posixpath.dirname(target) or '.')}{anchor})"
@@ -166,6 +183,3 @@ def index_of_decisions(folder: Path) -> str:
             raise PluginError(f"{path.name}: expected a title `# N. Title` and a line `**Status**: …`")
         lines.append(f"| {path.name[:4]} | [{title[1]}]({path.name}) | {status[1]} |")
     return "\n".join(lines) + "\n"
-
-
-_ = Section

@@ -16,20 +16,20 @@ angles in radians. An expected error is one line on the standard error, and exit
 """
 
 
-def escaped(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
-
-
-def row_of(option: Any) -> str:
-    """One line of the table of a command."""
+def entry_of(option: Any) -> str:
+    """An argument or an option, with its meaning."""
     if option.param_type_name == "argument":
         name = option.metavar or option.name.upper()
     else:
         name = ", ".join([*option.opts, *option.secondary_opts])
         if not option.is_flag:
             name += f" {option.metavar or option.name.upper()}"
-    default = "" if option.default in (None, False, ()) or not option.show_default or option.required else f"`{option.default}`"
-    return f"| `{escaped(name)}` | {'required' if option.required else default} | {escaped(option.help or '')} |"
+    meaning = " ".join((option.help or "").split())
+    if option.required:
+        meaning += " Required."
+    elif option.show_default and option.default not in (None, False, (), ""):
+        meaning += f" Default: `{option.default}`."
+    return f"`{name}`\n:   {meaning}\n"
 
 
 def section_of(name: str, command: Any) -> str:
@@ -39,8 +39,7 @@ def section_of(name: str, command: Any) -> str:
         ["push-ident", name, *(option.metavar or option.name.upper() for option in arguments), *(["[OPTIONS]"] if options else [])]
     )
     lines = [f"## {name}", "", command.help or "", "", f"    {usage}", ""]
-    lines += ["| argument or option | default | meaning |", "|---|---|---|"]
-    lines += [row_of(option) for option in (*arguments, *options)]
+    lines += [entry_of(option) for option in (*arguments, *options)]
     return "\n".join(lines) + "\n"
 
 

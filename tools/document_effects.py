@@ -7,7 +7,6 @@ import math
 from push_ident.physics.effect import (
     Effect,
     EffectParameter,
-    Law,
     OnContact,
     OnPoses,
     OnPusherFriction,
@@ -25,22 +24,15 @@ PLACES = {
     OnTimes: "on the times of measured poses",
     OnPoses: "on measured poses",
 }
-LAWS = {
-    Law.EXACT: "exact, it holds as it stands where the effect is present",
-    Law.APPROXIMATE: "approximate, as a law of friction or loads is; its error grows with the size of the effect",
-}
 HEAD = """# Effects
 
 Made from `physics/effects/`, one file for each effect.
 
-An effect is a physical or measurement law that the base model leaves out. Give effects to
-`simulate(..., effects={"table_tilt": {"x": 0.01}})`. At their nominal values they change nothing, and derivatives with respect to their
-values are exact. `scale` is the standard deviation of the prior, `typical` a size that is met in practice; both are judgements, not
-measurements. Units are SI, axes those of the table frame unless stated otherwise. A *shape* parameter only shapes what the other
-parameters switch on; a test for the effect's absence holds it fixed.
-
-To add an effect, add one file to `physics/effects/`; or put the file into a folder of your own and name that folder in the environment
-variable `PUSH_IDENT_EFFECTS` (several are separated as in `PATH`) of every process.
+An effect is a physical or measurement law that the base model leaves out. Give effects to `simulate(..., effects={"table_tilt": {"x":
+0.01}})`. At their nominal values they change nothing, and derivatives with respect to their values are exact. `scale` is the standard
+deviation of the prior, `typical` a size that is met in practice; both are judgements, not measurements. Units are SI, axes those of the
+table frame unless stated otherwise. A *shape* parameter only shapes what the other parameters switch on; a test for the effect's absence
+holds it fixed.
 """
 
 
@@ -51,9 +43,10 @@ def range_of(parameter: EffectParameter) -> str:
 
 def notes_of(effect: Effect) -> list[str]:
     """What the fields of an effect state besides its equation and its parameters."""
+    exact = effect.law.name == "EXACT"
     notes = [
         f"Acts {PLACES[type(effect.acts)]}",
-        f"Law: {LAWS[effect.law]}",
+        f"Law: {'exact, it holds as it stands where the effect is present' if exact else 'approximate, as a law of friction or loads is'}",
         f"Signature: {effect.signature}",
     ]
     if effect.rivals:
@@ -66,9 +59,6 @@ def notes_of(effect: Effect) -> list[str]:
         notes.append(f"Check without a push: {effect.check}")
     if effect.export is not None:
         notes.append(f"Exported descriptions carry it as {effect.export.name.lower().replace('_', ' ')}, where the format has it")
-    if effect.is_camera_error:
-        sizes = ", ".join(f"{p.name} {p.camera_std:g} {p.unit}".rstrip() for p in effect.parameters if p.camera_std is not None)
-        notes.append(f"Part of the base model where a camera traced the outline, with standard deviation {sizes}")
     if effect.needs_inertia:
         notes.append("Absent in quasi-static pushes")
     return [*notes, f"Source: {effect.source}"]

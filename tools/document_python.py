@@ -24,7 +24,7 @@ STAGES = {
         "nodes",
         "cli",
     ),
-    "push_ident_sim": ("cell", "engines", "injected", "studies"),
+    "push_ident_sim": ("objects", "cell", "engines", "injected", "recordings", "studies"),
 }
 
 

@@ -1,8 +1,8 @@
-"""Thin a recording of a cell down to a small depth bag: `.venv/bin/python tools/make_example_bag.py RECORDING OUT [N_PUSHES]`.
+"""Reduce a recording of a cell to a small depth bag: `.venv/bin/python tools/make_example_bag.py RECORDING OUT [N_PUSHES]`.
 
-Kept: the first pushes that were made, with pusher, wrench, push records and extrinsics; of the depth images every third around the
-pushes (and enough before the first to see the object at rest), every second pixel of every second row. Dropped: poses, cells and
-outline, so that the bag has to be looked at.
+Kept: the first successful pushes, with pusher, wrench, push records and extrinsics; every third depth image around the pushes (and enough
+before the first to observe the object at rest), every second pixel of every second row. Dropped: poses, cells and outline, so that
+perception has to run on the bag.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from push_ident.bags.writer import BagWriter
 from push_ident.types import CameraIntrinsics
 
 EVERY = 3
+"""Every third depth image is kept."""
 MARGIN = 0.6
 """Depth images kept before and after a push [s]."""
 BEFORE = 30
@@ -27,6 +28,7 @@ BEFORE = 30
 
 
 def thin(source: Path, out: Path, n_pushes: int) -> None:
+    """Write the reduced bag."""
     contents = read_bag(source)
     pushes = [p for p in contents.push_intervals if p.error_code == 0][:n_pushes]
     spans = [(p.start - MARGIN, p.end + MARGIN) for p in pushes]

@@ -1,7 +1,7 @@
-"""Lets every process of the virtual environment find ROS, without anything being sourced.
+"""Environment with which every process of the virtual environment finds ROS, without sourcing a script.
 
 `make setup` copies this module into site-packages beside a .pth file that calls `enter` at each start of the interpreter.
-It runs before anything else, so it imports nothing but os and sys.
+It runs before anything else, so it imports only os and sys.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ _RESTARTED = "_PUSH_IDENT_RESTARTED"
 
 
 def enter(libraries: list[str], prefixes: list[str], defaults: dict[str, str]) -> None:
-    """Set the variables that ROS reads; start the interpreter once more where the loader does not know the libraries.
+    """Set the variables that ROS reads; restart the interpreter once if the loader does not know the libraries yet.
 
     Args:
         libraries: Folders for LD_LIBRARY_PATH. The loader reads that variable only when a process starts.
         prefixes: Folders for AMENT_PREFIX_PATH.
-        defaults: Values of variables that are not set; what is set stays.
+        defaults: Values of variables that are not set.
     """
     for name, value in defaults.items():
         os.environ.setdefault(name, value)
     _put_in_front("AMENT_PREFIX_PATH", prefixes)
-    # The ROS wheels start the interpreter once more as well, unless told that it was done.
+    # Without this variable the ROS wheels would restart the interpreter once more.
     os.environ["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
     if not _put_in_front("LD_LIBRARY_PATH", libraries):
         return
@@ -37,7 +37,7 @@ def enter(libraries: list[str], prefixes: list[str], defaults: dict[str, str]) -
 
 
 def _put_in_front(variable: str, folders: list[str]) -> bool:
-    """Add the folders that a path variable lacks; whether there were any."""
+    """Add the missing folders to a path variable; return whether there were any."""
     known = [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
     missing = [folder for folder in folders if folder not in known]
     if missing:

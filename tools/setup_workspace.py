@@ -1,7 +1,7 @@
-"""`make setup`: from a bare machine to a workspace that runs, in one step that can be repeated.
+"""`make setup`: from a bare machine to a working workspace, in one repeatable command.
 
-Runs on the interpreter that the virtual environment is made from and needs nothing but its standard library.
-Each step leaves a stamp of what it was made from; a step whose stamp still holds is skipped.
+It runs on the interpreter from which the virtual environment is made and needs only its standard library.
+Each step writes a stamp of its inputs; a step whose inputs match its stamp is skipped.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ KERNELS = (*sorted((CORE / "physics").rglob("*.py")), CORE / "perception" / "ker
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}
-"""Commands of the build and the Debian packages that have them."""
+"""Commands that the build needs, and their Debian packages."""
 
 SYSTEM_LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -46,27 +46,28 @@ SYSTEM_LIBRARIES = {
     "libidn2.so.0": "libidn2-0",
     "libgomp.so.1": "libgomp1",
 }
-"""Libraries that Open3D loads and the Debian packages that have them."""
+"""Libraries that Open3D loads, and their Debian packages."""
 
 
 class SetupError(Exception):
-    """Set-up cannot go on; the text says why and what would help."""
+    """Set-up cannot continue; the text gives cause and remedy."""
 
 
 @dataclass(frozen=True)
 class Ros:
-    """The ROS 2 Jazzy in use: an install that was sourced, or the wheels of requirements/ros.txt."""
+    """The ROS 2 Jazzy in use: a sourced installation, or the wheels of requirements/ros.txt."""
 
     prefixes: tuple[str, ...]
-    """Of the sourced install, in order; empty for the wheels."""
+    """Prefixes of the sourced installation, in order; empty for the wheels."""
 
     @property
     def is_wheels(self) -> bool:
+        """Whether ROS comes from the wheels."""
         return not self.prefixes
 
     @classmethod
     def find(cls, environ: Mapping[str, str]) -> Ros:
-        """The sourced install, if there is one. Set-up run from inside the virtual environment must not take that for one."""
+        """The sourced installation if there is one, else the wheels. The virtual environment itself does not count as one."""
         own = (str(VENV), str(ROOT / "install"))
         prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p and not p.startswith(own)]
         if environ.get("ROS_DISTRO") == "jazzy" and any((Path(p) / "share" / "rclpy").is_dir() for p in prefixes):
@@ -76,17 +77,20 @@ class Ros:
 
 @dataclass(frozen=True)
 class Step:
+    """One step of the set-up."""
+
     name: str
     what: str
-    """Shown while it runs."""
+    """Text shown while it runs."""
     made_from: Callable[[], str]
-    """Text that changes whenever the step has to run again."""
+    """Text of its inputs: the step runs again when it changes."""
     run: Callable[[], object]
     products: tuple[Path, ...] = ()
-    """Without one of these it has to run again as well."""
+    """Files that the step makes; without one of them it runs again."""
 
 
 def main() -> int:
+    """Run all steps; exit status of the command."""
     ros = Ros.find(os.environ)
     try:
         check_interpreter()
@@ -98,12 +102,13 @@ def main() -> int:
         print(f"make setup: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("make setup: stopped; run it again to go on where it stopped", file=sys.stderr)
+        print("make setup: stopped; run it again to continue", file=sys.stderr)
         return 130
     return 0
 
 
 def steps(ros: Ros) -> list[Step]:
+    """All steps, in order."""
     version = "{}.{}".format(*sys.version_info[:2])
     rebuilt = " (pybullet has no wheel for it: built from source, takes some minutes)" if sys.version_info >= (3, 12) else ""
     ros_name = "ROS 2 Jazzy wheels" if ros.is_wheels else f"ROS 2 Jazzy of {ros.prefixes[-1]}"
@@ -111,10 +116,11 @@ def steps(ros: Ros) -> list[Step]:
     result = [
         Step("system", "compilers and the libraries of Open3D", lambda: "", install_system_packages),
         Step("venv", f".venv of Python {version}", lambda: f"{version} {ros.prefixes} {VENV}", lambda: make_venv(ros), (VENV_PYTHON,)),
-        Step("torch", "PyTorch, the CPU build where one is on offer", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch),
+        Step("torch", "PyTorch, the CPU build where available", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch),
         pip_step("python", "numpy, scipy, numba, Open3D, OpenCV and more"),
         pip_step("sim", f"PyBullet{rebuilt}"),
         pip_step("dev", "pytest, hypothesis, ruff, mypy"),
+        pip_step("docs", "MkDocs, for the documentation site"),
         pip_step("viewer", "Rerun, for the live view"),
         pip_step("fleet", "Ray, for fleets of bags"),
         pip_step("colcon", "colcon"),
@@ -142,12 +148,13 @@ def steps(ros: Ros) -> list[Step]:
 
 
 def run_steps(todo: list[Step]) -> None:
+    """Run the steps whose inputs changed."""
     for number, step in enumerate(todo, 1):
         head = f"[{number}/{len(todo)}] {step.what}"
         stamp = STAMPS / step.name
         if step.name == "system":
-            step.run()  # quick, and what it checks lies outside the repository
-            print(f"{head}: there")
+            step.run()  # fast, and it checks files outside the repository
+            print(f"{head}: found")
             continue
         made_from = step.made_from()
         if stamp.is_file() and stamp.read_text() == made_from and all(path.exists() for path in step.products):
@@ -165,19 +172,20 @@ def run_steps(todo: list[Step]) -> None:
 
 
 def check_interpreter() -> None:
+    """Refuse a Python for which there is no ROS 2 Jazzy."""
     if sys.version_info[:2] not in ((3, 11), (3, 12)):
         raise SetupError(
             f"{sys.executable} is Python {sys.version.split()[0]}, expected 3.11 or 3.12 (ROS 2 Jazzy); "
-            "name another one, e.g. `make setup PYTHON=python3.12`"
+            "choose another one, e.g. `make setup PYTHON=python3.12`"
         )
 
 
 def check_ros(ros: Ros) -> None:
-    """A forgotten `source` must not replace the environment that was made on an installed ROS."""
+    """Refuse to replace an environment made on an installed ROS when ROS was not sourced."""
     if ros.is_wheels and venv_settings().get("include-system-site-packages") == "true":
         raise SetupError(
             ".venv was made on an installed ROS, and none is sourced now; source it (e.g. `. /opt/ros/jazzy/setup.bash`), "
-            "or remove .venv to work with the ROS wheels"
+            "or remove .venv to use the ROS wheels"
         )
 
 
@@ -198,6 +206,7 @@ def missing_system_packages() -> list[str]:
 
 
 def install_system_packages() -> None:
+    """Install the missing Debian packages, where this user may."""
     missing = missing_system_packages()
     if not missing:
         return
@@ -213,7 +222,7 @@ def install_system_packages() -> None:
 
 
 def apt_get() -> list[str] | None:
-    """How this user may call apt-get, None when not at all without being asked for a password."""
+    """Command with which this user may call apt-get without a password, None if there is none."""
     if shutil.which("apt-get") is None:
         return None
     call = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]
@@ -227,7 +236,7 @@ def apt_get() -> list[str] | None:
 
 
 def make_venv(ros: Ros) -> None:
-    """Make .venv, or keep one that fits: same version, same view of the system's packages, same place."""
+    """Make .venv unless a suitable one exists: same version, same access to the system's packages, same folder."""
     if venv_fits(ros):
         return
     system = [] if ros.is_wheels else ["--system-site-packages"]
@@ -235,6 +244,7 @@ def make_venv(ros: Ros) -> None:
 
 
 def venv_fits(ros: Ros) -> bool:
+    """Whether .venv can be kept."""
     settings, pip = venv_settings(), VENV / "bin" / "pip"
     if not (VENV_PYTHON.exists() and pip.is_file()):
         return False
@@ -247,29 +257,31 @@ def venv_fits(ros: Ros) -> bool:
 
 
 def venv_settings() -> dict[str, str]:
-    """What pyvenv.cfg says; empty without one."""
+    """Settings in pyvenv.cfg; empty without the file."""
     config = VENV / "pyvenv.cfg"
     return dict(re.findall(r"^([\w-]+) *= *(.*)$", config.read_text(), re.MULTILINE)) if config.is_file() else {}
 
 
 def pip_install(*arguments: str, check: bool = True) -> bool:
+    """Run pip in .venv; return whether it succeeded."""
     call = [str(VENV_PYTHON), "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check", *arguments]
     return run(call, check=check)
 
 
 def pip_step(name: str, what: str) -> Step:
-    """Install a complete list. Nothing is resolved, so nothing can be drawn in that the lists do not name."""
+    """Install a complete list of requirements. pip resolves no dependencies, so nothing outside the lists is installed."""
     path = REQUIREMENTS / f"{name}.txt"
     return Step(name, what, lambda: digest(path), lambda: pip_install("--no-deps", "--no-build-isolation", "-r", str(path)))
 
 
 def install_torch() -> None:
+    """Install the CPU build of PyTorch, else the default one."""
     pins = dict(re.findall(r"^([\w-]+)==(\S+)", (REQUIREMENTS / "torch.txt").read_text(), re.MULTILINE))
     pip_install("--no-deps", f"setuptools=={pins['setuptools']}")
     cpu = ["--no-deps", "--retries", "1", "--timeout", "20", "--extra-index-url", TORCH_CPU_INDEX, f"torch=={pins['torch']}+cpu"]
     if pip_install(*cpu, check=False):
         return
-    print("      no CPU build on offer: taking the one with CUDA (several GB)", flush=True)
+    print("      no CPU build available: installing the one with CUDA (several GB)", flush=True)
     pip_install("-c", str(REQUIREMENTS / "python.txt"), f"torch=={pins['torch']}")
 
 
@@ -277,7 +289,7 @@ def install_torch() -> None:
 
 
 def workspace_digest() -> str:
-    """Of what the build reads. Python modules and data files are linked, so only the names of the latter count."""
+    """Digest of the inputs of the build. Python modules and data files are linked, so only the names of the latter count."""
     read, named = [ROOT / "tools" / "ros_wheels.cmake", REQUIREMENTS / "ros.txt"], []
     for package in PACKAGES:
         folder = ROOT / "src" / package
@@ -305,18 +317,18 @@ def build(ros: Ros) -> None:
     run([*colcon, "build", "--symlink-install", "--base-paths", str(ROOT / "src"), "--cmake-args", *cmake], environ=environ)
     unbuilt = [package for package in PACKAGES if not package_xml(package).exists()]
     if unbuilt:
-        # colcon takes a package with an invalid package.xml for a plain Python one and says nothing.
+        # colcon treats a package with an invalid package.xml as a plain Python package without any message.
         raise SetupError(f"colcon did not build {', '.join(unbuilt)} as ROS packages; check their package.xml")
 
 
 def compile_kernels() -> None:
-    """Fill numba's cache, so that no node waits for the compiler at its first push or at its start."""
+    """Fill numba's cache, so that no node waits for the compiler at its start or first push."""
     perception, physics = "import push_ident.perception.kernels", "from push_ident.physics.simulation import compile_kernels"
     run([str(VENV_PYTHON), "-c", f"{perception}; {physics}; compile_kernels(effects=True)"])
 
 
 def package_xml(package: str) -> Path:
-    """Where a package's manifest is once it is built."""
+    """Manifest of a package after the build."""
     return ROOT / "install" / package / "share" / package / "package.xml"
 
 
@@ -324,9 +336,9 @@ def package_xml(package: str) -> Path:
 
 
 def environment_line(ros: Ros) -> str:
-    """The .pth file: folders for sys.path, then one call with what the environment needs. Python runs it at each start."""
+    """Content of the .pth file: folders for sys.path, then one call that sets the environment. Python runs it at each start."""
     install = ROOT / "install"
-    # The sources come first; the build folders hold the metadata that the installed executables look up.
+    # The sources come first; the build folders hold the metadata that the installed executables need.
     folders = [str(ROOT / base / package) for base in ("src", "build") for package in PACKAGES[1:]]
     folders += [str(path) for path in sorted(install.glob("push_ident_msgs/lib/python3*/site-packages"))]
     libraries = [str(install / "push_ident_msgs" / "lib")]
@@ -349,6 +361,7 @@ def environment_line(ros: Ros) -> str:
 
 
 def write_environment(ros: Ros) -> None:
+    """Write the .pth file and its module, and link the command `push-ident`."""
     site_packages = VENV / "lib" / "python{}.{}".format(*sys.version_info[:2]) / "site-packages"
     module = "_push_ident_environment"  # the underscore sorts it before the .pth files of other packages
     shutil.copyfile(ENVIRONMENT, site_packages / f"{module}.py")
@@ -360,6 +373,7 @@ def write_environment(ros: Ros) -> None:
 
 
 def wheel_libraries() -> list[str]:
+    """Folders of the libraries that the ROS wheels bring."""
     return [str(VENV / "lib"), *(str(path) for path in sorted(VENV.glob("lib/python3*/site-packages/ros_*.libs")))]
 
 
@@ -367,10 +381,12 @@ def wheel_libraries() -> list[str]:
 
 
 def path_variable(name: str) -> list[str]:
+    """Folders in an environment variable."""
     return [folder for folder in os.environ.get(name, "").split(os.pathsep) if folder]
 
 
 def digest(*paths: Path) -> str:
+    """Hash of names and contents of files."""
     result = hashlib.sha256()
     for path in paths:
         result.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -378,10 +394,10 @@ def digest(*paths: Path) -> str:
 
 
 def run(call: list[str], *, environ: Mapping[str, str] | None = None, check: bool = True) -> bool:
-    """Run a command; whether it succeeded. What it prints goes to the log and is shown only when it fails.
+    """Run a command; return whether it succeeded. Its output goes to the log and is shown only when it fails.
 
     Raises:
-        SetupError: It failed; not with `check=False`.
+        SetupError: The command failed and `check` is true.
     """
     with LOG.open("a") as log:
         print(f"$ {shlex.join(call)}", file=log, flush=True)
@@ -391,7 +407,7 @@ def run(call: list[str], *, environ: Mapping[str, str] | None = None, check: boo
         with LOG.open() as log:
             log.seek(start)
             print("\n".join(log.read().splitlines()[-40:]), file=sys.stderr)
-        raise SetupError(f"failed with exit code {code}: {shlex.join(call)} (all of it: {LOG})")
+        raise SetupError(f"failed with exit code {code}: {shlex.join(call)} (full log: {LOG})")
     return code == 0
 
 

@@ -2,6 +2,7 @@
 (function () {
   if (location.protocol !== "file:") return;
   function FrameWorker(url) {
+    url = new URL(url, location.href).href;
     var self = this, waiting = [], frame = document.createElement("iframe");
     frame.hidden = true;
     document.body.appendChild(frame);

@@ -1,4 +1,4 @@
-"""A small exact depth renderer for tests: prisms on a table, seen by a pinhole camera with the noise of a depth sensor."""
+"""A small exact depth renderer for tests: prisms on a table, rendered for a pinhole camera with the noise of a depth sensor."""
 
 from __future__ import annotations
 

@@ -50,8 +50,8 @@ def straight_push(
 ) -> PusherPath:
     """A pusher that stands, drives straight at constant speed, and stands again."""
     time = np.arange(0.0, travel / speed + 2 * rest, 1 / rate)
-    way = np.clip((time - rest) * speed, 0.0, travel)
-    return PusherPath(time, np.array(start) + way[:, None] * [np.cos(heading), np.sin(heading)], radius)
+    travelled = np.clip((time - rest) * speed, 0.0, travel)
+    return PusherPath(time, np.array(start) + travelled[:, None] * [np.cos(heading), np.sin(heading)], radius)
 
 
 def random_push(shape: ObjectShape, pose: Float64Array, rng: np.random.Generator, *, radius: float = 0.008) -> PusherPath:
@@ -75,16 +75,16 @@ def random_push(shape: ObjectShape, pose: Float64Array, rng: np.random.Generator
 
 
 def record_of(model: ObjectModel, pusher: PusherPath, pose: Float64Array, rng: np.random.Generator, *, noise: float = 1.0) -> PushRecord:
-    """A push as a camera would see it at 30 Hz, with `noise` times 1 mm and 0.5 degrees, from the simulation of `model`."""
+    """A push as a camera would observe it at 30 Hz, with `noise` times 1 mm and 0.5 degrees, from the simulation of `model`."""
     from push_ident.physics.scenario import PushScenario
     from push_ident.physics.simulation import SimulationSettings, simulate
 
     time = np.arange(pusher.time[0], pusher.time[-1], 1 / 30)
     motion = simulate(model, PushScenario(pusher, pose, time), settings=SimulationSettings(step=1 / 960))
     std = noise * np.array([1e-3, 1e-3, np.radians(0.5)])
-    seen = motion.pose + std * rng.normal(size=motion.pose.shape)
+    observed = motion.pose + std * rng.normal(size=motion.pose.shape)
     covariance = np.broadcast_to(np.diag(np.maximum(std, 1e-5) ** 2), (len(time), 3, 3))
-    return PushRecord("1", model.shape, PoseTrack(time, seen, covariance), pusher)
+    return PushRecord("1", model.shape, PoseTrack(time, observed, covariance), pusher)
 
 
 def random_records(model: ObjectModel, n: int, seed: int, *, noise: float = 1.0) -> list[PushRecord]:

@@ -1,4 +1,4 @@
-"""Random objects, pushers and pushes for the proofs of the physics, and what their contacts do.
+"""Random objects, pushers and pushes for the proofs of the physics, and the kinds of contact in their steps.
 
 The proofs try a few dozen fixed cases. To try more (those of hypothesis: other ones each time) and to print the largest errors:
 `PUSH_IDENT_EXAMPLES=1000 pytest test/push_ident/physics/test_proof_*.py -rP --hypothesis-show-statistics`.
@@ -38,12 +38,12 @@ _MORE = int(os.environ.get("PUSH_IDENT_EXAMPLES", "0"))
 
 
 def fixed_seeds(n: int) -> range:
-    """`n` seeds, or as many as PUSH_IDENT_EXAMPLES says."""
+    """`n` seeds, or as many as PUSH_IDENT_EXAMPLES asks for."""
     return range(max(n, _MORE))
 
 
 def examples(n: int) -> settings:
-    """`n` fixed cases, or as many fresh ones as PUSH_IDENT_EXAMPLES says."""
+    """`n` fixed cases, or as many new ones as PUSH_IDENT_EXAMPLES asks for."""
     return settings(
         max_examples=max(n, _MORE),
         derandomize=_MORE == 0,
@@ -162,8 +162,8 @@ def random_case(seed: int, n_cells: int, polygon: bool, n_steps: int, *, shape: 
     angle[first:] += rng.uniform(-1.0, 1.0)
     pace[first:] *= rng.uniform(0.3, 1.5)
     pace[second:] *= rng.uniform(-0.5, 1.0)
-    way = DT * np.cumsum(pace[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)
-    position = start + np.vstack([np.zeros(2), way])
+    travelled = DT * np.cumsum(pace[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)
+    position = start + np.vstack([np.zeros(2), travelled])
     pusher = PusherPath(DT * np.arange(n_steps + 1), position, radius, core if polygon else None, yaw)
     return Case(model, pusher, pose)
 
@@ -208,7 +208,7 @@ class Step:
 
     @property
     def signature(self) -> tuple[object, ...]:
-        """What may not change where the motion is to be differentiable."""
+        """Kind of contact and features in contact: constant where the motion is differentiable."""
         return (self.kind, *(tuple(contact[[6, 9]]) for contact in self.contacts))
 
 
@@ -284,7 +284,7 @@ def rounding_decides(case: Case, how: SimulationSettings) -> bool:
 
 
 def moved(case: Case, *, by: Float64Array) -> Case:
-    """The same seen from a table frame that is placed otherwise."""
+    """The same push in a table frame that is moved by `by`."""
     pusher = case.pusher
     yaw = None if pusher.yaw is None else pusher.yaw + by[2]
     if yaw is None and pusher.polygon is not None:

@@ -31,8 +31,11 @@ CASES = {
     "contract_sample": ("identify-contract_sample", "predict-contract_sample", "diagnose-contract_sample"),
 }
 """Of the cases of `tools/baseline.py`, by bag: depth of an object, simulated poses on a tilted table, a recording of another maker."""
-OTHER_MACHINE = 1e-4
-"""Relative tolerance where processor or libraries are not those of the stored answers: there, sums are rounded otherwise."""
+OTHER_MACHINE = 1e-2
+"""Relative tolerance where processor or libraries are not those of the stored answers: sums are then rounded differently. With kernels
+compiled for any x86-64 processor and OpenBLAS for Haswell, a log evidence near zero changed by 1.3e-3, the rest by less than 4e-5."""
+SIGN_OF_EIGENVECTORS = frozenset({"combinations", "cell_error_std_m", "within_90"})
+"""Not compared there: combinations of unknowns have an arbitrary sign, and predictions draw models along them."""
 PROGRAM = """
 import json, sys
 from push_ident.cli.main import main
@@ -89,11 +92,19 @@ def answers(baseline: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> d
     return {case.name: {"exit": code, "content": content} for case, code, content in zip(cases, codes, contents, strict=True)}
 
 
-def numbers_of(baseline: ModuleType, answer: Any) -> Any:
-    """An answer without its texts for people and its clocks."""
+def without(keys: frozenset[str], answer: Any) -> Any:
+    """An answer without some of its keys, at any depth."""
     if isinstance(answer, dict):
-        return {key: numbers_of(baseline, value) for key, value in answer.items() if key not in baseline.PROSE | baseline.CLOCK}
-    return [numbers_of(baseline, value) for value in answer] if isinstance(answer, list) else answer
+        return {key: without(keys, value) for key, value in answer.items() if key not in keys}
+    return [without(keys, value) for value in answer] if isinstance(answer, list) else answer
+
+
+def comparable(answer: Any) -> Any:
+    """What another machine answers as well: rivals of equal evidence may change places."""
+    answer = without(SIGN_OF_EIGENVECTORS, answer)
+    if answer["content"] and "ranking" in answer["content"]:
+        answer["content"]["ranking"].sort(key=lambda entry: entry["name"])
+    return answer
 
 
 BAG_AND_CASE = [(bag, name) for bag, names in CASES.items() for name in names]
@@ -104,12 +115,15 @@ def test_answer_is_the_stored_one(bag: str, name: str, baseline: ModuleType, ans
     if bag == "contract_sample":
         recording("contract_sample", "bag")
     file, fingerprint = STORED / f"{name}.json", STORED / "machine.json"
+    answer = without(baseline.PROSE | baseline.CLOCK, answers[name])
     if os.environ.get(STORE):
-        file.write_text(json.dumps(numbers_of(baseline, answers[name]), sort_keys=True) + "\n")
+        file.write_text(json.dumps(answer, sort_keys=True) + "\n")
         fingerprint.write_text(json.dumps(machine(), indent=1, sort_keys=True) + "\n")
-    same_machine = json.loads(fingerprint.read_text()) == machine()
-    relative = 0.0 if same_machine else OTHER_MACHINE
-    found = list(baseline.differences(json.loads(file.read_text()), numbers_of(baseline, answers[name]), relative=relative))
+    stored = json.loads(file.read_text())
+    if json.loads(fingerprint.read_text()) == machine():
+        found = list(baseline.differences(stored, answer))
+    else:
+        found = list(baseline.differences(comparable(stored), comparable(answer), relative=OTHER_MACHINE))
     assert not found, "\n".join([f"{len(found)} differences from {file.name}", *found[:10]])
 
 

@@ -44,7 +44,7 @@ def test_bag_played_through_live_nodes_gives_the_map_found_offline(bag: Path, tm
     assert (tmp_path / "live" / "model.json").exists()
 
 
-def test_doctor_says_what_is_missing_when_nothing_runs(tmp_path: Path) -> None:
+def test_doctor_names_what_is_missing_when_nothing_runs(tmp_path: Path) -> None:
     done = run("doctor", "--seconds", 1, "--json", tmp_path / "doctor.json")
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "doctor.json").read_text())

@@ -15,8 +15,6 @@ import pytest
 
 from helpers.paths import ROOT
 
-pytestmark = pytest.mark.alone
-
 PACKAGES = {"push_ident": "ament_python", "push_ident_sim": "ament_python", "push_ident_msgs": "ament_cmake"}
 PYTHON_PACKAGES = [name for name, kind in PACKAGES.items() if kind == "ament_python"]
 LAUNCH_FILES = sorted(ROOT.glob("src/*/launch/*.launch.py"))

@@ -1,4 +1,4 @@
-"""The one family of exceptions: each says what is wrong, what was got, what was expected and what would help."""
+"""The exceptions of the package. Each text gives the problem, the value found, the value expected and a remedy."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ __all__ = ["BagError", "FrameError", "InputError", "ModelFileError", "Perception
 
 
 class PushIdentError(Exception):
-    """Base of everything this package raises on purpose. Its text is one line that a user can act on."""
+    """Base of all exceptions that this package raises deliberately. Its text is one line with a remedy."""
 
 
 class InputError(PushIdentError):
-    """A value handed in has the wrong shape, unit range or combination."""
+    """An argument has a wrong shape, range or combination."""
 
 
 class BagError(PushIdentError):
-    """A bag cannot be read, or lacks what the bag contract asks for."""
+    """A bag cannot be read, or lacks something that the bag contract requires."""
 
 
 class ModelFileError(PushIdentError):
@@ -26,7 +26,7 @@ class FrameError(PushIdentError):
 
 
 class PerceptionError(PushIdentError):
-    """Nothing usable was seen; the text carries the counts that show why."""
+    """The depth images contain nothing usable; the text gives the counts that show why."""
 
 
 class PlanningError(PushIdentError):

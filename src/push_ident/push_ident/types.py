@@ -1,6 +1,6 @@
-"""The vocabulary of the package: what every stage takes and returns.
+"""The types that the stages of the package exchange.
 
-Frozen down to the arrays. Lengths in metres, angles in radians, masses in kilograms, times in seconds. Frames are named:
+They are immutable, arrays included. Lengths in metres, angles in radians, masses in kilograms, times in seconds. Frames are named:
 `table` (z up, origin in the middle of the workspace) and `object` (fixed in the object, z up). A planar pose is
 (x, y, yaw) of the object frame in the table frame.
 """
@@ -83,14 +83,14 @@ class DepthFrame:
     stamp: float
     """[s]"""
     depth: NDArray[np.float32]
-    """Depth along the optical axis [m], shape (height, width); NaN where nothing was seen."""
+    """Depth along the optical axis [m], shape (height, width); NaN where nothing was measured."""
     intrinsics: CameraIntrinsics
     frame_id: str = "camera_depth_optical_frame"
 
 
 @dataclass(frozen=True, slots=True)
 class CellGrid:
-    """The square cells an object is cut into."""
+    """The square cells into which an object is divided."""
 
     centres: Float64Array
     """[m], shape (n_cells, 2), object frame."""
@@ -135,8 +135,8 @@ class ObjectShape:
         """Whether both are views of one object: the same cells, at the same places to within half a cell."""
         if len(self.cells) != len(other.cells) or not np.isclose(self.cells.size, other.cells.size, rtol=1e-6):
             return False
-        apart = np.abs(self.cells.centres - other.cells.centres)
-        return bool(np.max(apart) < 0.5 * self.cells.size)
+        distance = np.abs(self.cells.centres - other.cells.centres)
+        return bool(np.max(distance) < 0.5 * self.cells.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ class PoseTrack:
     pose: Float64Array
     """(x, y, yaw) [m, m, rad], shape (n_frames, 3), table frame, yaw unwrapped."""
     covariance: Float64Array
-    """Of (x, y, yaw), shape (n_frames, 3, 3), table frame."""
+    """Covariance of (x, y, yaw), shape (n_frames, 3, 3), table frame."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -175,11 +175,11 @@ class PusherPath:
     position: Float64Array
     """Origin of the pusher's frame [m], shape (n_samples, 2), table frame; of a cylinder its axis."""
     radius: float
-    """[m]; of a cylinder, or by which a polygon is rounded outwards. 0 is a point, or a polygon with sharp corners."""
+    """Radius of a cylinder, or of the rounding of a polygon [m]; 0: a point, or a polygon with sharp corners."""
     polygon: Float64Array | None = None
     """Convex, counter-clockwise, not closed [m], shape (n_corners, 2), pusher's frame; None for a cylinder."""
     yaw: Float64Array | None = None
-    """Of the pusher's frame in the table frame [rad], shape (n_samples,), not wrapped; None where the pusher does not turn."""
+    """Yaw of the pusher's frame in the table frame [rad], shape (n_samples,), not wrapped; None for a pusher that does not turn."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -223,18 +223,18 @@ class WrenchTrack:
 
 @dataclass(frozen=True, slots=True)
 class PushRecord:
-    """One push of one object as it was seen. Real arm, simulated cell and bag all end in this."""
+    """One observed push of one object, the same for a real arm, the simulated cell and a bag."""
 
     object_id: str
     shape: ObjectShape
     poses: PoseTrack
-    """Every frame that was seen; only the two end poses may be known."""
+    """Poses of all frames, or only the two end poses."""
     pusher: PusherPath
     wrench: WrenchTrack | None = None
     source: str = ""
-    """Where it came from (bag and push number), for messages and reports."""
+    """Bag and number of the push, for messages and reports."""
     order: int = 0
-    """How many pushes of the object went before it."""
+    """Number of earlier pushes of the object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +262,7 @@ class ObjectModel:
 
     @property
     def total_mass(self) -> float:
-        """[kg]"""
+        """Mass of the object [kg]."""
         return float(np.sum(self.mass))
 
     @property
@@ -274,11 +274,12 @@ class ObjectModel:
 
 
 class SolveStatus(Enum):
-    """How a solve ended; the value says what to do about it."""
+    """Outcome of a solve; the value says what to do about it."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "not converged within the iterations allowed; allow more, or start from a nearer model"
     BUDGET_SPENT = "stopped when the budget was spent, at the best point so far; allow more simulations or seconds"
+    OUT_OF_REACH = "stopped early: the cost from which the result would matter is out of reach"
     STALLED = "no step lowers the cost although the gradient is not zero; the pushes may contradict each other"
     POOR_FIT = "the fit is far worse than the noise: the pushes contradict each other or the model; look at their poses, or diagnose"
     SIMULATION_FAILED = "the simulation did not converge for this model; check masses, outline and pusher path"

@@ -1,4 +1,4 @@
-"""Which code a result depends on, so that a file of an earlier state of the code is not taken for one of the present."""
+"""Which code a result depends on, so that a file made by other code is not mistaken for a present one."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _ROOTS: Final = {"push_ident": Path(push_ident.__file__).parent, "push_ident_sim
 
 
 def code_digest(files: Collection[Path]) -> str:
-    """Of the code of `files` but for comments, docstrings and layout; hexadecimal. Raises OSError where one cannot be read."""
+    """Hash of the code of `files`, without comments, docstrings and layout; hexadecimal. Raises OSError where one cannot be read."""
     return hashlib.sha256("\n".join(_code(path) for path in sorted(files)).encode()).hexdigest()
 
 
 def files_behind(start: Path, without: Collection[str] = ()) -> set[Path]:
-    """A module and all modules of the two packages that it imports, directly or not, or names in a string to run as a process.
+    """A module and all modules of the two packages that it imports, directly or indirectly, or names in a string to run as a process.
 
     Args:
         start: File of the module.
@@ -74,5 +74,5 @@ def _code(path: Path) -> str:
 
 
 def _explains(statement: ast.stmt) -> bool:
-    """A string that stands alone."""
+    """A statement that is only a string, such as a docstring."""
     return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant) and isinstance(statement.value.value, str)

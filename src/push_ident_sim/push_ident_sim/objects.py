@@ -72,7 +72,7 @@ def _grid_indices(cells: FloatArray, size: float) -> IntArray:
     steps = (cells - cells.min(axis=0)) / size
     indices = np.rint(steps).astype(np.int64)
     if np.abs(steps - indices).max() > 1e-6:
-        raise InputError(f"Cell centres are up to {np.abs(steps - indices).max() * size:.2e} m off a square grid of {size} m.")
+        raise InputError(f"Cell centres are up to {np.abs(steps - indices).max() * size:.2e} m from a square grid of {size} m.")
     if len(np.unique(indices, axis=0)) != len(indices):
         raise InputError("Two cells share one place of the grid.")
     return indices

@@ -1,4 +1,4 @@
-"""Processes with one thread each, for work whose time is measured."""
+"""Processes with one thread each, so that measured times compare."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _SINGLE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 
 @contextmanager
 def single_threads(jobs: int = 1, *, fresh: bool = False) -> Iterator[ProcessPoolExecutor]:
-    """Up to `jobs` processes side by side; `fresh`: a new one for every call, so that no call finds what another one left."""
-    # Libraries read these when they are imported, which the children do anew.
+    """Up to `jobs` processes side by side; `fresh`: a new one for every call, so that no call inherits the state of another one."""
+    # Libraries read these variables when the children import them.
     before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
     os.environ.update(_SINGLE_THREAD)
     pool = ProcessPoolExecutor(
@@ -39,7 +39,7 @@ def single_threads(jobs: int = 1, *, fresh: bool = False) -> Iterator[ProcessPoo
 
 
 def _prepare() -> None:
-    """Ctrl-C ends a worker at once and without a word; nor does Bullet print, which would tear the progress bar of the command."""
+    """Ctrl-C ends a worker at once and silently. Bullet does not print either, which would break the progress bar of the command."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     nowhere, errors = os.open(os.devnull, os.O_WRONLY), os.dup(2)
     os.dup2(nowhere, 1)
@@ -49,7 +49,7 @@ def _prepare() -> None:
 
 
 def describe_machine(jobs: int) -> dict[str, Any]:
-    """What times depend on: `processor, cores, jobs, python` and `load`, the processes that wanted to run in the last minute."""
+    """What times depend on: `processor, cores, jobs, python` and `load`, the mean number of runnable processes in the last minute."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

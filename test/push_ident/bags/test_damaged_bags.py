@@ -34,7 +34,7 @@ def test_paths_that_hold_no_bag_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     assert "holds no bag" in bag_error(tmp_path / "empty")
     (tmp_path / "notes.txt").write_text("hello")
-    assert "not a bag by its name" in bag_error(tmp_path / "notes.txt")
+    assert "not the name of a bag" in bag_error(tmp_path / "notes.txt")
 
 
 @pytest.mark.parametrize("name", ["x.mcap", "x.db3", "x.bag", "metadata.yaml"])
@@ -64,7 +64,7 @@ def test_a_bag_of_zero_messages_is_refused(tmp_path: Path, plugin: StoragePlugin
     assert "no messages at all" in bag_error(tmp_path / "bag")
 
 
-def test_a_bag_whose_index_promises_more_than_can_be_read_is_refused(tmp_path: Path) -> None:
+def test_a_bag_whose_index_lists_more_messages_than_can_be_read_is_refused(tmp_path: Path) -> None:
     store = jazzy_typestore()
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as sqlite:
         connection = sqlite.add_connection("/pusher/pose", Role.PUSHER.msgtype, typestore=store)
@@ -75,7 +75,7 @@ def test_a_bag_whose_index_promises_more_than_can_be_read_is_refused(tmp_path: P
         sqlite.write(connection, 1, store.serialize_cdr(store.types[Role.PUSHER.msgtype](header, pose), Role.PUSHER.msgtype))
     metadata = tmp_path / "bag" / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("message_count: 1", "message_count: 9"))
-    assert "promises 9 messages" in bag_error(tmp_path / "bag")
+    assert "lists 9 messages" in bag_error(tmp_path / "bag")
 
 
 def test_two_cells_in_one_bag_are_not_mixed(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_salvage_leaves_a_chunk_with_a_flipped_byte_out(tmp_path: Path) -> None:
     assert report.damaged_chunks <= 1 and 380 <= report.total <= 400
 
 
-def test_salvage_leaves_messages_out_that_are_not_what_their_type_says(tmp_path: Path) -> None:
+def test_salvage_leaves_messages_out_that_do_not_decode(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         write_push(writer, 2.0)
         writer.write_raw("/pusher/pose", Role.PUSHER.msgtype, 2 * 10**9, b"\x00\x01\x00\x00" + bytes(5))

@@ -52,7 +52,7 @@ def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
         assert_same_record(one, other)
 
 
-def test_one_push_seen_on_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
+def test_one_push_of_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
     records = [make_record(1.0, object_id="a", wrench=False), make_record(1.0, object_id="b", wrench=False)]
     write_records(tmp_path / "bag", records)
     contents = read_bag(tmp_path / "bag")
@@ -98,7 +98,7 @@ def test_what_is_dropped_or_assumed_is_counted(tmp_path: Path) -> None:
     notes = " ".join(contents.notes)
     assert "`objects/7/pose`: 1 of 34 messages hold values that are not finite" in notes
     assert "`objects/7/pose`: 1 of 34 messages repeat a stamp" in notes
-    assert "`pusher/pose`: 1 of 33 messages came out of order" in notes
+    assert "`pusher/pose`: 1 of 33 messages were out of order" in notes
     assert "`pusher/pose`: 1 of 33 messages have no stamp; their log time is used" in notes
     assert contents.pusher.time[-1] == pytest.approx(1.1)
     assert "1 of 32 poses lack a covariance" in notes

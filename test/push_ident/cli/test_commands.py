@@ -12,6 +12,7 @@ import pytest
 
 from helpers.objects import hammer, random_records
 from helpers.paths import EXAMPLE_BAG
+from push_ident import __version__
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
@@ -91,6 +92,10 @@ def test_bad_bag_ends_in_one_clear_line(make, says: str, command: str, bag: Path
     assert says in done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_version_is_that_of_the_package() -> None:
+    assert run("--version").stdout.split() == ["push-ident", __version__]
 
 
 def test_train_numbers_out_of_range_are_refused(bag: Path) -> None:

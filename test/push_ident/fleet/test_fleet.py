@@ -73,7 +73,7 @@ def test_one_bad_bag_stops_nothing_and_a_second_run_does_nothing_again(bags: Pat
     assert "noise.mcap" in page and "src=" not in page
 
 
-def test_a_fleet_where_nothing_can_be_read_says_so(bags: Path, tmp_path: Path) -> None:
+def test_a_fleet_without_a_readable_bag_fails_with_a_count(bags: Path, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["fleet", str(bags / "monday" / "noise.mcap"), "--out", str(tmp_path), "--workers", "1"])
     assert result.exit_code == 1
     assert "0 of 1 bags identified" in result.output

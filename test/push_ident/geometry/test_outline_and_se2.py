@@ -10,8 +10,16 @@ from helpers.bags import (
     L_SHAPE,
 )
 from push_ident.errors import InputError
-from push_ident.geometry.outline import outline_of_cells, points_in_polygon, polygon_area, signed_distance
+from push_ident.geometry.outline import edge_normals, outline_of_cells, points_in_polygon, polygon_area, polygon_centroid, signed_distance
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points, wrap_angle, yaw_of_quaternion
+
+
+def test_centroid_and_normals_of_a_triangle_in_both_orientations() -> None:
+    triangle = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 0.4]])
+    assert polygon_centroid(triangle) == pytest.approx((0.1, 0.4 / 3))
+    assert polygon_centroid(triangle[::-1]) == pytest.approx((0.1, 0.4 / 3))
+    np.testing.assert_allclose(edge_normals(triangle), [[0.0, -1.0], [0.8, 0.6], [-1.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(edge_normals(triangle[::-1]), [[0.8, 0.6], [0.0, -1.0], [-1.0, 0.0]], atol=1e-12)
 
 
 def test_outline_of_cells_of_an_l_is_its_six_corners_whatever_the_yaw() -> None:

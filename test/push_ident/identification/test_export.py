@@ -23,9 +23,10 @@ from push_ident.geometry.outline import cells_in_outline, points_in_polygon, pol
 from push_ident.identification.export.description import describe
 from push_ident.identification.export.files import SUFFIXES, write_description
 from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import cell_error
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, body_of_cells, simulate
@@ -192,7 +193,7 @@ def test_solid_outline_is_the_exact_polygon_in_mujoco(model: ObjectModel, tmp_pa
         assert seen == pytest.approx(expected - radius, abs=2e-6)
 
 
-def test_solid_outline_is_larger_by_bullets_swelling_of_meshes_alone(model: ObjectModel, tmp_path: Path, client: BulletClient) -> None:
+def test_solid_outline_is_larger_only_by_bullets_mesh_margin(model: ObjectModel, tmp_path: Path, client: BulletClient) -> None:
     body = client.loadURDF(str(export(model, tmp_path, "urdf")))
     frame = next(i for i in range(client.getNumJoints(body)) if client.getJointInfo(body, i)[12] == b"object_o1")
     radius = 0.002
@@ -350,7 +351,7 @@ def test_anisotropic_base_goes_into_the_friction_directions_of_sdf(tmp_path: Pat
 
 
 @pytest.mark.parametrize("format_name", SUFFIXES)
-def test_effects_that_a_format_has_nothing_for_are_told_in_a_comment(format_name: str, tmp_path: Path) -> None:
+def test_effects_that_a_format_cannot_express_stand_in_a_comment(format_name: str, tmp_path: Path) -> None:
     effects = effect_values({"wear": [0.03], "pusher_friction": [0.1]})
     path = tmp_path / f"thing{SUFFIXES[format_name]}"
     write_description(path, describe(MODELS["arrow"], object_id="o1", source="m", effects=effects), format_name)
@@ -361,7 +362,7 @@ def test_effects_that_a_format_has_nothing_for_are_told_in_a_comment(format_name
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    parameters = MapParameters(MODELS["arrow"].shape, Prior())
+    parameters = Unknowns(MODELS["arrow"].shape, Prior())
     z = np.random.default_rng(3).normal(size=parameters.size)
     posterior = ModelPosterior(parameters, z, np.eye(len(z)), Estimate(0.83, 0.4), total_mass_identifiable=False)
     path = tmp_path_factory.mktemp("models") / "model--1.json"

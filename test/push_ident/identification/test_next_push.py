@@ -1,4 +1,4 @@
-"""The next push is the one that tells most; one that tells nothing is never chosen."""
+"""The next push is the one with the most information; one without information is never chosen."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import pytest
 
 from helpers.objects import hammer, hammer_shape, random_records
 from push_ident.errors import InputError
-from push_ident.identification.identify import identify, prior_posterior, uniform_model
+from push_ident.identification.identify import identify, uniform_model
 from push_ident.identification.next_push import (
     Criterion,
     PlannedPush,
     PoseSensor,
     RankedPushes,
+    RankingOptions,
     candidate_pushes,
     imagine_push,
     rank_pushes,
@@ -22,8 +23,8 @@ from push_ident.identification.next_push import (
 )
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.push_study import SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
+from push_ident.identification.result import ModelPosterior, prior_posterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.pushing.push import PushSettings
@@ -39,12 +40,13 @@ def _candidates(n: int, seed: int) -> list[PlannedPush]:
     return candidate_pushes(SHAPE, np.zeros(3), np.random.default_rng(seed), n, SETTINGS)
 
 
-def _rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int = 2, **options: object) -> RankedPushes:
-    return rank_pushes(posterior, candidates, reference=REFERENCE, rng=np.random.default_rng(0), n_draws=n_draws, **options)
+def _rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int = 2, **given: object) -> RankedPushes:
+    options = RankingOptions(n_draws=n_draws, **given)  # type: ignore[arg-type]
+    return rank_pushes(posterior, candidates, reference=REFERENCE, rng=np.random.default_rng(0), options=options)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_push_made_before_tells_less_than_others(seed: int) -> None:
+def test_repeated_push_gives_less_information_than_others(seed: int) -> None:
     first, *others = _candidates(12, seed)
     seen = SimulatedObject(hammer(seed), np.random.default_rng(seed)).execute(first)
     before = _rank(prior_posterior(SHAPE), [first], n_draws=0).values[0]
@@ -57,7 +59,7 @@ def test_push_made_before_tells_less_than_others(seed: int) -> None:
 
 def test_sensor_slower_than_a_push_sees_both_its_ends() -> None:
     push = _candidates(1, 0)[0]
-    mechanics = prior_posterior(SHAPE).parameters.mechanics(prior_posterior(SHAPE).z)
+    mechanics = prior_posterior(SHAPE).unknowns.mechanics(prior_posterior(SHAPE).z)
     record, status = imagine_push(mechanics, push, sensor=PoseSensor(rate=0.1))
     assert status is SolveStatus.CONVERGED and record is not None
     np.testing.assert_array_equal(record.poses.time, push.pusher.time[[0, -1]])
@@ -95,17 +97,17 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     time = np.arange(push.pusher.time[0], push.pusher.time[-1], 1 / sensor.rate)
     motion = simulate(uniform_model(SHAPE), PushScenario(push.pusher, push.pose_object_in_table, time), settings=settings)
     record = PushRecord("o1", SHAPE, PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3))), push.pusher)
-    problem = FitProblem([record], posterior.parameters, settings=settings)
-    n = posterior.parameters.size
+    problem = FitProblem([record], posterior.unknowns, settings=settings)
+    n = posterior.unknowns.size
     prior = np.diag(np.r_[np.ones(n), np.zeros(3)])
     # The fit weighs frames by how well they agree; on average over the noise the weight is one.
     weight = problem.weigh(np.zeros((1, 3)))[1][0]
     fitted = np.linalg.inv(prior + (problem.evaluate(np.zeros(problem.size)).hessian - prior) / weight)[:n, :n]
-    value = _rank(posterior, [push], settings=settings).values[0]
+    value = _rank(posterior, [push], numerics=settings).values[0]
     assert value.covariance == pytest.approx(fitted, abs=1e-8)
 
 
-def test_blurred_sight_tells_less() -> None:
+def test_noisier_sensor_gives_less_information() -> None:
     candidates = _candidates(3, 3)
     posterior = prior_posterior(SHAPE)
     sharp = PoseSensor()
@@ -117,7 +119,7 @@ def test_blurred_sight_tells_less() -> None:
 
 
 @pytest.mark.parametrize("criterion", Criterion)
-def test_pushes_that_miss_or_fail_come_last_and_tell_nothing(criterion: Criterion) -> None:
+def test_pushes_that_miss_or_fail_come_last_with_no_information(criterion: Criterion) -> None:
     good = _candidates(2, 4)
     path = good[0].pusher
     miss = replace(good[0], pusher=PusherPath(path.time, path.position + 1.0, path.radius))
@@ -167,8 +169,7 @@ def test_policies_start_from_the_same_push_and_learn() -> None:
             held_out,
             np.random.default_rng(3),
             push_settings=SETTINGS,
-            n_pushes=3,
-            n_candidates=20,
+            options=CurveOptions(n_pushes=3, n_candidates=20),
         )
         for policy in (choose_at_random, choose_by(Criterion.ERROR, SETTINGS, n_reference=12))
     )

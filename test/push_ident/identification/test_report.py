@@ -1,4 +1,4 @@
-"""The page of an identification: one file, complete, honest about what was not held out or not converged."""
+"""The page of an identification: one file, complete; it states which pushes were held out and whether the fit converged."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ RESULT = identify(RECORDS[:3])
 SOURCE = Provenance("o<1>", ("bag a, push 1", "bag a, push 2", "bag a, push 3"), ("two stamps repeated",))
 
 
-def test_page_stands_alone_and_says_everything(tmp_path: Path) -> None:
+def test_page_is_one_file_with_every_section(tmp_path: Path) -> None:
     page = _write(tmp_path, RESULT, _errors(RESULT, [3, 4]))
     loaded = [value for tag, attributes in _tags(page) for key, value in attributes if key in ("src", "href") and tag != "use"]
     assert not [value for value in loaded if value and not value.startswith("#")]
     assert page.count("<svg") == 3
     for text in (
-        "2 pushes that they never saw",
+        "2 pushes not used in the fit",
         "held out",
         "pinned down",
         "Next push",
@@ -40,28 +40,28 @@ def test_page_stands_alone_and_says_everything(tmp_path: Path) -> None:
     ):
         assert text in page
     assert "o&lt;1&gt;" in page and "o<1>" not in page
-    assert "Do not trust" not in page
+    assert "Do not use these maps" not in page
 
 
 def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
     scores = running_record(RECORDS)
     assert [score.number for score in scores] == list(range(1, len(RECORDS) + 1))
-    assert np.mean([score.error for score in scores[2:]]) < np.mean([score.uniform for score in scores[2:]])
+    assert np.mean([score.cell_error for score in scores[2:]]) < np.mean([score.uniform_cell_error for score in scores[2:]])
     errors = _errors(RESULT, [3])
     write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), errors, SOURCE, 0.01, scores)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 4 and "How soon it was known" in page
+    assert page.count("<svg") == 4 and "Predictions before each push" in page
 
 
-def test_page_says_when_nothing_was_held_out(tmp_path: Path) -> None:
+def test_page_states_when_no_push_was_held_out(tmp_path: Path) -> None:
     page = _write(tmp_path, RESULT, _errors(RESULT, []))
     assert "No push was held out" in page
-    assert "never saw" not in page
+    assert "not used in the fit" not in page
 
 
 def test_page_of_a_solve_that_failed_warns_first(tmp_path: Path) -> None:
     page = _write(tmp_path, replace(RESULT, status=SolveStatus.POOR_FIT), _errors(RESULT, [3]))
-    assert page.index("Do not trust these maps") < page.index("<svg")
+    assert page.index("Do not use these maps") < page.index("<svg")
 
 
 def test_same_result_gives_the_same_page(tmp_path: Path) -> None:

@@ -13,22 +13,25 @@ from push_ident.errors import InputError
 from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.state_file import load_state, save_state
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import simulate
 from push_ident.pushing.push import PushSettings
+from push_ident.pushing.sampling import check_push
 from push_ident.types import CellGrid, ObjectShape, PoseTrack, PusherPath, PushRecord
 
 TRUTH = hammer(3)
 RECORDS = random_records(TRUTH, 6, 3)
 
 
-def test_each_push_is_predicted_by_the_model_that_had_not_seen_it() -> None:
+def test_each_push_is_predicted_by_the_model_fitted_to_those_before_it() -> None:
     session = _session()
     scores = [session.finish(record) for record in RECORDS]
     assert [s.number for s in scores if s] == [1, 2, 3, 4, 5, 6]
     first, *later = session.record.latest
     # Before the first push the prior is all there is.
-    assert first.error == pytest.approx(first.uniform, rel=0.5)
-    assert np.mean([s.error for s in later[1:]]) < 0.5 * np.mean([s.uniform for s in later[1:]])
-    assert all(s.expected > 0 for s in session.record.latest)
+    assert first.cell_error == pytest.approx(first.uniform_cell_error, rel=0.5)
+    assert np.mean([s.cell_error for s in later[1:]]) < 0.5 * np.mean([s.uniform_cell_error for s in later[1:]])
+    assert all(s.expected_cell_error > 0 for s in session.record.latest)
     assert session.record.summary == summarise_scores([s for s in scores if s])
     assert session.record.summary.n == 6
 
@@ -62,7 +65,7 @@ def test_looped_bag_counts_once() -> None:
 
 
 def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("push_ident.identification.session._KNOWN", 2)
+    monkeypatch.setattr("push_ident.identification.session.REMEMBERED_PUSHES", 2)
     session = _session()
     for record in RECORDS[:3]:
         session.finish(record)
@@ -82,7 +85,7 @@ def test_another_object_under_the_same_id_begins_anew_and_the_first_is_put_aside
     assert (tmp_path / "o1-before-2.state.json").exists()
 
 
-def test_prediction_of_a_push_under_way_follows_the_pusher() -> None:
+def test_prediction_of_an_unfinished_push_follows_the_pusher() -> None:
     session = _session()
     for record in RECORDS[:3]:
         session.finish(record)
@@ -110,7 +113,13 @@ def test_next_push_is_suggested_with_its_prediction() -> None:
     assert suggestion is not None
     push, prediction = suggestion
     assert push.plan is not None
-    assert np.all(np.isfinite(prediction.pose))
+    check_push(push.plan, session.shape.outline, PushSettings(pusher_radius=0.015))
+    np.testing.assert_array_equal(push.pose_object_in_table, np.zeros(3))
+    assert prediction.time[0] == push.pusher.time[0] and prediction.time[-1] == push.pusher.time[-1]
+    # The push that is expected to teach most moves the object, and its prediction says how.
+    end = simulate(session.posterior.model, PushScenario(push.pusher, np.zeros(3), push.pusher.time[-1:])).pose[-1]
+    np.testing.assert_allclose(prediction.pose[-1], end, atol=1e-9)
+    assert np.linalg.norm(end[:2]) > 0.01 or abs(end[2]) > 0.1
 
 
 def test_model_of_another_object_is_refused() -> None:
@@ -127,7 +136,7 @@ def test_score_of_a_push_that_could_not_be_simulated_survives_the_file(tmp_path:
     save_state(file, session.online.state, object_id="o1", record=session.record.add(lost))
     kept = load_state(file).record
     assert kept.latest[0] == session.record.latest[0]
-    assert np.isnan(kept.latest[1].error)
+    assert np.isnan(kept.latest[1].cell_error)
     assert kept.summary.n == 1
 
 
@@ -136,8 +145,8 @@ def test_running_record_means_all_pushes_and_holds_the_latest() -> None:
     record = RunningRecord()
     for score in scores:
         record = record.add(score)
-    assert record.summary.mean_error == pytest.approx(0.2505)
-    assert (record.summary.n, record.summary.share_within_ninety) == (500, 0.5)
+    assert record.summary.mean_cell_error == pytest.approx(0.2505)
+    assert (record.summary.n, record.summary.share_within_90) == (500, 0.5)
     assert record.latest[0].number > 1
     assert record.latest[-1] is scores[-1]
 

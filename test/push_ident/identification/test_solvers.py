@@ -1,6 +1,8 @@
-"""All solvers fit the same problem on the same meter."""
+"""All solvers fit the same problem under the same budget."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,63 +10,75 @@ import pytest
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.parameters import MapParameters, Prior
 from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.solvers import SOLVERS
-from push_ident.types import PushRecord, SolveStatus
+from push_ident.identification.solvers.autograd import reference_cost
+from push_ident.identification.unknowns import Unknowns
+from push_ident.types import ObjectModel, PushRecord, SolveStatus
 
 QUICK = [name for name in SOLVERS if name != "autograd"]
 RECORDS = random_records(hammer(1), 10, 1)
 TRAIN, TEST = RECORDS[:2], RECORDS[2:]
 
 
+def mean_error(model: ObjectModel, records: list[PushRecord]) -> float:
+    """Mean cell error at the end of the pushes [m]: no solver minimises it, and no meter sorts by it."""
+    return float(np.mean(held_out_errors(model, records)))
+
+
 @pytest.mark.parametrize("method", QUICK)
-def test_every_solver_lowers_the_cost_and_stays_within_its_simulations(method: str) -> None:
+def test_solver_predicts_its_training_pushes_and_others_better_than_a_uniform_object(method: str) -> None:
     result = identify(TRAIN, method=method, budget=Budget(max_simulations=600))
-    costs = [c.cost for c in result.history]
-    assert len(costs) > 1
-    assert all(np.diff(costs) < 0)
+    assert mean_error(result.model, TRAIN) < 0.9 * mean_error(result.uniform, TRAIN)
+    assert mean_error(result.model, TEST) < mean_error(result.uniform, TEST)
+
+
+@pytest.mark.parametrize("method", QUICK)
+def test_solver_returns_the_best_point_it_has_visited_within_its_simulations(method: str) -> None:
+    result = identify(TRAIN, method=method, budget=Budget(max_simulations=100))
     # A step of Gauss-Newton or a pass of the fast gradient is finished first, and the fit of the scalars is needed anyway.
-    assert result.n_simulations <= 600 + 100
-    if method not in ("random_search", "weighted_sampling"):  # a few hundred draws of 140 numbers find nothing
-        assert np.mean(held_out_errors(result.model, TEST)) < np.mean(held_out_errors(result.uniform, TEST))
+    assert result.n_simulations <= 100 + 100
+    best = min(result.history, key=lambda checkpoint: checkpoint.cost)
+    assert result.cost == best.cost
+    assert result.model.friction == pytest.approx(best.model.friction, rel=1e-6)  # a posterior is polished
+    assert result.model.mass / result.model.total_mass == pytest.approx(best.model.mass / best.model.total_mass, rel=1e-6)
 
 
 @pytest.mark.parametrize("method", QUICK)
 def test_every_solver_repeats_itself_from_a_seed(method: str) -> None:
-    first, second = (identify(TRAIN, method=method, budget=Budget(max_simulations=200), seed=3) for _ in range(2))
+    first, second = (identify(TRAIN, method=method, budget=Budget(max_simulations=200), options=FitOptions(seed=3)) for _ in range(2))
     assert first.status is second.status
     assert np.array_equal(first.model.mass, second.model.mass)
     assert np.array_equal(first.model.friction, second.model.friction)
 
 
 def test_random_search_depends_on_its_seed() -> None:
-    first, second = (identify(TRAIN, method="random_search", budget=Budget(max_simulations=200), seed=s) for s in (0, 1))
+    first, second = (
+        identify(TRAIN, method="random_search", budget=Budget(max_simulations=200), options=FitOptions(seed=s)) for s in (0, 1)
+    )
     assert not np.array_equal(first.model.mass, second.model.mass)
 
 
-def test_autograd_descends_through_the_reference_engine() -> None:
+def test_autograd_learns_through_the_reference_engine() -> None:
     result = identify(TRAIN[:1], method="autograd", budget=Budget(max_simulations=4, max_seconds=60))
-    costs = [c.cost for c in result.history]
-    assert len(costs) > 1
-    assert costs[-1] < costs[0]
     assert result.status is SolveStatus.BUDGET_SPENT
+    assert mean_error(result.model, TRAIN[:1]) < 0.9 * mean_error(result.uniform, TRAIN[:1])
 
 
 def test_autograd_has_the_gradient_of_its_own_cost() -> None:
-    from push_ident.identification.solvers.autograd import _reference_cost
-
-    problem = FitProblem(TRAIN[:1], MapParameters(TRAIN[0].shape, Prior(max_modes=4)))
+    problem = FitProblem(TRAIN[:1], Unknowns(TRAIN[0].shape, Prior(max_modes=4)))
     x = 0.2 * np.random.default_rng(0).normal(size=problem.size)
-    unknowns, cost = _reference_cost(problem, x)
+    unknowns, cost = reference_cost(problem, x)
     cost.backward()  # type: ignore[no-untyped-call]
     assert unknowns.grad is not None
-    for i in (0, 5, problem.parameters.size - 1, problem.size - 1):
+    for i in (0, 5, problem.unknowns.size - 1, problem.size - 1):
         step = np.zeros(problem.size)
         step[i] = 1e-5
-        difference = float((_reference_cost(problem, x + step)[1] - _reference_cost(problem, x - step)[1]).detach()) / 2e-5
+        difference = float((reference_cost(problem, x + step)[1] - reference_cost(problem, x - step)[1]).detach()) / 2e-5
         assert float(unknowns.grad[i]) == pytest.approx(difference, rel=2e-2, abs=1e-2)
 
 
@@ -84,7 +98,7 @@ def test_budget_refuses_what_is_no_limit() -> None:
 
 
 def test_gradient_of_the_fit_equals_central_differences_cell_by_cell() -> None:
-    problem = FitProblem(TRAIN[:1], MapParameters(TRAIN[0].shape, Prior(), modes=np.eye(len(TRAIN[0].shape.cells))))
+    problem = FitProblem(TRAIN[:1], Unknowns(TRAIN[0].shape, Prior(), modes=np.eye(len(TRAIN[0].shape.cells))))
     x = 0.2 * np.random.default_rng(1).normal(size=problem.size)
     gradient = problem.evaluate(x).gradient
     for i in (3, 60, 75, 130, problem.size - 2):
@@ -95,25 +109,22 @@ def test_gradient_of_the_fit_equals_central_differences_cell_by_cell() -> None:
 
 def test_unknowns_of_given_maps_are_those_maps() -> None:
     truth = hammer(2)
-    parameters = MapParameters(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
-    again = parameters.model(parameters.unknowns(truth.mass, truth.friction, truth.pusher_friction))
+    parameters = Unknowns(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
+    again = parameters.model(parameters.of_maps(truth.mass, truth.friction, truth.pusher_friction))
     assert again.mass * truth.total_mass / again.total_mass == pytest.approx(truth.mass)
     assert again.friction == pytest.approx(truth.friction)
     assert again.pusher_friction == pytest.approx(truth.pusher_friction)
 
 
-def _moved(record: PushRecord, offset: tuple[float, float, float]) -> PushRecord:
-    from dataclasses import replace
-
+def with_second_half_moved(record: PushRecord, offset: tuple[float, float, float]) -> PushRecord:
     pose = record.poses.pose.copy()
     pose[len(pose) // 2 :] += offset
     return replace(record, poses=replace(record.poses, pose=pose))
 
 
-def test_contradictory_pushes_are_a_status_and_no_confident_map() -> None:
-    sure = identify(TRAIN)
-    assert sure.status is SolveStatus.CONVERGED
-    torn = [*TRAIN, *(_moved(r, (0.05, -0.05, 1.0)) for r in TRAIN)]
-    result = identify(torn)
-    assert result.status is SolveStatus.POOR_FIT
-    assert result.posterior.pusher_friction.std > sure.posterior.pusher_friction.std
+def test_contradictory_pushes_are_a_status_and_widen_the_posterior() -> None:
+    consistent = identify(TRAIN)
+    assert consistent.status is SolveStatus.CONVERGED
+    contradictory = identify([*TRAIN, *(with_second_half_moved(r, (0.05, -0.05, 1.0)) for r in TRAIN)])
+    assert contradictory.status is SolveStatus.POOR_FIT
+    assert contradictory.posterior.pusher_friction.std > consistent.posterior.pusher_friction.std

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import resource
 import signal
 import subprocess
@@ -22,6 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from helpers.domains import own_domain
 from push_ident.bags.salvage import salvage
 from push_ident.nodes.convert import position_to_msg
 from push_ident.nodes.recording_port import RECORDING_QOS
@@ -36,7 +36,7 @@ class User:
     """Publishes the pusher and hears what the recorder says of itself."""
 
     def __init__(self) -> None:
-        self.domain = random.randint(1, 100)
+        self.domain = own_domain()
         self.context = Context()
         rclpy.init(context=self.context, domain_id=self.domain)
         self.node = Node("user", context=self.context)
@@ -113,7 +113,7 @@ def test_nothing_is_recorded_where_the_disk_is_low_already(user: User, tmp_path:
     assert not (tmp_path / "bag").exists()
 
 
-def test_disk_that_runs_low_closes_the_bag_readable_and_everyone_is_told(user: User, tmp_path: Path) -> None:
+def test_disk_that_runs_low_closes_the_bag_readable_and_is_reported(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag")
     try:
         user.wait_for(lambda: user.said, 20.0)
@@ -134,7 +134,7 @@ def test_disk_that_runs_low_closes_the_bag_readable_and_everyone_is_told(user: U
     assert process.returncode == 0 and "200 messages" in output
 
 
-def test_disk_that_refuses_a_write_is_told_and_what_was_written_stays_readable(user: User, tmp_path: Path) -> None:
+def test_disk_that_refuses_a_write_is_reported_and_the_rest_stays_readable(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag", most_bytes=30_000)
     try:
         user.wait_for(lambda: user.said, 20.0)
@@ -148,7 +148,7 @@ def test_disk_that_refuses_a_write_is_told_and_what_was_written_stays_readable(u
         end(process)
 
 
-def test_kill_loses_a_second_at_most(user: User, tmp_path: Path) -> None:
+def test_kill_loses_no_more_than_a_second(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag")
     try:
         user.wait_for(lambda: user.said, 20.0)

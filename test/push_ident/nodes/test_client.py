@@ -1,4 +1,4 @@
-"""The client of a cell waits for a push as long as the executor tells how far it is."""
+"""The client of a cell waits for a push as long as the executor sends feedback."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SILENCE = 0.6
 
 
 class Executor(Node):
-    """Takes `speed` seconds over a push, and tells `distance` times how far it is."""
+    """Takes `speed` seconds over a push, and sends feedback `distance` times."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("executor", context=context)
@@ -34,11 +34,11 @@ class Executor(Node):
 
     def _execute(self, goal: ServerGoalHandle) -> ExecutePush.Result:
         self._idle.clear()
-        told = int(goal.request.distance)
-        for i in range(told):
-            goal.publish_feedback(ExecutePush.Feedback(phase=ExecutePush.Feedback.PHASE_PUSH, progress=i / told))
-            self._closing.wait(goal.request.speed / told)
-        if not told:
+        n_reports = int(goal.request.distance)
+        for i in range(n_reports):
+            goal.publish_feedback(ExecutePush.Feedback(phase=ExecutePush.Feedback.PHASE_PUSH, progress=i / n_reports))
+            self._closing.wait(goal.request.speed / n_reports)
+        if not n_reports:
             self._closing.wait(goal.request.speed)
         goal.succeed()
         self._idle.set()
@@ -69,11 +69,11 @@ def client() -> Iterator[CellClient]:
         thread.join(timeout=2.0)
 
 
-def test_long_push_is_waited_for_while_it_tells_how_far_it_is(client: CellClient) -> None:
+def test_client_waits_for_a_long_push_while_feedback_comes(client: CellClient) -> None:
     progress: list[float] = []
     started = time.monotonic()
     result = client.execute_push(
-        ExecutePush.Goal(speed=3 * SILENCE, distance=15.0), silence=SILENCE, on_feedback=lambda told: progress.append(told.progress)
+        ExecutePush.Goal(speed=3 * SILENCE, distance=15.0), silence=SILENCE, on_feedback=lambda feedback: progress.append(feedback.progress)
     )
     assert time.monotonic() - started > 2.9 * SILENCE
     assert result.push_id == 7 and len(progress) > 10
@@ -81,6 +81,6 @@ def test_long_push_is_waited_for_while_it_tells_how_far_it_is(client: CellClient
 
 def test_executor_that_falls_silent_is_given_up(client: CellClient) -> None:
     started = time.monotonic()
-    with pytest.raises(CellTimeout, match=r"told nothing for 1 s .* push_executor_node"):
+    with pytest.raises(CellTimeout, match=r"sent no feedback for 1 s .* push_executor_node"):
         client.execute_push(ExecutePush.Goal(speed=10.0), silence=SILENCE)
     assert time.monotonic() - started < 8.0

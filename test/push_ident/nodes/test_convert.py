@@ -46,6 +46,9 @@ def test_a_stamp_just_below_a_second_carries_over():
 
 def test_planar_poses_come_back_and_their_full_covariance_is_positive_definite():
     msg = planar_pose_to_msg(STAMP, [0.12, -0.34, 2.5], COVARIANCE)
+    assert (msg.pose.pose.position.x, msg.pose.pose.position.y) == (0.12, -0.34)
+    assert 2 * np.arctan2(msg.pose.pose.orientation.z, msg.pose.pose.orientation.w) == pytest.approx(2.5)
+    assert (msg.pose.covariance[1], msg.pose.covariance[5], msg.pose.covariance[35]) == (3e-7, -1e-7, 4e-6)
     stamp, pose, covariance = planar_pose_from_msg(msg)
     assert stamp == pytest.approx(12.345678901, abs=1e-9)
     np.testing.assert_allclose(pose, [0.12, -0.34, 2.5], rtol=1e-12)
@@ -70,6 +73,10 @@ def test_poses_that_cannot_be_are_refused():
 
 
 def test_positions_forces_and_pusher_come_back():
+    position, wrench, cylinder = position_to_msg(STAMP, [0.1, -0.2, 0.3]), force_to_msg(STAMP, [1.5, -2.5]), cylinder_to_msg(0.018, 0.1)
+    assert (position.pose.position.x, position.pose.position.y, position.pose.position.z) == (0.1, -0.2, 0.3)
+    assert (wrench.wrench.force.x, wrench.wrench.force.y, wrench.wrench.force.z) == (1.5, -2.5, 0.0)
+    assert list(cylinder.dimensions) == [0.1, 0.018]  # height, radius
     assert np.array_equal(position_from_msg(position_to_msg(STAMP, [0.1, -0.2, 0.3], yaw=1.0))[1], [0.1, -0.2, 0.3])
     assert np.array_equal(force_from_msg(force_to_msg(STAMP, [1.5, -2.5]))[1], [1.5, -2.5])
     assert cylinder_radius_from_msg(cylinder_to_msg(0.018, 0.1)) == 0.018

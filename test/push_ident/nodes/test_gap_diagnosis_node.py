@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -23,9 +22,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from helpers.domains import own_domain
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 
 pytestmark = pytest.mark.alone
@@ -38,7 +38,7 @@ class Cell:
     """The node, a bag that is played to it, and somebody who asks."""
 
     def __init__(self, bag: Path) -> None:
-        self.environment = os.environ | {"ROS_DOMAIN_ID": str(random.randint(1, 100))}
+        self.environment = os.environ | {"ROS_DOMAIN_ID": str(own_domain())}
         self.context = Context()
         rclpy.init(context=self.context, domain_id=int(self.environment["ROS_DOMAIN_ID"]))
         self.node = Node("user", context=self.context)
@@ -51,7 +51,7 @@ class Cell:
         self.node.create_subscription(GapReport, "gap_report", self.reports.append, latched)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         # The outline of the bag is exact: no camera traced it.
-        self.process = self.start("gap_diagnosis_node", outline_is_seen=False)
+        self.process = self.start("gap_diagnosis_node", outline_from_camera=False)
         player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=30.0)
         assert player.wait(60.0) == 0
         self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 30.0)
@@ -93,7 +93,7 @@ class Cell:
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     bag = tmp_path_factory.mktemp("bags") / "tilted"
-    record_pushes(bag, RecordingSettings(n_pushes=N_PUSHES, seed=2, effects=Effects.of({"table_tilt": (TILT, 0.0)})))
+    record_pushes(bag, RecordingSettings(n_pushes=N_PUSHES, seed=2, effects=InjectedEffects.of({"table_tilt": (TILT, 0.0)})))
     cell = Cell(bag)
     yield cell
     cell.close()
@@ -107,9 +107,12 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     report = result.report
     assert result.success and result.message == report.verdict
     assert report.n_pushes == N_PUSHES and report.verdict in ("named", "one_of", "several")
-    assert "table_tilt" in [*(e.name for e in report.effects), *report.confusable]
-    assert report.after < report.before
-    assert report.ranking[0] and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
+    tilt = next(effect for effect in report.effects if effect.name == "table_tilt")
+    assert list(tilt.parameters) == ["x", "y"]
+    assert max(tilt.std) < 0.25 * TILT
+    assert all(abs(value - true) < 3 * std for value, true, std in zip(tilt.values, (TILT, 0.0), tilt.std, strict=True))
+    assert report.noise < report.after < 0.7 * report.before
+    assert report.ranking[0] == "table_tilt" and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
     assert json.loads(report.json)["verdict"] == report.verdict
     assert "fitting the base model" in stages
     cell.wait_for(lambda: cell.reports, 5.0)

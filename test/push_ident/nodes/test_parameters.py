@@ -10,10 +10,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from helpers.domains import own_domain
 from push_ident.errors import InputError
 from push_ident.nodes.parameters import Parameter, Parameters
-
-pytestmark = pytest.mark.alone
 
 TABLE = (
     Parameter("speed", 0.05, "speed of the push [m/s]", 0.001, 0.5),
@@ -27,7 +26,7 @@ TABLE = (
 @pytest.fixture(scope="module")
 def context():
     context = Context()
-    rclpy.init(context=context, domain_id=101)
+    rclpy.init(context=context, domain_id=own_domain())
     yield context
     context.try_shutdown()
 
@@ -92,7 +91,7 @@ def test_refused_settings_leave_the_old_value(make, name, value):
     assert parameters.as_dict() == before
 
 
-def test_accepted_settings_are_told_and_kept(make):
+def test_accepted_settings_are_reported_and_kept(make):
     told = []
     node, parameters = make(on_change=told.append)
     assert node.set_parameters([RosParameter("speed", value=0.3)])[0].successful

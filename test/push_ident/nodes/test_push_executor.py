@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import signal
 import subprocess
 import threading
@@ -20,6 +19,7 @@ from rclpy.node import Node
 from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory
 
+from helpers.domains import own_domain
 from helpers.executor_cell import ARM_TIMEOUT, CONTACT, FIST, PARKED, RADIUS, Call, Cell, Stalls, send, start_node, summary, wait_for
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.alone
 
 @pytest.fixture(scope="module")
 def domain() -> int:
-    return random.randint(1, 100)
+    return own_domain()
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_pusher_shape_is_latched(cell: Cell) -> None:
     assert list(cell.shapes[0].dimensions) == [0.08, RADIUS]
 
 
-def test_second_goal_is_refused_while_one_is_under_way_and_cancel_holds_within_100_ms(cell: Cell, stalls: Stalls) -> None:
+def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cell: Cell, stalls: Stalls) -> None:
     call = send(cell, **CONTACT)
     wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
     assert send(cell, **CONTACT).end().error_code == PushCode.BUSY
@@ -182,13 +182,13 @@ def test_silent_arm_is_held_and_the_goal_aborted(cell: Cell, stalls: Stalls) -> 
     assert refused.error_code == PushCode.ARM_SILENT and len(cell.commands) == 2
 
 
-def test_arm_off_its_way_is_held(cell: Cell) -> None:
+def test_arm_that_deviates_from_its_path_is_held(cell: Cell) -> None:
     call = send(cell, **CONTACT)
     wait_for(lambda: cell.commands)
     time.sleep(0.4)
     cell.offset = np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     result = call.end()
-    assert result.error_code == PushCode.TRACKING and "mm off its way" in result.error_text
+    assert result.error_code == PushCode.TRACKING and "mm from its path" in result.error_text
     assert len(cell.commands) == 2 and len(cell.commands[1][1].points) == 1
 
 
@@ -219,7 +219,7 @@ def test_force_that_is_not_measured_any_more_is_held(cell: Cell) -> None:
     call = begin_push(cell)
     cell.feels = False
     result = call.end()
-    assert result.error_code == PushCode.FORCE and "silent" in result.error_text
+    assert result.error_code == PushCode.FORCE and "no message on pusher/wrench" in result.error_text
     time.sleep(0.2)
     assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
 
@@ -227,7 +227,7 @@ def test_force_that_is_not_measured_any_more_is_held(cell: Cell) -> None:
 @pytest.mark.parametrize("fault", ["not seen", "outside"])
 def test_object_lost_during_a_push_stops_it_and_the_arm_leaves_on_a_checked_path(cell: Cell, fault: str) -> None:
     call = begin_push(cell, distance=0.12, speed=0.1)
-    before, n_pusher = cell.box.copy(), len(cell.pusher)
+    before = cell.box.copy()
     if fault == "not seen":
         cell.sees_box = False
     else:
@@ -245,7 +245,6 @@ def test_object_lost_during_a_push_stops_it_and_the_arm_leaves_on_a_checked_path
     wait_for(lambda: cell.records)
     record = cell.records[0]
     assert record.error_code == PushCode.OBJECT_LOST and stamp_from_msg(record.start) < stamp_from_msg(record.end)
-    assert n_pusher > 0
     time.sleep(0.3)
     assert len(cell.commands) == 3
 
@@ -266,7 +265,7 @@ def test_arm_moved_by_hand_while_it_was_silent_starts_from_where_it_is_now(cell:
     assert list(cell.commands[0][1].points[0].positions) == pytest.approx(moved, abs=1e-6)
 
 
-def test_hand_that_is_no_fist_refuses_a_push_and_holds_one_under_way(cell: Cell) -> None:
+def test_hand_that_is_no_fist_refuses_a_push_and_holds_a_running_one(cell: Cell) -> None:
     cell.fist["g_pra"] = 0
     time.sleep(0.3)
     result = send(cell, **CONTACT).end()
@@ -294,7 +293,7 @@ def test_recording_that_fails_holds_the_push_and_refuses_the_next(cell: Cell) ->
     assert send(cell, dry_run=True, **CONTACT).end().error_code == 0
 
 
-def test_object_near_the_edge_is_first_pushed_back_to_the_middle_and_that_push_is_told_apart(cell: Cell) -> None:
+def test_object_near_the_edge_is_first_pushed_back_to_the_middle_in_a_push_of_its_own_purpose(cell: Cell) -> None:
     cell.box[:] = 0.05, 0.20, 0.0
     time.sleep(0.2)
     call = send(cell, mode=ExecutePush.Goal.MODE_RANDOM, seed=1)
@@ -372,7 +371,7 @@ def test_bad_goal_is_refused_with_its_code_and_nothing_moves(cell: Cell, change:
     assert cell.commands == [] and result.push_id == 0
 
 
-def test_arm_that_somebody_else_commands_is_left_alone(cell: Cell) -> None:
+def test_arm_that_another_node_commands_is_not_commanded(cell: Cell) -> None:
     rival = Node("rival", context=cell.context)
     rival.create_publisher(JointTrajectory, "joint_trajectory", 10)
     time.sleep(0.5)
@@ -394,7 +393,7 @@ def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: 
 
 
 def test_of_two_executors_that_start_at_once_one_gets_the_arm_and_a_killed_one_leaves_it_free() -> None:
-    domain = 101  # without a cell: the lease needs none
+    domain = own_domain()  # without a cell: the lease needs none
     both = [start_node(domain) for _ in range(2)]
     try:
         wait_for(lambda: any(process.poll() is not None for process in both), 20.0)
@@ -417,7 +416,7 @@ def test_of_two_executors_that_start_at_once_one_gets_the_arm_and_a_killed_one_l
 
 def test_simulated_hand_is_activated_and_closed_to_a_fist() -> None:
     context = Context()
-    rclpy.init(context=context, domain_id=random.randint(1, 100))
+    rclpy.init(context=context, domain_id=own_domain())
     times = [f"{name}:=0.3" for name in ("activation_time", "closing_time")]
     arguments = ["--ros-args", "-p", "closed:=false", *(item for time in times for item in ("-p", time))]
     hand = SimHandNode(context=context, cli_args=arguments)

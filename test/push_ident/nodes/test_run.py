@@ -1,4 +1,4 @@
-"""A node process stops cleanly, whatever it is busy with."""
+"""A node process stops cleanly in every state."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_callback_that_never_returns_does_not_keep_the_process():
     assert process.returncode == 1 and "Traceback" not in output
 
 
-def test_a_node_that_cannot_start_says_why_in_one_line():
+def test_a_node_that_cannot_start_gives_the_reason_in_one_line():
     output, _ = (process := start("refusing")).communicate(timeout=10.0)
     assert process.returncode == 1
     assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output

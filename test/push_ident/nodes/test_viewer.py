@@ -1,10 +1,9 @@
-"""viewer_node as a real process: what it is told on topics ends up in a Rerun recording."""
+"""viewer_node as a real process: what is published on its topics ends up in a Rerun recording."""
 
 from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -25,12 +24,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from yaml import safe_load
 
+from helpers.domains import own_domain
 from helpers.paths import CONFIG, ROOT
-from push_ident.identification.identify import prior_posterior
 from push_ident.identification.prediction import predict
+from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg, transform_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import DepthFrame, PusherPath
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import PushScore as PushScoreMsg
@@ -48,7 +49,7 @@ class Cell:
     """Publishes all that a viewer shows of one hammer."""
 
     def __init__(self) -> None:
-        self.domain = random.randint(1, 100)
+        self.domain = own_domain()
         self.context = Context()
         rclpy.init(context=self.context, domain_id=self.domain)
         self.node = Node("cell", context=self.context)
@@ -64,7 +65,7 @@ class Cell:
         cells, outline = shape_to_msgs(self.shape, "o1", stamp)
         image, info = depth_frame_to_msgs(frame, stamp)
         prediction = prediction_to_msg(
-            predict(self.posterior, self.path, np.array([0.0, 0.0, 0.3]), np.linspace(0, 1, 5)), "o1", (1, "fine"), push_id=1
+            predict(self.posterior, PushScenario(self.path, np.array([0.0, 0.0, 0.3]), np.linspace(0, 1, 5))), "o1", (1, "fine"), push_id=1
         )
         score = score_to_msg(PushScore(1, "push 1", 1.0, 0.002, 0.003, 2.0, 0.009), ScoreSummary(1, 0.002, 0.003, 0.009, 1.0), "o1", 1.0)
         self._sent = [

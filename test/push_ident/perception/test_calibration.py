@@ -29,7 +29,7 @@ def frames(camera, prisms, seed, n=10):
         ((0.01, 0.1, 1.1), (0.0, 0.05, 0.0), L_SHAPE, (0.0, 0.0, 3.0)),
     ],
 )
-def test_the_camera_is_found_wherever_it_stands(position, target, outline, pose):
+def test_the_camera_pose_is_found_from_any_viewpoint(position, target, outline, pose):
     camera = look_at(position, target)
     found = calibrate(frames(camera, [Prism(outline, 0.03).at(pose), BOX], 1), Mark(outline, 0.03, pose))
     # What a point at the middle of the table seems to move, and the rotation between both frames.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +11,6 @@ import pytest
 
 from helpers.differences import ridders
 from helpers.objects import straight_push
-from helpers.paths import ROOT
 from helpers.random_pushes import ENGINES, Case, random_case, steps_of
 from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells
@@ -388,13 +385,13 @@ def test_latency_shows_the_pose_of_an_earlier_time() -> None:
     assert seen.pose == pytest.approx(simulate(model, PushScenario(pusher, np.zeros(3), time - 0.021)).pose, abs=1e-12)
 
 
-def test_a_speed_scale_grows_with_the_way() -> None:
+def test_error_of_a_speed_scale_grows_with_travel() -> None:
     dt, way = 1 / 240, np.cumsum(np.random.default_rng(0).uniform(0, 1e-3, (50, 3)), axis=0)
     driven, _ = driven_path(effect_values({"pusher_speed_scale": [0.1]}), dt, way)
     assert driven[:, :2] - way[:, :2] == pytest.approx(0.1 * (way[:, :2] - way[0, :2]), abs=1e-12)
 
 
-def test_an_offset_of_the_tool_and_one_of_the_camera_cannot_be_told_apart() -> None:
+def test_an_offset_of_the_tool_and_one_of_the_camera_are_exact_twins() -> None:
     model, pusher, offset = plate(), straight_push((-0.07, 0.02), 0.2), np.array([2e-3, -1e-3])
     time, first = pusher.time[::6], np.array([0.01, 0.0, 0.2])
     tool = simulate(model, PushScenario(pusher, first, time), effects={"tool_offset": offset})
@@ -442,8 +439,3 @@ def test_effects_that_cannot_be_are_refused(effects: dict[str, object], settings
     model, pusher = plate(), straight_push((-0.07, 0.02), 0.2)
     with pytest.raises(InputError, match=message):
         simulate(model, PushScenario(pusher, np.zeros(3), pusher.time), settings=SimulationSettings(**settings), effects=effects)
-
-
-def test_page_of_the_catalogue_is_current() -> None:
-    done = subprocess.run([sys.executable, ROOT / "tools" / "document_effects.py", "--check"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr

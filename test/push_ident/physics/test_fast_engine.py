@@ -230,7 +230,7 @@ def test_small_polygon_pushes_as_the_disc_it_rounds() -> None:
     assert polygon == pytest.approx(disc, abs=1e-5)
 
 
-def test_flat_face_carries_an_object_off_its_middle_without_turning_it() -> None:
+def test_flat_face_off_the_middle_pushes_an_object_without_turning_it() -> None:
     model = uniform(square())
     disc = straight_push((-0.07, 0.012), 0.0)
     box = np.array([[-0.008, -0.02], [0.008, -0.02], [0.008, 0.02], [-0.008, 0.02]])

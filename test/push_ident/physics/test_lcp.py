@@ -1,4 +1,4 @@
-"""The complementarity solver: its conditions, its derivative against closed form and differences, and its honesty when it fails."""
+"""The complementarity solver: its conditions, its derivative against closed form and differences, its status when it fails."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_batch_equals_one_by_one_and_blocks_equal_the_full_matrix() -> None:
         assert torch.allclose(together.gamma[i], alone.gamma[0], rtol=1e-9, atol=1e-11)
 
 
-def test_failures_are_reported_and_leave_the_rest_of_the_batch_alone() -> None:
+def test_failures_are_reported_and_do_not_change_the_rest_of_the_batch() -> None:
     problem = random_lcp(3, batch=4)
     m, A, G, F = problem.m.clone(), problem.A.clone(), problem.G.clone(), problem.F.clone()
     m[0, 0] = torch.nan

@@ -151,7 +151,7 @@ def test_limit_surface_of_a_ring_has_the_axes_of_the_ellipsoid_and_a_known_point
     )
 
 
-def test_ellipsoid_through_the_axes_is_never_a_tenth_off_for_a_ring() -> None:
+def test_ellipsoid_through_the_axes_is_within_a_tenth_for_a_ring() -> None:
     # 2 sqrt(2) / pi = 0.9003 at the worst, the point above in the limit of many supports.
     radius, n = 0.05, 720
     arms, limit = ring(n, radius), np.full(n, 1.0 / n)

@@ -1,4 +1,4 @@
-"""What every push must obey, whatever its object, pusher and contact: balance, energy, complementarity, symmetry, rest, no overlap."""
+"""Laws that every simulated push obeys: balance, energy, complementarity, symmetry, rest, no overlap."""
 
 from __future__ import annotations
 

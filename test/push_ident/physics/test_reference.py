@@ -264,7 +264,7 @@ def test_batch_equals_one_by_one() -> None:
         assert torch.allclose(together.friction_impulse[i], alone.friction_impulse[0], rtol=0, atol=1e-10)
 
 
-def test_step_that_is_not_solved_says_so() -> None:
+def test_step_that_is_not_solved_has_a_status() -> None:
     result = reference_step(random_contacts(0, batch=2), max_iterations=3)
     assert result.status == (LcpStatus.MAX_ITERATIONS, LcpStatus.MAX_ITERATIONS)
     assert torch.all(torch.isnan(result.twist)) and torch.all(torch.isnan(result.friction_impulse))
@@ -286,7 +286,7 @@ def test_translation_along_an_axis_equals_the_compiled_engine() -> None:
     assert motion.force[0].numpy() == pytest.approx(fast.force, abs=1e-5)
 
 
-def test_push_seen_from_a_table_turned_by_a_right_angle_is_the_same() -> None:
+def test_push_on_a_table_turned_by_a_right_angle_is_the_same() -> None:
     # The pyramid has the symmetry of the table's axes, and no more.
     model = uneven_block(2)
     pusher = straight_push((-0.030, 0.007), 0.2, speed=0.2, travel=0.02, rest=0.03)

@@ -141,7 +141,7 @@ def test_motion_does_not_depend_on_the_total_mass() -> None:
     assert b.force == pytest.approx(3.7 * a.force, rel=1e-5, abs=1e-6)
 
 
-def test_push_that_misses_says_so() -> None:
+def test_push_that_misses_has_a_status() -> None:
     pusher = straight_push((0.5, 0.5), 0.0)
     motion = simulate(hammer(), PushScenario(pusher, np.zeros(3), pusher.time))
     assert motion.status is SolveStatus.NO_CONTACT

@@ -100,7 +100,7 @@ def test_freedom_left_by_the_task_is_used_to_return_to_neutral(arm: ArmKinematic
 
 
 @pytest.mark.parametrize("target", [[0.6, 0.0, 0.1], [-0.44, 0.0, 0.1], [0.0, 2.0, 0.0]])
-def test_inverse_says_when_a_point_is_out_of_reach_and_stays_within_the_joint_limits(arm: ArmKinematics, target: list[float]) -> None:
+def test_inverse_reports_a_point_out_of_reach_and_stays_within_the_joint_limits(arm: ArmKinematics, target: list[float]) -> None:
     q, converged = arm.inverse(target, HOME)
     assert not converged
     assert np.all((q >= arm.position_lower) & (q <= arm.position_upper))
@@ -109,7 +109,7 @@ def test_inverse_says_when_a_point_is_out_of_reach_and_stays_within_the_joint_li
 def test_description_without_tip_or_not_xml_is_refused_by_name() -> None:
     with pytest.raises(InputError, match="no link `gripper`"):
         ArmKinematics(robot_description(), "gripper")
-    with pytest.raises(InputError, match="not a URDF"):
+    with pytest.raises(InputError, match="not a valid URDF"):
         ArmKinematics("<robot name='a'>")
 
 
@@ -167,7 +167,7 @@ def test_random_pushes_bring_an_object_at_the_edge_back_in() -> None:
         assert 0.14 + 0.02 + push.distance * push.heading[1] <= 0.25 + 1e-9
 
 
-def test_object_out_of_the_workspace_gives_no_random_push_and_says_why() -> None:
+def test_object_out_of_the_workspace_gives_no_random_push_and_the_reason() -> None:
     with pytest.raises(PlanningError, match="leave the workspace") as error:
         sample_push(shape_of(BAR), [1.0, 0.0, 0.0], np.random.default_rng(0), SETTINGS)
     assert error.value.code == PushCode.UNREACHABLE
@@ -206,7 +206,7 @@ def test_impossible_goal_is_refused_with_its_code(
 
 
 def test_goal_inside_a_slot_and_goal_behind_another_object_are_unreachable() -> None:
-    with pytest.raises(PlanningError, match=r"come down|would touch") as error:
+    with pytest.raises(PlanningError, match=r"be lowered|would touch") as error:
         push_from_goal(shape_of(SLOTTED), [0, 0, 0], [0, -0.02], -np.pi / 2, 0.05, 0.1, SETTINGS)
     assert error.value.code == PushCode.UNREACHABLE
     beyond = BAR + np.array([0.0, 0.06])
@@ -260,7 +260,7 @@ FIST = HandState(activated=True, mode=0, going=True, readiness=3, motion=2, faul
         ({"going": False}, "open"),
     ],
 )
-def test_hand_is_a_fist_only_when_it_stands_closed_and_sound(change: dict[str, int], text: str) -> None:
+def test_hand_is_a_fist_only_when_closed_still_and_without_fault(change: dict[str, int], text: str) -> None:
     reason = replace(FIST, **change).why_no_fist
     assert text in reason and bool(reason) == bool(text)
 
@@ -298,7 +298,7 @@ def test_lowered_tool_moves_only_along_the_push_line(plan: ArmPlan, push: PushPl
     assert plan.tip[low & going_down, :2] == pytest.approx(np.tile(push.tool_start(0.03), (np.sum(low & going_down), 1)), abs=5e-4)
 
 
-def test_arm_that_has_not_yet_begun_is_on_its_way(plan: ArmPlan) -> None:
+def test_arm_that_has_not_started_to_move_has_no_deviation(plan: ArmPlan) -> None:
     assert plan.deviation(plan.tip[0], -0.05, 0.02) == pytest.approx(0.0, abs=1e-9)
     assert plan.deviation(plan.tip[0] + [0.0, 0.03, 0.0], -0.05, 0.02) == pytest.approx(0.03, abs=1e-9)
 
@@ -365,7 +365,7 @@ def test_acceleration_limits_that_fit_no_joint_are_refused(
 
 def test_push_out_of_reach_is_refused_with_the_point_and_the_miss(arm: ArmKinematics) -> None:
     far = PushPlan2D(np.array([0.5, 0.0]), np.array([0.48, 0.0]), 0.0, 0.05, 0.1)
-    with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm off") as error:
+    with pytest.raises(PlanningError, match=r"cannot reach \(0.450, 0.000, .* mm away") as error:
         plan_push(arm, PARKED, far, MOTION)
     assert error.value.code == PushCode.UNREACHABLE
 
@@ -377,7 +377,7 @@ def test_start_beyond_a_joint_limit_is_refused_by_its_name(arm: ArmKinematics, p
 
 
 def test_link_that_would_come_near_the_table_is_refused_by_its_name(arm: ArmKinematics, push: PushPlan2D) -> None:
-    with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_\d would come 0\.\d+ m near the table, limit 0\.500") as error:
+    with pytest.raises(PlanningError, match=r"lbr_iiwa_joint_\d would be 0\.\d+ m above the table, limit 0\.500") as error:
         plan_push(arm, PARKED, push, replace(MOTION, link_height=0.5))
     assert error.value.code == PushCode.LIMIT
 

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from helpers.domains import own_domain
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
@@ -24,10 +25,8 @@ from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, Part, SimObject, make_object, object_from_picture, outline_rectangles
-
-pytestmark = pytest.mark.alone
 
 G = 9.81
 CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
@@ -225,7 +224,7 @@ def test_slow_central_push_needs_the_sliding_friction_force() -> None:
     assert touched == pytest.approx(-0.06 - PUSHER_RADIUS, abs=4e-4)
 
 
-def test_push_ends_where_the_planar_model_says() -> None:
+def test_push_ends_where_the_planar_model_predicts() -> None:
     thing = make_object("toolbox", 0)
     with cell(thing) as world:
         rows = push(world, (0.11, 0.03), (-1.0, 0.0), speed=0.1, distance=0.12)
@@ -245,7 +244,7 @@ def test_arm_tracks_a_straight_push_to_a_millimetre() -> None:
     assert np.linalg.norm(rows[-1, 5:7]) > 0.02
 
 
-def test_object_goes_back_to_its_start_unless_the_pusher_stands_there() -> None:
+def test_object_returns_to_its_start_unless_the_pusher_is_there() -> None:
     thing = block()
     with cell(thing) as world:
         push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.2, distance=0.12)
@@ -259,7 +258,7 @@ def test_object_goes_back_to_its_start_unless_the_pusher_stands_there() -> None:
         np.testing.assert_array_equal(world.object_pose(), np.zeros(3))
 
 
-def test_another_object_takes_the_place_of_the_first_unless_the_pusher_stands_there() -> None:
+def test_another_object_replaces_the_first_unless_the_pusher_is_there() -> None:
     first, second = block(), make_object("book", 3)
     with cell(first) as world:
         world.replace_object(second, (0.05, 0.0, 0.4))
@@ -277,7 +276,7 @@ def test_another_object_takes_the_place_of_the_first_unless_the_pusher_stands_th
 
 def test_arm_wears_the_table_from_push_to_push() -> None:
     thing = block(friction=0.35, mass=0.6)
-    world, forces = CellWorld(thing, WorldConfig(effects=Effects.of({"wear": 0.1}))), []
+    world, forces = CellWorld(thing, WorldConfig(effects=InjectedEffects.of({"wear": 0.1}))), []
     try:
         for _ in range(2):
             rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
@@ -402,7 +401,8 @@ def test_camera_pose_is_the_same_from_a_target_and_from_a_quaternion() -> None:
 # --- node ----------------------------------------------------------------------------------------------------------------
 
 
-def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its_speed() -> None:
+@pytest.mark.alone
+def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports_its_speed() -> None:
     rclpy = pytest.importorskip("rclpy")
     from diagnostic_msgs.msg import DiagnosticArray
     from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -413,7 +413,7 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_srvs.srv import Trigger
 
-    domain = 92
+    domain = own_domain()
     chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
@@ -466,10 +466,11 @@ def test_node_without_camera_tells_the_truth_replaces_the_object_and_reports_its
         node.communicate()
 
 
+@pytest.mark.alone
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
     pytest.importorskip("rclpy")
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": "91"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(own_domain())}
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     try:
         time.sleep(6.0)

@@ -1,4 +1,4 @@
-"""Effects injected into the simulated cell: off they are nothing at all, on each does in Bullet what its entry says, by closed forms."""
+"""Injected effects: at size zero they change nothing; otherwise each follows its law in Bullet, by closed forms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
 from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
@@ -57,7 +57,7 @@ def thrown(
     pushes_done: int = 0,
 ) -> np.ndarray:
     """Mean acceleration (along the throw, to its left, turning) of a disc that was thrown, per mu g."""
-    world, velocities = PushWorld(disc(friction), RADIUS, effects=Effects.of(effects)), []
+    world, velocities = PushWorld(disc(friction), RADIUS, effects=InjectedEffects.of(effects)), []
     away = PusherPath(np.array([0.0, seconds]), np.full((2, 2), 0.6), RADIUS)
     first = speed * np.array([np.cos(heading), np.sin(heading), 0.0])
     try:
@@ -81,7 +81,7 @@ def pushed(
 ) -> tuple[TrueMotion, np.ndarray]:
     """A push of the block's left face, and the mean load of each cell in its last half."""
     thing = thing or block()
-    world, loads = PushWorld(thing, RADIUS, effects=Effects.of(effects)), []
+    world, loads = PushWorld(thing, RADIUS, effects=InjectedEffects.of(effects)), []
     start = np.array([thing.outline[:, 0].min() - RADIUS, aside]) - 0.02 * np.array([np.cos(heading), np.sin(heading)])
     end = start + distance * np.array([np.cos(heading), np.sin(heading)])
     try:
@@ -104,8 +104,8 @@ def first_touch(motion: TrueMotion) -> int:
 
 
 def test_effects_of_size_zero_are_no_effects() -> None:
-    zero = Effects.of({name: tuple(p.default for p in effect.parameters) for name, effect in EFFECTS.items()})
-    assert zero == Effects() and not zero
+    zero = InjectedEffects.of({name: effect.defaults for name, effect in INJECTED.items()})
+    assert zero == InjectedEffects() and not zero
     settings = TruthSettings(n_train=2, n_test=0)
     plain = make_pushes(make_object("hammer", 3), [5], settings)
     for motion, same in zip(plain, make_pushes(make_object("hammer", 3), [5], replace(settings, effects=zero)), strict=True):
@@ -116,13 +116,12 @@ def test_effects_of_size_zero_are_no_effects() -> None:
         np.testing.assert_array_equal(seen[0].pose, seen[1].pose)
 
 
-GRADUAL = [n for n, e in EFFECTS.items() if e.acts_on not in ("camera", "poses") and e.parameters[0].smallest == 0]
+GRADUAL = [n for n, e in INJECTED.items() if e.acts_on not in ("camera", "poses") and e.parameters[0].smallest == 0]
 
 
 @pytest.mark.parametrize("name", GRADUAL)
 def test_effect_fades_with_its_size(name: str) -> None:
-    parameters = EFFECTS[name].parameters
-    tiny = Effects.of({name: (1e-7, *(p.default for p in parameters[1:]))})
+    tiny = InjectedEffects.of({name: (1e-7, *INJECTED[name].defaults[1:])})
     assert name in tiny
     before, after = (pushed(effects, aside=0.02, distance=0.05)[0].pose[-1] for effects in ({}, tiny.as_dict()))
     # Even the smallest size goes another way through the engine, which then rounds differently.
@@ -149,7 +148,7 @@ def test_effect_fades_with_its_size(name: str) -> None:
         ({"viscous_film": 3.0}, {"friction": 0.02, "seconds": 3 * STEP}, (-1.0 - 3.0 * SPEED / MASS / (0.02 * G), 0.0)),
     ],
 )
-def test_thrown_disc_is_slowed_as_the_effect_says(effects: dict, throw: dict, expected: tuple[float, float]) -> None:
+def test_thrown_disc_is_slowed_by_the_law_of_the_effect(effects: dict, throw: dict, expected: tuple[float, float]) -> None:
     along, left, turning = thrown(effects, **throw)
     assert along == pytest.approx(expected[0], rel=0.03)
     assert left == pytest.approx(expected[1], abs=0.01)
@@ -167,7 +166,7 @@ def test_tether_swings_a_disc_without_friction() -> None:
 def test_compliant_table_springs_back() -> None:
     ends = []
     for effects in ({}, {"compliant_table": 5e-3}):
-        world = PushWorld(disc(), RADIUS, effects=Effects.of(effects))
+        world = PushWorld(disc(), RADIUS, effects=InjectedEffects.of(effects))
         try:
             away = PusherPath(np.array([0.0, 0.1]), np.full((2, 2), 0.6), RADIUS)
             motion = world.push(np.zeros(3), away, velocity=(0.03, 0.0, 0.0))
@@ -185,7 +184,7 @@ def test_compliant_table_springs_back() -> None:
 
 def test_high_push_leans_the_object_on_its_far_side() -> None:
     thing = block()
-    centres = [loads @ thing.cells / loads.sum() for _, loads in (pushed({}), pushed({"push_height": 0.05}))]
+    centres = [loads @ thing.cells / loads.sum() for _, loads in (pushed({}), pushed({"push_height": MU * 0.05}))]
     np.testing.assert_allclose(centres[0], 0.0, atol=1e-4)
     # Moment of the push mu W h, over the weight W.
     np.testing.assert_allclose(centres[1], [MU * 0.05, 0.0], atol=5e-4)
@@ -228,7 +227,7 @@ def test_object_is_larger_than_its_outline() -> None:
     np.testing.assert_allclose(np.diff(places), -0.002, atol=3e-4)
 
 
-def test_tool_is_not_where_it_is_reported() -> None:
+def test_reported_tool_pose_has_the_injected_error() -> None:
     speed, far = 0.1, slice(100, 180)
 
     def aside(effects: dict) -> np.ndarray:
@@ -244,7 +243,7 @@ def test_tool_is_not_where_it_is_reported() -> None:
 
 def test_arm_reports_the_place_where_its_tool_is_not() -> None:
     offset = np.array([0.003, -0.002])
-    world = CellWorld(block(), WorldConfig(effects=Effects.of({"tool_offset": tuple(offset)})), pose=(0.3, 0.3, 0.0))
+    world = CellWorld(block(), WorldConfig(effects=InjectedEffects.of({"tool_offset": tuple(offset)})), pose=(0.3, 0.3, 0.0))
     arm = ArmKinematics(robot_description(), neutral=HOME)
     try:
         low, converged = arm.inverse([-0.1, 0.0, 0.012], HOME)
@@ -265,7 +264,7 @@ def test_arm_reports_the_place_where_its_tool_is_not() -> None:
 
 
 def seen(motion: TrueMotion, effects: dict, noise: CameraNoise = EXACT) -> tuple[np.ndarray, np.ndarray]:
-    poses, _, _ = observe_motion(motion, RADIUS, noise, np.random.default_rng(4), Effects.of(effects))
+    poses, _, _ = observe_motion(motion, RADIUS, noise, np.random.default_rng(4), InjectedEffects.of(effects))
     return poses.time, poses.pose
 
 
@@ -292,11 +291,11 @@ def test_correlated_noise_keeps_its_deviation() -> None:
     assert [np.corrcoef(e[1:], e[:-1])[0, 1] for e in errors.T] == pytest.approx([0.6] * 3, abs=0.12)
 
 
-def test_rendered_camera_sees_what_is_said_of_poses() -> None:
+def test_rendered_camera_has_the_errors_of_the_pose_sensor() -> None:
     thing, reported, pose = block(), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)), np.array([0.05, 0.08, 0.3])
 
     def centre(effects: dict) -> np.ndarray:
-        camera = DepthCamera(thing, *true_camera(Effects.of(effects), reported, INTRINSICS))
+        camera = DepthCamera(thing, *true_camera(InjectedEffects.of(effects), reported, INTRINSICS))
         depth = camera.render(pose, {})
         v, u = np.indices(depth.shape)
         rays = np.stack([(u - INTRINSICS.cx) / INTRINSICS.fx, (v - INTRINSICS.cy) / INTRINSICS.fy, np.ones(u.shape)], axis=-1)
@@ -309,12 +308,12 @@ def test_rendered_camera_sees_what_is_said_of_poses() -> None:
     # Across the line of sight; along it the picture is foreshortened, and the table seems to tilt.
     assert centre({"camera_scale": 0.05})[1] == pytest.approx(1.05 * true[1], rel=2e-3)
     with pytest.raises(InputError, match="pose_flips"):
-        check_rendered(Effects.of({"pose_flips": 0.1}))
+        check_rendered(InjectedEffects.of({"pose_flips": 0.1}))
 
 
 def test_poses_come_one_by_one_late_and_lossy() -> None:
-    sensor = PoseSensor(Effects.of({"pose_latency": 0.1, "dropped_frames": 0.5}), np.full(3, 1e-9), np.random.default_rng(3))
-    arrived = [(stamp, now, pose) for now in 0.01 * np.arange(400) for stamp, pose in sensor.see(now, np.array([now, 0.0, 0.0]))]
+    sensor = PoseSensor(InjectedEffects.of({"pose_latency": 0.1, "dropped_frames": 0.5}), np.full(3, 1e-9), np.random.default_rng(3))
+    arrived = [(stamp, now, pose) for now in 0.01 * np.arange(400) for stamp, pose in sensor.measure(now, np.array([now, 0.0, 0.0]))]
     assert len(arrived) == pytest.approx(195, abs=40)
     for stamp, now, pose in arrived:
         assert stamp <= now + 1e-9 and pose[0] == pytest.approx(stamp - 0.1, abs=1e-6)
@@ -324,20 +323,20 @@ def test_poses_come_one_by_one_late_and_lossy() -> None:
 
 
 def test_effects_are_read_and_refused_by_name() -> None:
-    effects = Effects.parse(["table_tilt=0.02", "stribeck_friction=0.3,0.05", "wear=0"])
+    effects = InjectedEffects.parse(["table_tilt=0.02", "stribeck_friction=0.3,0.05", "wear=0"])
     assert effects.as_dict() == {"stribeck_friction": (0.3, 0.05), "table_tilt": (0.02, 0.0)}
     assert effects["pusher_wobble"] == (0.0, 4.0) and "wear" not in effects
-    for text, reason in (("tilt=1", "expected some of"), ("wear", "no size"), ("wear=x", "no size"), ("wear=1,2", "w \\[1/push\\]")):
+    for text, reason in (("tilt=1", "expected some of"), ("wear", "no size"), ("wear=x", "no size"), ("wear=1,2", "w \\[1\\]")):
         with pytest.raises(InputError, match=reason):
-            Effects.parse([text])
+            InjectedEffects.parse([text])
     for text in ("table_tilt=nan", "restitution=2", "compliant_table=1e-5"):
         with pytest.raises(InputError, match="expected 0"):
-            Effects.parse([text]) if "nan" not in text else Effects.parse(["restitution=nan"])
+            InjectedEffects.parse([text]) if "nan" not in text else InjectedEffects.parse(["restitution=nan"])
 
 
 def test_truth_with_an_effect_has_a_file_of_its_own_and_keeps_the_reported_path(tmp_path: Path) -> None:
     plain = TruthSettings(n_train=1, n_test=0)
-    bent = replace(plain, effects=Effects.of({"tool_offset": (0.004, 0.0)}))
+    bent = replace(plain, effects=InjectedEffects.of({"tool_offset": (0.004, 0.0)}))
     assert generate_truth(tmp_path, "book", 1, plain) != generate_truth(tmp_path, "book", 1, bent)
     for _ in range(2):  # simulated, then read
         ((record,), _, _), ((other,), _, _) = (load_truth(tmp_path, "book", 1, s, EXACT) for s in (plain, bent))
@@ -346,7 +345,7 @@ def test_truth_with_an_effect_has_a_file_of_its_own_and_keeps_the_reported_path(
         assert np.abs(other.poses.pose[-1] - record.poses.pose[-1]).max() > 1e-3
 
 
-def test_command_writes_a_bag_whose_effect_is_in_the_truth_alone(tmp_path: Path) -> None:
+def test_command_writes_a_bag_whose_effect_appears_only_in_the_truth(tmp_path: Path) -> None:
     bag, truth = tmp_path / "tilted", tmp_path / "truth.json"
     call = ["simulate", "--object", "toolbox", "--effect", "table_tilt=0.03", "--pushes", "2", "--out", str(bag), "--truth", str(truth)]
     app(call, standalone_mode=False)

@@ -12,10 +12,10 @@ import torch
 
 from push_ident.cli.main import app
 from push_ident.errors import InputError
-from push_ident_sim.studies import BENCHMARKS
-from push_ident_sim.studies.common.bench_runner import write_page
 from push_ident_sim.studies.common.benchmark import Settings
+from push_ident_sim.studies.common.pages import write_benchmarks
 from push_ident_sim.studies.common.timing import growth_exponent, interleaved
+from push_ident_sim.studies.registry import BENCHMARKS
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +27,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def test_calls_are_timed_by_turns() -> None:
+def test_calls_are_timed_in_turns() -> None:
     order: list[str] = []
     times, results = interleaved({"a": lambda: order.append("a"), "b": lambda: order.append("b") or 3}, 2, {"b": 2})
     assert order == ["a", "b"] + 2 * ["a", "b", "b"]
@@ -70,6 +70,6 @@ def test_command_names_what_there_is() -> None:
         app(["bench", "alchemy"], standalone_mode=False)
 
 
-def test_page_without_results_says_how_to_get_them(tmp_path: Path) -> None:
+def test_page_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="push-ident bench"):
-        write_page(list(BENCHMARKS.values()), tmp_path / "benchmarks.md")
+        write_benchmarks(BENCHMARKS.values(), tmp_path / "benchmarks.md")

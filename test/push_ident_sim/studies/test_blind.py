@@ -1,4 +1,4 @@
-"""The blind check: cases that their seeds determine, a truth that is sealed first, and figures that say what was counted."""
+"""The blind check: cases determined by their seeds, a truth that is sealed before scoring, and figures that count what they name."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.paths import ROOT
 from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.result import Verdict
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.observation import observe_push
+from push_ident.physics.effects import CAUSES
 from push_ident.pushing.sampling import sample_push
-from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
-from push_ident_sim.studies import EXPERIMENTS
-from push_ident_sim.studies.blind import study as blind
+from push_ident_sim.studies.blind import sealing
 from push_ident_sim.studies.blind.cases import (
-    CATALOGUE,
     FIRST_REPORT_MODEL,
     Scenario,
     Truth,
@@ -34,7 +34,8 @@ from push_ident_sim.studies.blind.cases import (
 from push_ident_sim.studies.blind.scoring import score_case, true_values
 from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
 from push_ident_sim.studies.common.experiment import Case, CaseResult
-from push_ident_sim.studies.common.runner import write_json
+from push_ident_sim.studies.common.files import write_json
+from push_ident_sim.studies.registry import EXPERIMENTS
 
 NOISE = CameraNoise()
 
@@ -50,7 +51,7 @@ def test_one_round_holds_nulls_every_effect_from_small_to_large_pairs_and_strang
     truths = [draw_truth(c.object_name, c.model) for c in cases(0, 50)]
     kinds = Counter((t.scenario.engine, t.scenario.kind) for t in truths)
     assert all(kinds[engine, kind] >= 10 for engine in ("bullet", "planar") for kind in ("null", "single", "pair", "outside"))
-    for name in CATALOGUE:
+    for name in CAUSES:
         sizes = [t.scenario.size for t in truths if t.scenario.kind == "single" and t.names == (name,)]
         assert min(sizes) < 0.2 and max(sizes) >= 3.0
         # Bullet's spring is no tether of the catalogue.
@@ -59,7 +60,7 @@ def test_one_round_holds_nulls_every_effect_from_small_to_large_pairs_and_strang
     assert {name for t in truths if not t.scenario.names for name, _ in t.effects.values} == {"noise_correlation", "dropped_frames"}
 
 
-def test_report_set_is_another_than_that_which_sets_thresholds_and_both_are_seeded() -> None:
+def test_report_set_differs_from_the_set_for_the_policy_and_both_are_seeded() -> None:
     tune, report = ([draw_truth(c.object_name, c.model).as_json() for c in cases(first, 4)] for first in (0, FIRST_REPORT_MODEL))
     assert tune == [draw_truth(c.object_name, c.model).as_json() for c in cases(0, 4)]
     assert not any(a["effects"] == b["effects"] for a, b in zip(tune, report, strict=True) if a["effects"])
@@ -70,22 +71,34 @@ def test_what_a_camera_cannot_film_is_a_null_there() -> None:
     assert {t.scenario.engine for t in truths} == {"camera"}
     filmed = {name for t in truths for name, _ in t.effects.values}
     assert "tether" not in filmed and "table_tilt" in filmed
-    assert not any(EFFECTS[name].acts_on == "poses" for name in filmed) and not any(t.outside for t in truths)
+    assert not any(INJECTED[name].acts_on == "poses" for name in filmed) and not any(t.outside for t in truths)
 
 
-def test_truth_is_sealed_before_scoring_and_scored_with_one_set_of_thresholds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_truth_is_sealed_before_scoring_and_scored_by_one_policy_and_one_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = cases(FIRST_REPORT_MODEL, 2)
-    sealed = blind.seal_cases(chosen, tmp_path)
-    assert len(sealed["truth_sha256"]) == 64 and sealed["phase"] == "report" and sealed["n_cases"] == 10
-    assert blind.seal_cases(chosen, tmp_path) == sealed
-    assert blind.seal_cases(cases(FIRST_REPORT_MODEL, 3), tmp_path)["truth_sha256"] != sealed["truth_sha256"]
-    monkeypatch.setattr(blind, "_thresholds_hash", lambda: "others")
-    with pytest.raises(InputError, match="other thresholds"):
-        blind.seal_cases(chosen, tmp_path)
-    # Thresholds may change as often as they like on the set that is there for it.
-    assert blind.seal_cases(cases(0, 2), tmp_path)["thresholds_sha256"] == "others"
-    with pytest.raises(InputError, match="stay apart"):
-        blind.seal_cases([*cases(0, 1), *chosen], tmp_path)
+    sealed = sealing.seal_cases(chosen, tmp_path)
+    assert {len(sealed[key]) for key in ("truth_sha256", "policy_sha256", "code_sha256")} == {64}
+    assert sealed["phase"] == "report" and sealed["n_cases"] == 10
+    assert sealed["policy"]["selection"]["min_log_bayes_factor"] == DiagnosisSettings().policy.selection.min_log_bayes_factor
+    assert sealing.seal_cases(chosen, tmp_path) == sealed
+    assert sealing.seal_cases(cases(FIRST_REPORT_MODEL, 3), tmp_path)["truth_sha256"] != sealed["truth_sha256"]
+    for what in ("policy", "code"):
+        changed = sealing.decision_hashes() | {f"{what}_sha256": "another"}
+        with monkeypatch.context() as patch:
+            patch.setattr(sealing, "decision_hashes", lambda changed=changed: changed)
+            with pytest.raises(InputError, match=f"another {what}"):
+                sealing.seal_cases(chosen, tmp_path)
+            # The policy may change as often as it has to on the set that is there for it.
+            assert sealing.seal_cases(cases(0, 2), tmp_path)[f"{what}_sha256"] == "another"
+    with pytest.raises(InputError, match="separate them"):
+        sealing.seal_cases([*cases(0, 1), *chosen], tmp_path)
+
+
+def test_make_blind_repeats_the_seeds_of_the_published_page() -> None:
+    published = json.loads((ROOT / "docs" / "results" / "experiments" / "blind.json").read_text(encoding="utf-8"))
+    command = f"experiment blind --seed {published['seed']} --models {published['models']}"
+    assert command in (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert f"push-ident {command}`" in (ROOT / "docs" / "results" / "experiments.md").read_text(encoding="utf-8")
 
 
 def test_pushes_of_a_case_are_the_first_of_the_longer_one() -> None:
@@ -96,7 +109,7 @@ def test_pushes_of_a_case_are_the_first_of_the_longer_one() -> None:
 
 
 @pytest.mark.parametrize("model", [1, 2])
-def test_push_that_is_asked_for_begins_where_the_diagnosis_says(model: int) -> None:
+def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: int) -> None:
     truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
     plan = sample_push(make_records(truth, "book", model, 1, NOISE)[0].shape, pose, np.random.default_rng(1), TruthSettings().pushes)
     asked = PlannedPush(pose, path_of_plan(plan, TruthSettings()), plan)
@@ -108,12 +121,12 @@ def test_push_that_is_asked_for_begins_where_the_diagnosis_says(model: int) -> N
     assert make_asked_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
 
 
-def test_diagnosis_does_not_believe_what_one_push_alone_speaks_for() -> None:
+def test_diagnosis_rejects_an_effect_that_only_one_push_supports() -> None:
     """Nothing is in this case; one of its pushes lies at an edge of sliding, and gains 40 nat for a friction of the pusher."""
     truth = draw_truth("hammer", 6030)
     found = diagnose(make_records(truth, "hammer", 6030, 14, NOISE))
     assert truth.scenario.kind == "null" and found.verdict == Verdict.NO_GAP and found.effects == ()
-    assert "Only push" in found.sentence and "which is not believed until another push does" in found.sentence
+    assert "Only push" in found.sentence and "so that it is not reported" in found.sentence
 
 
 # --- figures
@@ -147,7 +160,7 @@ def outcome(kind: str, truth: list[str], verdict: str, named: list[str], confusa
     return CaseResult(Case("book", 0, "14-pushes"), values)
 
 
-def test_rival_that_was_fitted_is_as_near_as_its_fit_says() -> None:
+def test_rival_that_was_fitted_has_the_distance_of_its_fit() -> None:
     case = outcome("single", ["pusher_lag"], "named", ["pusher_lag"], [], 20.0, 50.0)
     assert judge(case).noncentrality == 50.0
     case.values["oracle"]["apart"] = 4.0
@@ -198,7 +211,7 @@ def test_figures_count_what_they_say() -> None:
 
 def test_summary_becomes_tables_and_a_confusion_matrix(tmp_path: Path) -> None:
     results = [outcome("null", [], "no_gap", [], [], 0, 0), outcome("single", ["outline_error"], "named", ["outline_error"], [], 30, 60)]
-    summary = {**summarise_cases(results), "sealed": blind.seal_cases(cases(0, 1), tmp_path)}
+    summary = {**summarise_cases(results), "sealed": sealing.seal_cases(cases(0, 1), tmp_path)}
     write_json(tmp_path / "blind.json", summary)
     text = EXPERIMENTS["blind"].tables(json.loads((tmp_path / "blind.json").read_text()))
     assert "false alarms on nulls" in text and summary["sealed"]["truth_sha256"] in text
@@ -209,18 +222,27 @@ def test_summary_becomes_tables_and_a_confusion_matrix(tmp_path: Path) -> None:
 # --- one case
 
 
-def test_injected_sizes_are_stated_in_the_parameters_of_the_diagnosis() -> None:
-    thing = make_object("book", 1)
-    effects = Effects.of({"push_height": 0.02, "tether": 4.0, "tool_offset": (1e-3, -2e-3)})
-    mean_friction = thing.friction @ thing.mass / thing.mass.sum()
+def test_tether_without_a_place_is_anchored_where_the_object_was_put_down() -> None:
+    effects = InjectedEffects.of({"push_height": 0.006, "tether": 4.0, "tool_offset": (1e-3, -2e-3)})
     centre = np.array([0.1, -0.05])
-    np.testing.assert_allclose(true_values(effects, "push_height", thing, centre), [0.02 * mean_friction])
-    np.testing.assert_allclose(true_values(effects, "tether", thing, centre), [4.0, 0.4, -0.2])
-    np.testing.assert_allclose(true_values(effects, "tool_offset", thing, centre), [1e-3, -2e-3])
+    np.testing.assert_array_equal(true_values(effects, "push_height", centre), [0.006])
+    np.testing.assert_allclose(true_values(effects, "tether", centre), [4.0, 0.4, -0.2])
+    np.testing.assert_array_equal(true_values(effects, "tool_offset", centre), [1e-3, -2e-3])
+    np.testing.assert_array_equal(true_values(InjectedEffects.of({"tether": (4.0, 0.1, 0.2)}), "tether", centre), [4.0, 0.1, 0.2])
+
+
+def test_drawn_lever_is_that_of_a_height_on_the_object_of_the_case() -> None:
+    truths = {(c.object_name, c.model): draw_truth(c.object_name, c.model) for c in cases(0, 50)}
+    levers = [(key, t) for key, t in truths.items() if t.names == ("push_height",)]
+    assert len(levers) >= 8
+    for (name, model), truth in levers:
+        thing = make_object(name, model)
+        height = truth.effects["push_height"][0] / (thing.friction @ thing.mass / thing.mass.sum())
+        assert 0.0 < height <= 0.09 * (1.0 + 1e-12) and 0.3 < height / (0.02 * truth.scenario.size) < 2.0
 
 
 def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tmp_path: Path) -> None:
-    truth = Truth(Scenario("planar", "single", ("outline_error",), 2.0), Effects.of({"outline_error": 0.002}), ())
+    truth = Truth(Scenario("planar", "single", ("outline_error",), 2.0), InjectedEffects.of({"outline_error": 0.002}), ())
     records = make_records(truth, "book", 2, 5, NOISE)
     values = score_case(records, truth, make_object("book", 2), DiagnosisSettings())
     case = judge(CaseResult(Case("book", 2, "6-pushes"), values))

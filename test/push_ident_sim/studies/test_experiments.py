@@ -22,12 +22,12 @@ from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings import truth
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
-from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row
-from push_ident_sim.studies.common.report import write_report
+from push_ident_sim.studies.common.pages import write_experiments
 from push_ident_sim.studies.common.runner import RunOptions, run_experiment
 from push_ident_sim.studies.convergence import study as convergence
+from push_ident_sim.studies.registry import EXPERIMENTS
 
 FEW = TruthSettings(n_train=2, n_test=1)
 
@@ -111,7 +111,7 @@ def test_digest_of_code_changes_with_the_code_but_not_with_what_explains_it(tmp_
     assert first == explained != changed
 
 
-def test_camera_adds_seeded_noise_to_the_truth_and_stands_still_around_it(folder: Path) -> None:
+def test_camera_adds_seeded_noise_to_the_truth_with_rests_before_and_after(folder: Path) -> None:
     train, test, thing = load_truth(folder, "toolbox", 3, FEW)
     assert len(train) == 2 and len(test) == 1
     again = load_truth(folder, "toolbox", 3, FEW)[0]
@@ -141,7 +141,7 @@ def test_force_sensor_measures_the_sliding_friction_of_a_push(folder: Path) -> N
         np.testing.assert_allclose(impulse, expected, atol=0.05 * np.linalg.norm(expected))
 
 
-def test_damaged_file_says_what_to_do(folder: Path) -> None:
+def test_damaged_file_is_refused_with_a_remedy(folder: Path) -> None:
     path = generate_truth(folder, "book", 1, TruthSettings(n_train=1, n_test=0))
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(InputError, match="delete the file"):
@@ -213,6 +213,6 @@ def test_command_names_what_there_is() -> None:
             command(*arguments)
 
 
-def test_report_without_results_says_how_to_get_them(tmp_path: Path) -> None:
+def test_report_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--json"):
-        write_report(EXPERIMENTS, tmp_path / "experiments.md", "command")
+        write_experiments(EXPERIMENTS.values(), tmp_path / "experiments.md", "command")

@@ -17,8 +17,6 @@ from push_ident_sim.studies.live import study as live
 from push_ident_sim.studies.live.film import delays
 from push_ident_sim.studies.live.replay import difference, differing, growth
 
-pytestmark = pytest.mark.alone
-
 
 def test_growth_is_that_after_the_warm_up_and_one_outlier_changes_nothing() -> None:
     time = np.linspace(0.0, 3600.0, 200)
@@ -41,11 +39,11 @@ def test_delay_counts_frames_from_the_touch_to_the_end_of_the_push_and_those_wit
         delays(came, {}, [(0.0, 0.8)])
 
 
-def test_stamp_keeps_its_number_on_the_way_through_seconds() -> None:
+def test_stamp_survives_the_conversion_to_seconds() -> None:
     assert microseconds(Time(sec=12, nanosec=34_000_001)) == microseconds(Time(sec=12, nanosec=33_999_999)) == 12_034_000
 
 
-def test_difference_is_in_deviations_and_tells_equal_from_nearly_so(tmp_path: Path) -> None:
+def test_difference_is_in_standard_deviations_and_distinguishes_equal_from_nearly_equal(tmp_path: Path) -> None:
     truth = hammer(3)
     first, second = random_records(truth, 2, 3)
     session = ObjectSession("o1", first.shape, SessionOptions())
@@ -84,9 +82,9 @@ def test_summary_counts_kills_and_losses_and_is_shown(tmp_path: Path) -> None:
         "traceback": False,
     }
     results = [CaseResult(Case("hammer", 0, "kills"), {"kills": kills}), CaseResult(Case("hammer", 0, "soak"), soak)]
-    summary = live.EXPERIMENT.summarise(results)
+    summary = live.STUDY.summarise(results)
     assert (summary["kills"]["equal"], summary["kills"]["half_written"], summary["kills"]["differing"]) == (1, 1, ["scores"])
     assert live.lost(messages, counts) == {"poses": 0, "pusher samples": 1, "wrenches": 200}
-    text = live.EXPERIMENT.tables(summary)
+    text = live.STUDY.tables(summary)
     assert "| 1 of 2 |" in text and "600, 201" in text
-    assert list(live.EXPERIMENT.draw(summary, tmp_path)) == ["live.png"] and (tmp_path / "live.png").exists()
+    assert list(live.STUDY.draw(summary, tmp_path)) == ["live.png"] and (tmp_path / "live.png").exists()

@@ -1,4 +1,4 @@
-"""The experiment on perception: recorded scenes are read and scored, and its tables and pictures are made of the summary alone."""
+"""The perception study: recorded scenes are read and scored; its tables and figures are made from the summary only."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.depth import points_in_table
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.objects import make_object
-from push_ident_sim.studies import EXPERIMENTS
 from push_ident_sim.studies.common.arm_in_view import ArmInView
 from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.common.seeing import postures_of_pushes, see_pushes, views_of_pushes
 from push_ident_sim.studies.perception.recorded_scenes import find_objects, read_scene, scene_files
+from push_ident_sim.studies.registry import EXPERIMENTS
 
 SMALL = CameraIntrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
 EYE = look_at((0.0, -0.8, 0.65), (0.0, 0.0, 0.0))
@@ -89,7 +89,7 @@ def test_fist_touches_the_side_that_it_pushes_from_and_goes_with_the_object():
 
 
 @pytest.mark.parametrize("seed", [3])
-def test_behind_the_arm_a_pose_is_right_or_not_told(seed: int) -> None:
+def test_behind_the_arm_a_pose_is_right_or_not_reported(seed: int) -> None:
     """Nine tenths of the book are hidden in some frames; what is seen then fits many poses."""
     kinds = see_pushes("book", seed, 0.0, with_arm=True)["kinds"]
     assert max(kinds["moving"]["position_m"]) < 2e-3 and max(kinds["rest"]["position_m"]) < 2e-3

@@ -19,8 +19,6 @@ from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.pushing import study as pushing
 from push_ident_sim.studies.pushing.live_cell import Heard
 
-pytestmark = pytest.mark.alone
-
 LAG, START = 0.030, 100.0
 PARKED = (1.4, *HOME[1:])
 
@@ -69,7 +67,7 @@ def record_of(plan: ArmPlan) -> PushRecord:
 
 def test_measures_find_the_deviation_the_lag_and_the_motion_of_the_object(arm: ArmKinematics, plan: ArmPlan) -> None:
     heard = heard_of(plan, joint_error=1e-3, shift=0.04)
-    values = pushing._measure(arm, heard, record_of(plan), START, command_of(plan), np.inf)
+    values = pushing.measure(arm, heard, record_of(plan), START, command_of(plan), np.inf)
     # Turning the first joint by 1 mrad moves the tip by 1 mrad times its distance from the axis, across the push.
     off = 1e-3 * np.hypot(0.02 + 0.44, 0.0)
     assert values["cross_rms_m"] == pytest.approx(off, rel=0.1)
@@ -83,10 +81,10 @@ def test_measures_find_the_deviation_the_lag_and_the_motion_of_the_object(arm: A
 
 
 def test_push_past_the_object_counts_as_no_contact_and_all_is_summed_up(arm: ArmKinematics, plan: ArmPlan, tmp_path: Path) -> None:
-    hit = pushing._measure(arm, heard_of(plan, joint_error=0.0, shift=0.04), record_of(plan), START, command_of(plan), np.inf)
+    hit = pushing.measure(arm, heard_of(plan, joint_error=0.0, shift=0.04), record_of(plan), START, command_of(plan), np.inf)
     record = record_of(plan)
     record.error_code = int(PushCode.NO_CONTACT)
-    miss = pushing._measure(arm, heard_of(plan, joint_error=2e-3, shift=0.0), record, START, command_of(plan), np.inf)
+    miss = pushing.measure(arm, heard_of(plan, joint_error=2e-3, shift=0.0), record, START, command_of(plan), np.inf)
     refused = {"code": int(PushCode.UNREACHABLE), "text": "too far", "purpose": 0, "made": False}
     held = {"kind": "cancel", "spurious": False, "hold_s": 0.015, "still_s": 0.04, "commands_after": 0, "is_hold": True}
     late = {"kind": "silence", "spurious": False, "hold_s": 0.12, "still_s": 0.15, "commands_after": 0, "is_hold": True}
@@ -95,13 +93,13 @@ def test_push_past_the_object_counts_as_no_contact_and_all_is_summed_up(arm: Arm
         CaseResult(Case("book", 0, "cancel"), {"stops": [held]}),
         CaseResult(Case("book", 0, "silence"), {"stops": [late, {"kind": "silence", "spurious": True, "code": 0, "text": ""}]}),
     ]
-    summary = pushing.EXPERIMENT.summarise(results)
+    summary = pushing.STUDY.summarise(results)
     row = summary["all"]
     assert (row["asked"], row["refused"], row["contact"], row["succeeded"]) == (2, 1, 1, 1)
     assert row["cross_max_m"] == miss["cross_max_m"]
     assert summary["codes"] == {"NONE": 1, "NO_CONTACT": 1}
     assert summary["stops"]["silence"]["within"] == 0 and summary["stops"]["silence"]["spurious"] == {"NONE": 1}
-    text = pushing.EXPERIMENT.tables(summary)
+    text = pushing.STUDY.tables(summary)
     assert "50.0 %" in text and "1 of 1" in text and "0 of 1" in text
-    for picture in pushing.EXPERIMENT.draw(summary, tmp_path):
+    for picture in pushing.STUDY.draw(summary, tmp_path):
         assert (tmp_path / picture).stat().st_size > 10_000

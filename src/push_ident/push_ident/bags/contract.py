@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-__all__ = ["CAMERA_FRAME", "OBJECT_ROLES", "TABLE_FRAME", "TopicRole", "Role", "object_frame", "role_of", "topic_of"]
+from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME, object_frame
 
-TABLE_FRAME: Final = "table"
-CAMERA_FRAME: Final = "camera_depth_optical_frame"
+__all__ = ["CAMERA_FRAME", "OBJECT_ROLES", "TABLE_FRAME", "TopicRole", "Role", "object_frame", "role_of", "topic_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +61,6 @@ def topic_of(role: Role, object_id: str = "") -> str:
     """Relative topic of a role, such as `objects/7/pose`."""
     name: str = role.value.name
     return name.replace("{id}", object_id)
-
-
-def object_frame(object_id: str) -> str:
-    """Name of the frame fixed in an object."""
-    return f"object_{object_id}"
 
 
 def role_of(topic: str) -> TopicRole | None:

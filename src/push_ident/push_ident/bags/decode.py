@@ -1,4 +1,4 @@
-"""Fields of recorded messages to arrays. The messages are whatever class the bag's own schema gave them."""
+"""Fields of recorded messages as arrays. The class of a message comes from the schema in the bag."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
-"""Of (x, y, yaw) where a bag states none: 1 mm and 0.5 degrees."""
+"""Covariance of (x, y, yaw) where a bag has none: 1 mm and 0.5 degrees."""
 
 _OCCUPIED: Final = 50
 """Least occupancy [percent] of a cell that belongs to the object; the contract writes 100."""
@@ -40,7 +40,7 @@ _CYLINDER_RADIUS: Final = 1
 
 
 def stamp_ns(stamp: Any) -> int:
-    """[ns] of a builtin_interfaces/Time."""
+    """A builtin_interfaces/Time in nanoseconds."""
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
@@ -54,7 +54,7 @@ def planar_pose_of(pose: Any) -> Float64Array:
 
 
 def covariance_of(covariance: Any) -> Float64Array | None:
-    """Covariance of (x, y, yaw) out of the 36 numbers of a PoseWithCovariance; None unless it is positive definite."""
+    """Covariance of (x, y, yaw) from the 36 numbers of a PoseWithCovariance; None unless it is positive definite."""
     full = np.asarray(covariance, dtype=np.float64).reshape(6, 6)
     planar = full[np.ix_(_PLANAR, _PLANAR)]
     planar = 0.5 * (planar + planar.T)
@@ -72,7 +72,7 @@ def cells_of(grid: Any) -> tuple[CellGrid, float]:
     data = np.asarray(grid.data, dtype=np.int8)
     if info.width * info.height != len(data):
         raise BagError(f"occupancy grid has {len(data)} values, expected width * height = {info.width} * {info.height}.")
-    # The resolution is a float32: its shortest decimal is the number that was meant.
+    # The resolution is a float32: its shortest decimal is the intended number.
     size = float(str(np.float32(info.resolution)))
     origin = planar_pose_of(info.origin)
     if not (np.isfinite(size) and size > 0 and np.isfinite(origin).all()):
@@ -94,12 +94,12 @@ def outline_of(polygon: Any) -> Float64Array | None:
 
 
 def traced_outline(cells: CellGrid, yaw: float) -> Float64Array:
-    """Outline of cells that came without one."""
+    """Outline of cells that were recorded without one."""
     return outline_of_cells(cells.centres, cells.size, yaw=yaw)
 
 
 def cylinder_radius_of(primitive: Any) -> float | None:
-    """Radius [m] of a shape_msgs/SolidPrimitive; None unless it is a cylinder with a sensible one."""
+    """Radius [m] of a shape_msgs/SolidPrimitive; None unless it is a cylinder with a finite radius >= 0."""
     if primitive.type != _CYLINDER or len(primitive.dimensions) <= _CYLINDER_RADIUS:
         return None
     radius = float(primitive.dimensions[_CYLINDER_RADIUS])
@@ -121,7 +121,7 @@ def homogeneous_of(transform: Any) -> Float64Array:
 
 
 def intrinsics_of(info: Any) -> CameraIntrinsics:
-    """Pinhole intrinsics of a sensor_msgs/CameraInfo. Raises FrameError for a camera matrix that no camera has."""
+    """Pinhole intrinsics of a sensor_msgs/CameraInfo. Raises FrameError for an invalid camera matrix."""
     k = info.k if hasattr(info, "k") else info.K
     intrinsics = CameraIntrinsics(int(info.width), int(info.height), float(k[0]), float(k[4]), float(k[2]), float(k[5]))
     check_intrinsics(intrinsics)
@@ -129,11 +129,11 @@ def intrinsics_of(info: Any) -> CameraIntrinsics:
 
 
 def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float) -> DepthFrame:
-    """Depth frame of a sensor_msgs/Image. Raises FrameError for another encoding or sizes that do not fit."""
+    """Depth frame of a sensor_msgs/Image. Raises FrameError for an unknown encoding or inconsistent sizes."""
     data = memoryview(image.data).cast("B")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), data)
     if depth.shape != (intrinsics.height, intrinsics.width):
         raise FrameError(
-            f"depth image is {image.width} x {image.height}, its camera info {intrinsics.width} x {intrinsics.height}; different cameras."
+            f"depth image is {image.width} x {image.height}, its camera info {intrinsics.width} x {intrinsics.height}; they differ."
         )
     return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id))

@@ -1,8 +1,8 @@
-"""Pushing recordings by others, converted to contract bags.
+"""Published pushing recordings, converted to contract bags.
 
 Both come from J. Zhou, R. Paolini, J. A. Bagnell, M. T. Mason, "A convex polynomial force-motion model
-for planar sliding: identification and application", ICRA 2016 (data under Apache-2.0). The robot's base frame becomes `table`: x, y as they
-are, z up, lengths in metres. The object frame has its origin at the right-angle corner and its axes along the legs.
+for planar sliding: identification and application", ICRA 2016 (data under Apache-2.0). The robot's base frame becomes `table`: x and y
+unchanged, z up, lengths in metres. The object frame has its origin at the right-angle corner and its axes along the legs.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _MM: Final = 1e-3
 _OBJECT_ID: Final = "1"
 _CELL_SIZE: Final = 0.01
 _COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
-"""Of an object pose: 1 mm and 0.5 degrees, about what tool and outline disagree by at contact."""
+"""Covariance of an object pose: 1 mm and 0.5 degrees, about the distance between tool and outline at contact."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """What was imported, and what is known of the object beyond the bag."""
+    """What was imported, and published properties of the object that a bag cannot hold."""
 
     bag: Path
     n_pushes: int
@@ -49,31 +49,31 @@ class ImportReport:
 # Tool axes of the force sensor: turned by 45 degrees and mirrored, since the tool's z axis points down.
 _TOOL_AXES: Final = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
 _N_BIAS: Final = 20
-"""Samples before contact that give the bias of the force sensor."""
+"""Number of samples before contact from which the bias of the force sensor is estimated."""
 _ICRA16_CONTACT: Final = 0.2
-"""Least force that is a contact [N]; the noise is 0.02 N, sliding friction 4 N."""
+"""Least force in contact [N]; the noise is 0.02 N, sliding friction 4 N."""
 
 
 def import_cmu_icra16(text_file: Path, out_bag: Path) -> ImportReport:
     """Convert a text file of single-point pushes (aluminium triangle on three supports) to a new contract bag.
 
-    The object's pose is known before and after each push only. Raises BagError when the file is not of that form.
+    The object's pose is known before and after each push only. Raises BagError for another file format.
     """
     shape = _triangle(0.150, 0.150)
     pushes = _parse_icra16(Path(text_file))
     distances = []
     with BagWriter(out_bag) as writer:
-        for number, (before, after, felt, robot) in enumerate(pushes):
+        for number, (before, after, measured, robot) in enumerate(pushes):
             if number == 0:
                 _write_scene(writer, shape, robot[0, 0])
-            force = _icra16_force(felt[:, 1:], yaw_tool=2.0 * np.arctan2(robot[0, 7], robot[0, 4]))
+            force = _icra16_force(measured[:, 1:], yaw_tool=2.0 * np.arctan2(robot[0, 7], robot[0, 4]))
             writer.write_pose(_OBJECT_ID, robot[0, 0], before, _COVARIANCE)
             for time, x, y, z, *_ in robot:
                 writer.write_pusher(time, (x * _MM, y * _MM), z=z * _MM)
-            for time, newtons in zip(felt[:, 0], force, strict=True):
+            for time, newtons in zip(measured[:, 0], force, strict=True):
                 writer.write_wrench(time, newtons)
             writer.write_pose(_OBJECT_ID, robot[-1, 0], after, _COVARIANCE)
-            contact = felt[np.argmax(np.linalg.norm(force, axis=1) > _ICRA16_CONTACT), 0]
+            contact = measured[np.argmax(np.linalg.norm(force, axis=1) > _ICRA16_CONTACT), 0]
             position = np.array([np.interp(contact, robot[:, 0], robot[:, axis]) for axis in (1, 2)]) * _MM
             distances.append(_distance(position, before, shape))
     return ImportReport(
@@ -83,12 +83,12 @@ def import_cmu_icra16(text_file: Path, out_bag: Path) -> ImportReport:
         supports=np.array([[0.03, 0.03], [0.09, 0.03], [0.03, 0.09]]),
         mass=1.518,
         centre_of_mass=np.array([0.05, 0.05]),
-        notes=("the pusher is a thin rod, taken as a point", "object poses are known before and after each push only"),
+        notes=("the pusher is a thin rod, modelled as a point", "object poses are known before and after each push only"),
     )
 
 
 def _icra16_force(raw: Float64Array, *, yaw_tool: float) -> Float64Array:
-    """Force on the object in `table` [N], shape (n, 2): the sensor feels its reaction, in tool axes, with a bias."""
+    """Force on the object in `table` [N], shape (n, 2): the sensor measures its reaction, in tool axes, with a bias."""
     return -(raw - raw[:_N_BIAS].mean(axis=0)) @ _TOOL_AXES.T @ rotation(yaw_tool).T
 
 
@@ -108,23 +108,23 @@ def _parse_icra16(file: Path) -> list[_Icra16Push]:
     def take(rows: int, columns: int) -> Float64Array:
         nonlocal at
         if rows < 1 or at + rows * columns > len(numbers):
-            raise BagError(f"{file}: breaks off after {len(numbers)} numbers, or is not a recording of pushes; fetch it again.")
+            raise BagError(f"{file}: ends after {len(numbers)} numbers, or is not a recording of pushes; download it again.")
         block = numbers[at : at + rows * columns].reshape(rows, columns)
         at += rows * columns
         return block
 
     def count() -> int:
         value = float(take(1, 1)[0, 0])
-        # What is not a count is refused by `take`, like a count beyond the end of the file.
+        # `take` refuses an invalid count, like a count beyond the end of the file.
         return int(value) if value.is_integer() and abs(value) < 2**31 else 0
 
     pushes = []
     for _ in range(max(1, count())):
         ends = [np.array([x * _MM, y * _MM, 2.0 * np.arctan2(qz, qw)]) for x, y, _, qw, _, _, qz in take(2, 7)]
-        felt, robot = _ascending(take(count(), 3)), _ascending(take(count(), 8))
-        pushes.append((ends[0], ends[1], felt, robot))
+        measured, robot = _ascending(take(count(), 3)), _ascending(take(count(), 8))
+        pushes.append((ends[0], ends[1], measured, robot))
     if at != len(numbers):
-        raise BagError(f"{file}: {len(numbers) - at} numbers are left over after {len(pushes)} pushes; not a recording of this form.")
+        raise BagError(f"{file}: {len(numbers) - at} numbers follow after {len(pushes)} pushes; not a recording of this format.")
     return pushes
 
 
@@ -143,25 +143,25 @@ _CORNER_IN_BODY: Final = np.array(
     ]
 )
 _MOCAP_CONTACT: Final = 0.1
-"""Least force that is a contact [N]; the noise is 0.01 N, sliding friction 0.4 N."""
+"""Least force in contact [N]; the noise is 0.01 N, sliding friction 0.4 N."""
 _PAUSE: Final = 0.6
 """Shortest standstill of the robot that ends a push [s]."""
 _MARGIN: Final = 0.3
-"""Standstill kept at either end of a push [s]."""
+"""Standstill kept at both ends of a push [s]."""
 _SHORTEST: Final = 0.3
-"""Least time that a push moves in contact [s]."""
+"""Shortest motion in contact that counts as a push [s]."""
 
 
 def import_cmu_mocap(bag_file: Path, out_bag: Path) -> ImportReport:
-    """Convert the ROS 1 bag of many pushes in a row (wooden triangle on three supports, motion capture) to a new contract bag.
+    """Convert the ROS 1 bag of many consecutive pushes (wooden triangle on three supports, motion capture) to a new contract bag.
 
-    Every motion-capture pose is kept; the pusher's path is kept where the robot moves in contact, so that its gaps tell the pushes apart.
+    Every motion-capture pose is kept; the pusher's path is kept where the robot moves in contact, so that its gaps separate the pushes.
     Raises BagError when the bag cannot be read or lacks a topic.
     """
     shape = _triangle(0.101, 0.099)
-    time, pose, robot, felt = _read_mocap(Path(bag_file))
-    force = np.linalg.norm(felt[:, 1:] - np.median(felt[: 10 * _N_BIAS, 1:], axis=0), axis=1)
-    in_contact = np.interp(robot[:, 0], felt[:, 0], force) > _MOCAP_CONTACT
+    time, pose, robot, measured = _read_mocap(Path(bag_file))
+    force = np.linalg.norm(measured[:, 1:] - np.median(measured[: 10 * _N_BIAS, 1:], axis=0), axis=1)
+    in_contact = np.interp(robot[:, 0], measured[:, 0], force) > _MOCAP_CONTACT
     distances = []
     spans = _spans_of_motion(robot, in_contact)
     with BagWriter(out_bag) as writer:
@@ -174,7 +174,7 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path) -> ImportReport:
                 writer.write_pusher(stamp, (x, y), z=z)
             touching = robot[span & in_contact]
             at = [int(np.argmin(np.abs(time - stamp))) for stamp in touching[:, 0]]
-            # The median over the whole contact: a single motion-capture pose is off by about a millimetre.
+            # The median over the whole contact: a single motion-capture pose has an error of about a millimetre.
             distances.append(np.median([_distance(p, pose[k], shape) for p, k in zip(touching[:, 1:3], at, strict=True)]))
     return ImportReport(
         bag=out_bag,
@@ -184,8 +184,8 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path) -> ImportReport:
         mass=0.128,
         centre_of_mass=np.array([0.0293, 0.0293]),
         notes=(
-            "the pusher's axis keeps within 2 mm of the outline in contact, on either side: it is taken as a point",
-            "the force only says when there is contact: how its sensor was mounted is not recorded",
+            "the pusher's axis stays within 2 mm of the outline in contact, on either side: it is modelled as a point",
+            "the force is used to detect contact only: the mounting of its sensor is not recorded",
         ),
     )
 
@@ -193,7 +193,7 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path) -> ImportReport:
 def _read_mocap(file: Path) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
     """Time of the poses [s], corner pose (x, y, yaw) in `table`, robot (time, x, y, z) [m], force sensor (time, fx, fy) [N].
 
-    The log time is used for all: the robot's messages have no stamp, and the force sensor's clock is minutes off.
+    The log time is used for all: the robot's messages have no stamp, and the clock of the force sensor has an error of minutes.
     """
     rows: dict[str, list[tuple[float, ...]]] = {"/Mocap": [], "/robot_CartesianLog": [], "/netft_data": []}
     with open_bag(file) as bag:
@@ -203,13 +203,13 @@ def _read_mocap(file: Path) -> tuple[Float64Array, Float64Array, Float64Array, F
             if values := _mocap_row(connection.topic, message):
                 rows[connection.topic].append((log_time * 1e-9, *values))
     if missing := [topic for topic, values in rows.items() if len(values) < 2]:
-        raise BagError(f"{file}: no messages of {', '.join(missing)}; not a recording of this form.")
-    body, robot, felt = (_ascending(np.array(values)) for values in rows.values())
-    return body[:, 0], _corner_pose(body[:, 1:4], body[:, 4:]), robot * [1.0, _MM, _MM, _MM], felt
+        raise BagError(f"{file}: no messages of {', '.join(missing)}; not a recording of this format.")
+    body, robot, measured = (_ascending(np.array(values)) for values in rows.values())
+    return body[:, 0], _corner_pose(body[:, 1:4], body[:, 4:]), robot * [1.0, _MM, _MM, _MM], measured
 
 
 def _mocap_row(topic: str, message: Any) -> tuple[float, ...]:
-    """Numbers of one message; empty where the body was out of sight."""
+    """Numbers of one message; empty where the body was not detected."""
     if topic == "/Mocap":
         if not message.body_poses:
             return ()
@@ -242,6 +242,7 @@ def _spans_of_motion(robot: Float64Array, in_contact: Any) -> list[tuple[float, 
 
 
 def _triangle(leg_x: float, leg_y: float) -> ObjectShape:
+    """A right triangle with its right angle in the origin."""
     outline = np.array([[0.0, 0.0], [leg_x, 0.0], [0.0, leg_y]])
     return ObjectShape(cells_in_outline(outline, _CELL_SIZE), outline)
 
@@ -252,4 +253,5 @@ def _write_scene(writer: BagWriter, shape: ObjectShape, stamp: float) -> None:
 
 
 def _distance(point_in_table: Float64Array, pose: Float64Array, shape: ObjectShape) -> float:
+    """Signed distance of a point to the outline at a pose [m]."""
     return float(signed_distance(transform_points(inverse(pose), point_in_table[None]), shape.outline)[0])

@@ -1,4 +1,4 @@
-"""Opening a bag of any kind so that whatever is wrong with it ends in one clear BagError."""
+"""Open a bag of any format; every failure becomes a BagError of one line."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ class OpenBag:
         return list(self._reader.connections)
 
     def counts(self) -> dict[str, int]:
-        """Messages by topic, by the bag's own index."""
+        """Number of messages by topic, from the index of the bag."""
         counts: Counter[str] = Counter()
         for connection in self._reader.connections:
             counts[connection.topic] += connection.msgcount
         return dict(sorted(counts.items()))
 
     def register(self, connections: Iterable[Connection]) -> None:
-        """Learn the message types of these topics, from the bag's own schema where it carries one.
+        """Register the message types of these topics, from the schema in the bag where it has one.
 
-        Only what is read is learned, so a foreign type elsewhere in the bag does no harm.
+        Only these types are registered, so that an unknown type elsewhere in the bag does no harm.
         """
         for connection in connections:
             if _lower_package(connection.msgtype) not in self._store.fielddefs:
@@ -65,17 +65,17 @@ class OpenBag:
             yield connection, log_time, decode(raw, _lower_package(connection.msgtype))
 
     def raw_messages(self) -> Iterator[tuple[Connection, int, bytes | memoryview]]:
-        """All messages with their log time [ns] as they were serialised (CDR).
+        """All messages in serialised form (CDR) with their log time [ns].
 
-        Raises BagError for a ROS 1 bag, whose messages are serialised otherwise.
+        Raises BagError for a ROS 1 bag, which has another serialisation.
         """
         if self._is_ros1:
-            raise BagError(f"{self.path}: a ROS 1 bag cannot be played as it is; convert it first, with `rosbags-convert`.")
+            raise BagError(f"{self.path}: a ROS 1 bag cannot be played directly; convert it first, with `rosbags-convert`.")
         yield from self._reader.messages()
 
 
 def _lower_package(text: str) -> str:
-    """Package names with capitals (`Mocap/marker_set`), which ROS 1 let pass and the parser does not, in lower case."""
+    """Package names in lower case; ROS 1 accepted capitals (`Mocap/marker_set`), the parser does not."""
     return _CAPITAL_PACKAGE.sub(lambda match: match.group().lower(), text)
 
 
@@ -85,12 +85,12 @@ def _definitions(connection: Connection, known: Typestore) -> dict[str, Any]:
     else:
         types = jazzy_typestore().fielddefs
         if connection.msgtype not in types:
-            raise BagError(f"type {connection.msgtype} of topic {connection.topic} is neither described in the bag nor known here.")
+            raise BagError(f"type {connection.msgtype} of topic {connection.topic} is neither described in the bag nor known.")
     return {name: fields for name, fields in types.items() if name not in known.fielddefs}
 
 
 def storage_of(path: Path) -> Path:
-    """What to hand to a reader: a bag folder with metadata, or a storage file.
+    """Path for a reader: a bag folder with metadata, or a storage file.
 
     Raises BagError when there is no bag at `path`.
     """
@@ -108,7 +108,7 @@ def storage_of(path: Path) -> Path:
             raise BagError(f"{path}: the folder holds {len(files)} storage files and no metadata.yaml; name one of them.")
         path = files[0]
     if path.suffix not in _STORAGE:
-        raise BagError(f"{path}: not a bag by its name; expected a bag folder or a {', '.join(_STORAGE)} file.")
+        raise BagError(f"{path}: not the name of a bag; expected a bag folder or a {', '.join(_STORAGE)} file.")
     return path
 
 
@@ -116,7 +116,7 @@ def storage_of(path: Path) -> Path:
 def open_bag(path: Path) -> Iterator[OpenBag]:
     """Open a bag for reading: a folder, an MCAP or sqlite3 file, or a ROS 1 bag.
 
-    Everything that goes wrong while it is open, down to the readers' own surprises, leaves as a BagError of one line.
+    Every failure while it is open, unexpected exceptions of the readers included, becomes a BagError of one line.
     """
     try:
         storage = storage_of(path)
@@ -126,13 +126,13 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     except PushIdentError:
         raise
     except Exception as error:
-        # Damaged bags make the readers raise nearly anything (assertions, struct, overflow, compression, database errors).
+        # Damaged bags make the readers raise almost any exception (assertions, struct, overflow, compression, database errors).
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")[:200]
         raise BagError(f"{path}: cannot be read ({type(error).__name__}: {reason}){_remedy(path)}") from error
 
 
 def _remedy(path: Path) -> str:
-    """What would help with a bag that cannot be read."""
+    """Remedy for a bag that cannot be read."""
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if len(files) == 1 and files[0].suffix == ".mcap":
         count = count_recoverable(files[0])
@@ -140,5 +140,5 @@ def _remedy(path: Path) -> str:
             return f"; {count} messages can be recovered: `push-ident salvage {path} --out NEW`."
         if count == 0:
             return "; no message in it can be recovered; it is damaged, or not a bag. Record again."
-        return f"; `push-ident salvage {path} --out NEW` recovers what is left."
+        return f"; `push-ident salvage {path} --out NEW` recovers the readable part."
     return "; it is damaged, or not a bag. Record again, in MCAP, which survives a kill."

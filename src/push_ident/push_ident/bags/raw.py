@@ -1,4 +1,4 @@
-"""Messages of a bag as they were serialised, for playing them on live topics."""
+"""Serialised messages of a bag, for playing them on live topics."""
 
 from __future__ import annotations
 
@@ -34,6 +34,6 @@ def bag_topics(path: Path) -> dict[str, str]:
 
 
 def raw_messages(path: Path) -> Iterator[RawMessage]:
-    """All messages in order of log time, one at a time. Raises BagError, also for ROS 1 bags, whose messages are serialised otherwise."""
+    """All messages in order of log time, one at a time. Raises BagError, also for ROS 1 bags, which have another serialisation."""
     with open_bag(path) as bag:
         yield from (RawMessage(c.topic, c.msgtype, stamp, bytes(data)) for c, stamp, data in bag.raw_messages())

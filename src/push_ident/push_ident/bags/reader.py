@@ -1,4 +1,4 @@
-"""Reading contract bags: `read_bag` takes what is small into memory, depth frames come one by one."""
+"""Reading contract bags: `read_bag` reads the small topics into memory, depth frames are decoded one by one."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Ro
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.outline import points_in_polygon
+from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["BagContents", "ObjectTrack", "PushInterval", "Samples", "read_bag"]
+__all__ = ["BagContents", "ObjectTrack", "Samples", "read_bag"]
 
 _MAX_JUMP_BACK: Final = 1_000_000_000
-"""Stamps may run backwards by less than this [ns] (late delivery); more is a clock that was set back."""
+"""Stamps may run backwards by less than this [ns] (late delivery); a larger jump means that a clock was reset."""
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
 _LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE})
-"""Latched topics: a newer message replaces the one before."""
+"""Latched topics: a newer message replaces the previous one."""
 _DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
 
 
@@ -43,7 +44,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTrack:
-    """Everything a bag says of one object."""
+    """The data of one object in a bag."""
 
     shape: ObjectShape | None
     """None where the bag has no usable cells."""
@@ -52,25 +53,12 @@ class ObjectTrack:
     pose: Float64Array
     """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_frames, 3)."""
     covariance: Float64Array
-    """Of (x, y, yaw), shape (n_frames, 3, 3)."""
-
-
-@dataclass(frozen=True, slots=True)
-class PushInterval:
-    """When a push record says a push took place."""
-
-    push_id: int
-    object_id: str
-    start: float
-    """[s] since the origin of the bag."""
-    end: float
-    error_code: int
-    """0: the push was made as planned; others as in action/ExecutePush."""
+    """Covariance of (x, y, yaw), shape (n_frames, 3, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
 class BagContents:
-    """A bag in the vocabulary of the package. Times are in seconds since `origin_ns`."""
+    """The content of a bag in the types of the package. Times are in seconds since `origin_ns`."""
 
     path: Path
     origin_ns: int
@@ -91,17 +79,17 @@ class BagContents:
     topics: dict[str, int]
     """Messages by topic, all topics."""
     notes: list[str] = field(default_factory=list)
-    """What was missing, dropped or assumed; one line each."""
+    """Data that was missing, dropped or assumed; one line each."""
 
     @property
     def has_poses(self) -> bool:
-        """Whether any object has poses; without them depth frames may still tell."""
+        """Whether any object has poses; without them they can be tracked in depth frames."""
         return any(len(track.time) for track in self.objects.values())
 
     def depth_frames(self) -> Iterator[DepthFrame]:
-        """Depth frames in recorded order, decoded one at a time; those that cannot be used are skipped and counted in `notes`.
+        """Depth frames in recorded order, decoded one at a time; unusable ones are skipped and counted in `notes`.
 
-        Raises BagError when the bag has no depth images or no camera info, FrameError when not one image is usable.
+        Raises BagError when the bag has no depth images or no camera info, FrameError when no image is usable.
         """
         with open_bag(self.path) as bag:
             yield from _depth_frames(bag, self.origin_ns, self.notes)
@@ -109,14 +97,14 @@ class BagContents:
 
 @dataclass(slots=True)
 class _Recorded:
-    """One topic as it was read."""
+    """The recorded data of one topic."""
 
     stamps: list[int] = field(default_factory=list)
     """[ns]"""
     values: list[Float64Array] = field(default_factory=list)
     """Planar values of the roles in `_STAMPED`."""
     messages: list[Any] = field(default_factory=list)
-    """Messages of the other roles, all or the last."""
+    """Messages of the other roles: all, or the last one of latched topics."""
     frames: set[str] = field(default_factory=set)
     unstamped: int = 0
 
@@ -124,8 +112,8 @@ class _Recorded:
 def read_bag(path: Path) -> BagContents:
     """Read a bag of the contract: a folder, an MCAP or sqlite3 file, or a ROS 1 bag.
 
-    Header stamps are used as time, the log time where they are zero. Raises BagError, one line, for anything that is not such a bag or
-    lacks what is needed: pusher poses, and object poses or depth images.
+    Header stamps are used as time, the log time where they are zero. Raises BagError for anything that is not such a bag or lacks
+    required topics: pusher poses, and object poses or depth images.
     """
     path = Path(path)
     notes: list[str] = []
@@ -176,7 +164,7 @@ def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -
 
 
 def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[Connection]]:
-    """Topics of the contract in this bag. Two topics for one role would mix two cells, hence a BagError."""
+    """Topics of the contract in this bag. Raises BagError for two topics of one role, which would mix two cells."""
     by_role: dict[TopicRole, list[Connection]] = defaultdict(list)
     for connection in bag.connections:
         if not (role := role_of(connection.topic)):
@@ -188,11 +176,12 @@ def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list
     for role, connections in by_role.items():
         names = sorted({connection.topic for connection in connections})
         if len(names) > 1 and role.role is not Role.TF_STATIC:
-            raise BagError(f"{bag.path}: topics {' and '.join(names)} all play the part of `{role}`; keep the topics of one cell.")
+            raise BagError(f"{bag.path}: topics {' and '.join(names)} all have the role of `{role}`; keep the topics of one cell.")
     return dict(by_role)
 
 
 def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[TopicRole, _Recorded]:
+    """Read the topics of these roles."""
     role_by_topic = {connection.topic: role for role, connections in wanted.items() for connection in connections}
     connections = [connection for group in wanted.values() for connection in group]
     bag.register(connections)
@@ -210,7 +199,7 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[Topic
             record.messages = [message] if role in _LAST_COUNTS else [*record.messages, message]
     promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamps) for record in recorded.values())
     if got < promised:
-        raise BagError(f"{bag.path}: its index promises {promised} messages of the contract, {got} could be read; it was cut short.")
+        raise BagError(f"{bag.path}: its index lists {promised} messages of the contract, {got} could be read; the file is truncated.")
     return dict(recorded)
 
 
@@ -227,7 +216,7 @@ def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> 
     first = np.append(True, np.diff(stamps[order]) > 0) if len(order) else np.empty(0, dtype=np.bool_)
     for count, what in (
         (record.unstamped, "have no stamp; their log time is used"),
-        (int(np.sum(np.diff(stamps) < 0)), "came out of order; sorted"),
+        (int(np.sum(np.diff(stamps) < 0)), "were out of order; sorted"),
         (int(np.sum(~finite)), "hold values that are not finite; dropped"),
         (int(np.sum(~first)), "repeat a stamp; dropped"),
     ):
@@ -246,7 +235,7 @@ def _planar(role: Role, message: Any) -> Float64Array:
 
 
 def _samples(stamped: _Stamped, origin: int) -> Samples:
-    # Nanoseconds are subtracted as integers: as floating point seconds of a date they would be off by up to 0.2 us.
+    # Nanoseconds are subtracted as integers: floating-point seconds since 1970 have rounding errors of up to 0.2 us.
     return Samples((stamped[0] - origin).astype(np.float64) * 1e-9, stamped[1])
 
 
@@ -272,7 +261,7 @@ def _object_track(
 
 
 def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> ObjectShape | None:
-    """Cells and outline by the last message of each."""
+    """Cells and outline from the last message of each."""
     grids = recorded.get(TopicRole(Role.CELLS, object_id), _Recorded()).messages
     polygons = recorded.get(TopicRole(Role.OUTLINE, object_id), _Recorded()).messages
     if not grids:
@@ -287,7 +276,7 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
             outline = decode.traced_outline(cells, yaw)
         outside = int(np.sum(~points_in_polygon(cells.centres, outline)))
         if outside > len(cells) / 2:
-            notes.append(f"object {object_id}: {outside} of {len(cells)} cells lie outside its outline; one of them is wrong.")
+            notes.append(f"object {object_id}: {outside} of {len(cells)} cells lie outside its outline; cells or outline are wrong.")
         return ObjectShape(cells, outline)
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
@@ -298,7 +287,7 @@ def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> fl
     shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
     if radius is None:
-        notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is taken as a point.")
+        notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is modelled as a point.")
         return 0.0
     return radius
 
@@ -315,7 +304,7 @@ def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: li
 
 
 def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> Float64Array | None:
-    """Chain of static transforms from the camera up to the table, if there is one."""
+    """Pose of the camera from the chain of static transforms to the table, if there is one."""
     parents = {}
     for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).messages:
         for stamped in message.transforms:
@@ -333,6 +322,7 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> 
 
 
 def _depth_frames(bag: OpenBag, origin: int, notes: list[str]) -> Iterator[DepthFrame]:
+    """As `BagContents.depth_frames`, from an open bag."""
     by_role = _connections_by_role(bag, [])
     images, infos = (by_role.get(TopicRole(role), []) for role in (Role.DEPTH, Role.CAMERA_INFO))
     if not images or not infos:

@@ -1,4 +1,4 @@
-"""Push records to a contract bag."""
+"""Write push records as a contract bag."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from push_ident.types import PushRecord
 __all__ = ["write_records"]
 
 _CLEARANCE: Final = 2.0
-"""Pause between pushes that would otherwise touch or overlap in time [s]."""
+"""Least pause between pushes [s]."""
 _FIRST: Final = 1.0
-"""Earliest stamp written [s]: a stamp of zero means that there is none."""
+"""Earliest stamp written [s]; a stamp of zero would mean that there is none."""
 
 
 def write_records(path: Path, records: Sequence[PushRecord]) -> None:
     """Write pushes as a new bag that reads back as the same records, up to the origin of time of each push.
 
-    Times within a push are kept; a push that would start within 2 s of the end of the one before is moved to that distance.
-    Records of several objects with one and the same pusher path are one push. Raises InputError for records that cannot share a bag.
+    Times within a push are kept; a push that would start within 2 s of the end of the previous one is moved to that distance.
+    Records of several objects with the same pusher path are one push. Raises InputError for records that cannot share a bag.
     """
     if not records:
         raise InputError("there are no push records to write; a bag needs at least one.")
@@ -48,10 +48,11 @@ def write_records(path: Path, records: Sequence[PushRecord]) -> None:
 
 
 def _by_push(records: Sequence[PushRecord]) -> list[list[PushRecord]]:
+    """Records grouped by push."""
     pushes: list[list[PushRecord]] = []
     for record in records:
         same = pushes[-1] if pushes else []
-        if same and np.array_equal(same[0].pusher.time, record.pusher.time) and record.object_id not in {seen.object_id for seen in same}:
+        if same and np.array_equal(same[0].pusher.time, record.pusher.time) and record.object_id not in {other.object_id for other in same}:
             same.append(record)
         else:
             pushes.append([record])
@@ -59,7 +60,7 @@ def _by_push(records: Sequence[PushRecord]) -> list[list[PushRecord]]:
 
 
 def _write_push(writer: BagWriter, push_id: int, push: Sequence[PushRecord], shift: float) -> float:
-    """Write what was seen during one push, and when that was; returns the last time [s]."""
+    """Write the observations and the interval of one push; returns its end [s]."""
     times = np.concatenate([push[0].pusher.time, *(record.poses.time for record in push)]) + shift
     start, end = float(times.min()), float(times.max())
     for record in push:

@@ -1,4 +1,4 @@
-"""Recovering what is left of a damaged MCAP bag, always into a new bag."""
+"""Recover the readable part of a damaged MCAP bag into a new bag."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from push_ident.errors import BagError
 __all__ = ["SalvageReport", "count_recoverable", "salvage"]
 
 _MAX_RECORD: Final = 2**30
-"""Longest record believed [bytes]: a damaged length must not exhaust the memory."""
+"""Longest record accepted [bytes]: a damaged length must not exhaust the memory."""
 _CHEAP: Final = 2**28
-"""Largest file that is read through merely to say how much could be recovered [bytes]."""
+"""Largest file that is read only to count the recoverable messages [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
 class SalvageReport:
-    """What came out of a damaged bag."""
+    """Result of recovering a damaged bag."""
 
     bag: Path
     messages: dict[str, int]
     """Recovered messages by topic."""
     damaged_chunks: int
-    """Chunks left out because their content was not intact."""
+    """Number of chunks left out because their content is damaged."""
     undecodable: int
-    """Messages of the contract left out because they are not what their type says."""
+    """Number of messages of the contract left out because they do not match their type."""
     end: str
-    """Why reading stopped; empty when the file was whole to its end."""
+    """Why reading stopped; empty for a file that is intact to its end."""
 
     @property
     def total(self) -> int:
@@ -45,7 +45,7 @@ class SalvageReport:
 
 
 class _Records:
-    """Intact records of a file, chunk by chunk, up to where it breaks off."""
+    """Intact records of a file, chunk by chunk, up to the point where it is truncated."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -61,7 +61,7 @@ class _Records:
                 except StopIteration:
                     return
                 except Exception as error:
-                    # A broken file ends the walk wherever and however the parser notices it.
+                    # The parser may raise any exception at the damaged place.
                     reason = (str(error).strip().splitlines() or ["the file ends in the middle of a record"])[0]
                     self.end = f"{type(error).__name__}: {reason[:200]}"
                     return
@@ -73,16 +73,16 @@ class _Records:
     def _intact(self, chunk: Chunk) -> list[McapRecord]:
         try:
             if chunk.uncompressed_size > _MAX_RECORD:
-                raise ValueError("chunk too large to be true")
+                raise ValueError("impossible size of a chunk")
             return breakup_chunk(chunk, validate_crc=True)
         except Exception:
-            # Whatever a flipped byte makes of the decompressor or the parser, the chunk is lost as a whole.
+            # Decompressor and parser may raise any exception on damaged bytes; the whole chunk is lost.
             self.damaged_chunks += 1
             return []
 
 
 def count_recoverable(path: Path) -> int | None:
-    """Messages that `salvage` would find in an .mcap file; None where the file is too large to look through in passing."""
+    """Number of messages that `salvage` would recover from an .mcap file; None for a file too large to be read for that."""
     try:
         if path.stat().st_size > _CHEAP:
             return None
@@ -94,12 +94,12 @@ def count_recoverable(path: Path) -> int | None:
 def salvage(path: Path, out: Path) -> SalvageReport:
     """Copy every complete, intact chunk of a damaged MCAP bag (file, or folder with one) into the new bag `out`.
 
-    Raises BagError when `path` is not an MCAP bag, `out` exists, or nothing can be recovered (then `out` is not made).
+    Raises BagError when `path` is not an MCAP bag, `out` exists, or nothing can be recovered (then `out` is not created).
     """
     source = _mcap_in(path)
     total = count_recoverable(source)
     if total == 0:
-        raise BagError(f"{path}: no message can be recovered; the file is damaged from its first chunk on, or not an MCAP bag.")
+        raise BagError(f"{path}: no message can be recovered; all chunks of the file are damaged, or it is not an MCAP bag.")
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     counts: Counter[str] = Counter()
@@ -128,7 +128,7 @@ def salvage(path: Path, out: Path) -> SalvageReport:
                 )
                 counts[channel.topic] += 1
     if not counts:
-        raise BagError(f"{path}: messages were found, but none that is still described and intact; {out} was left empty.")
+        raise BagError(f"{path}: no message was found intact and with its type; {out} was left empty.")
     return SalvageReport(out, dict(sorted(counts.items())), records.damaged_chunks, undecodable, records.end)
 
 
@@ -140,7 +140,7 @@ def _decodes(topic: str, msgtype: str, data: bytes) -> bool:
     try:
         jazzy_typestore().deserialize_cdr(data, msgtype)
     except Exception:
-        # Flipped bytes surface as whatever the generated decoder trips over.
+        # The generated decoder may raise any exception on damaged bytes.
         return False
     return True
 

@@ -1,4 +1,4 @@
-"""Message definitions for writing bags, and for reading bags that carry none."""
+"""Message definitions for writing bags, and for reading bags without definitions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PACKAGE: Final = "push_ident_msgs"
 
 
 def _own_definitions() -> list[Path]:
-    """The .msg files of push_ident_msgs: of the sourced ROS workspace, else of the source tree beside this package."""
+    """The .msg files of push_ident_msgs: from the sourced ROS workspace, else from the source tree beside this package."""
     shares = [Path(prefix) / "share" / _PACKAGE for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     for folder in [*shares, Path(__file__).resolve().parents[3] / _PACKAGE]:
         if files := sorted((folder / "msg").glob("*.msg")):
@@ -28,7 +28,7 @@ def _own_definitions() -> list[Path]:
 
 @cache
 def jazzy_typestore() -> Typestore:
-    """The messages of ROS 2 Jazzy, with those of push_ident_msgs where their .msg files can be found."""
+    """The messages of ROS 2 Jazzy, and those of push_ident_msgs if their .msg files are found."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = {}
     for file in _own_definitions():
@@ -38,11 +38,11 @@ def jazzy_typestore() -> Typestore:
 
 
 def definition_of(msgtype: str) -> str:
-    """Full text of a message definition with those it uses, as MCAP files carry it (`ros2msg`).
+    """Full text of a message definition and of those it uses, as in MCAP files (`ros2msg`).
 
-    Raises BagError for a type that is not known here.
+    Raises BagError for an unknown type.
     """
     store = jazzy_typestore()
     if msgtype not in store.fielddefs:
-        raise BagError(f"message type {msgtype!r} is not known; for {_PACKAGE} source the workspace that it was built in.")
+        raise BagError(f"message type {msgtype!r} is unknown; for {_PACKAGE} source the workspace in which it was built.")
     return store.generate_msgdef(msgtype, ros_version=2)[0]

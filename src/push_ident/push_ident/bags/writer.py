@@ -1,7 +1,7 @@
-"""Writing contract bags, in MCAP, so that a kill in the middle loses a second at most.
+"""Writing contract bags in MCAP; killing the process loses at most one second of data.
 
-A chunk is finished when it is full or a second old, and is then on its way to the disk; what follows a kill is a file without an
-index, from which `salvage` recovers every finished chunk.
+A chunk is written when it is full or one second old. A killed process leaves a file without index, from which `salvage` recovers every
+written chunk.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array
 __all__ = ["BagWriter"]
 
 _CHUNK_SIZE: Final = 256 * 1024
-"""[bytes]"""
+"""Size at which a chunk is written [bytes]."""
 _FLUSH_PERIOD: Final = 1.0
-"""Oldest message that a kill may lose [s]."""
+"""Longest time between writes to the disk [s]."""
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
 _FIXED_VARIANCE: Final = 1e-6
 """Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
 _LATTICE_TOLERANCE: Final = 0.02
-"""How far a cell may lie off the lattice, in cells."""
+"""Largest distance of a cell from the lattice, in cells."""
 
 
 class BagWriter:
@@ -43,9 +43,9 @@ class BagWriter:
 
     Args:
         path: A new folder (MCAP and metadata.yaml in it) or, ending in `.mcap`, a new file. Existing ones are refused.
-        chunk_size: Bytes of messages after which a chunk is finished.
+        chunk_size: Bytes of messages after which a chunk is written.
 
-    Stamps are in seconds. Every method raises BagError when the disk refuses.
+    Stamps are in seconds. Every method raises BagError when a write fails.
     """
 
     def __init__(self, path: Path, *, chunk_size: int = _CHUNK_SIZE) -> None:
@@ -61,7 +61,7 @@ class BagWriter:
 
     def __enter__(self) -> BagWriter:
         if self.path.exists():
-            raise BagError(f"{self.path}: exists already and is not overwritten; give another name.")
+            raise BagError(f"{self.path}: exists already and is not overwritten; choose another name.")
         try:
             self._storage.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._storage.open("xb")
@@ -109,7 +109,7 @@ class BagWriter:
             stamp_ns: Log time [ns], since the same epoch as the header stamps.
             data: The message in CDR, with its encapsulation header.
             publish_ns: When it was published [ns]; by default `stamp_ns`.
-            definition: Encoding and text of the type's schema, for types that are not known here.
+            definition: Encoding and text of the type's schema, for types unknown to this package.
         """
         if self._file is None:
             raise BagError(f"{self.path}: the bag is not open for writing; use BagWriter as a context manager.")
@@ -154,7 +154,7 @@ class BagWriter:
         self._write(Role.WRENCH, stamp, self._header(stamp, TABLE_FRAME), self._new("geometry_msgs/msg/Wrench", *parts))
 
     def write_shape(self, object_id: str, shape: ObjectShape, stamp: float) -> None:
-        """Cells and outline of an object, in its own frame. Raises BagError for cells off a lattice along the axes of that frame."""
+        """Cells and outline of an object, in its own frame. Raises BagError for cells on no lattice along the axes of that frame."""
         header = self._header(stamp, object_frame(object_id))
         origin, occupied = _lattice(shape.cells)
         height, width = occupied.shape
@@ -165,7 +165,7 @@ class BagWriter:
         self._write(Role.OUTLINE, stamp, header, self._new("geometry_msgs/msg/Polygon", points), object_id=object_id)
 
     def write_depth(self, stamp: float, depth: NDArray[np.uint16] | NDArray[np.float32], *, frame_id: str = CAMERA_FRAME) -> None:
-        """Depth image, shape (height, width): uint16 in millimetres (0: unseen) or float32 in metres (NaN: unseen)."""
+        """Depth image, shape (height, width): uint16 in millimetres (0: no value) or float32 in metres (NaN: no value)."""
         pixel, encoding = (np.dtype("<u2"), "16UC1") if depth.dtype == np.uint16 else (np.dtype("<f4"), "32FC1")
         data = np.ascontiguousarray(depth, dtype=pixel)
         rows = (data.shape[0], data.shape[1], encoding, 0, data.shape[1] * pixel.itemsize, data.view(np.uint8).ravel())
@@ -192,7 +192,7 @@ class BagWriter:
     def write_push_record(
         self, push_id: int, object_id: str, start: float, end: float, *, error_code: int = 0, error_text: str = ""
     ) -> None:
-        """Say that a push lasted from `start` to `end` [s]; what only its plan knows is left empty."""
+        """Record of a push from `start` to `end` [s]; fields of its plan are left empty."""
         times = (self._time(start), self._time(0.0), self._time(end), self._time(end))
         plan = (self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0)
         self._write(Role.PUSH_RECORD, end, self._header(end, TABLE_FRAME), push_id, object_id, error_code, error_text, *times, *plan)
@@ -238,7 +238,7 @@ class BagWriter:
         return str(self._store.hash_rihs01(msgtype)) if msgtype in self._store.fielddefs else ""
 
     def _metadata(self) -> str:
-        """The metadata.yaml that rosbag2 of Jazzy expects beside the storage file."""
+        """Content of the metadata.yaml that rosbag2 of Jazzy expects beside the storage file."""
         start = {"nanoseconds_since_epoch": self._first_ns or 0}
         duration = {"nanoseconds": self._last_ns - (self._first_ns or 0)}
         # Copies, since a dictionary that appears twice becomes an anchor and an alias in YAML.
@@ -273,7 +273,7 @@ class BagWriter:
         return str(yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False))
 
     def _refused(self, error: OSError) -> BagError:
-        return BagError(f"{self.path}: cannot be written ({error.strerror or error}); check the disk and the folder's rights.")
+        return BagError(f"{self.path}: cannot be written ({error.strerror or error}); check the disk and the permissions of the folder.")
 
 
 def _nanoseconds(stamp: float) -> int:

@@ -1,4 +1,4 @@
-"""`push-ident demo`: the whole path, live: an unknown object is seen, pushed, identified, and unseen pushes are predicted."""
+"""`push-ident demo`: the live pipeline: perceive and push an unknown object, identify it, and predict further pushes."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _NO_CONTACT = -5
 _MAX_REFUSALS = 10
 _STARTUP = 30.0
 _TEST_SEEDS = 100_000
-"""Seeds of unseen pushes begin here, apart from those of the training pushes."""
+"""First seed of the test pushes; the training pushes have smaller ones."""
 
 
 @dataclass
 class _Score:
-    """One unseen push."""
+    """Errors of one test push [m]."""
 
     predicted_m: float
     uniform_m: float
@@ -53,13 +53,13 @@ class _Outcome:
 
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
-    seed: Annotated[int, typer.Option(help="Of the object's masses and frictions, the pushes and the noise.")] = 0,
-    n_train: Annotated[int, typer.Option(min=1, help="Random pushes to learn from.")] = 6,
-    n_test: Annotated[int, typer.Option(min=1, help="Unseen pushes, predicted before they are made.")] = 6,
+    seed: Annotated[int, typer.Option(help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
+    n_train: Annotated[int, typer.Option(min=1, help="Number of random training pushes.")] = 6,
+    n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, predicted before they are executed.")] = 6,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:
-    """Push an unknown object in the simulated cell, identify it while pushing, predict pushes it has not seen."""
+    """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes."""
     started = time.monotonic()
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
@@ -111,7 +111,7 @@ def _train(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) 
         done += 1
         outcome.training.append({"direction": result.direction, "distance": result.distance, "speed": result.speed})
         spread = float(np.median(np.asarray(latest.mass_friction_std) / np.asarray(latest.mass_friction)))
-        show(f"training push {done}: learned, maps known to {100 * spread:.0f}%", 1)
+        show(f"training push {done}: identified, maps known to {100 * spread:.0f}%", 1)
         console.print(
             f"push {done}: {1e3 * result.distance:.0f} mm at {result.speed:.2f} m/s; pusher friction "
             f"{latest.pusher_friction:.2f} ± {latest.pusher_friction_std:.2f}; cells known to {100 * spread:.0f}% (median)",
@@ -120,7 +120,7 @@ def _train(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) 
 
 
 def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -> None:
-    """Predict an unseen push from its plan, make it, and compare with what the camera then sees."""
+    """Predict a test push from its plan, execute it, and compare with the pose that the camera measures."""
     from push_ident.identification.identify import uniform_model
     from push_ident.identification.prediction import cell_error
     from push_ident.nodes.convert_model import pusher_path_from_msg
@@ -146,7 +146,7 @@ def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -
         prediction = client.predict(object_id, planned.tool_path)
         path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
         uniform = simulate(uniform_model(shape), PushScenario(path, before, path.time[-1:])).pose[-1]
-        show(f"unseen push {done + 1}: predicted, now made", 0)
+        show(f"test push {done + 1}: predicted, now executed", 0)
         goal = ExecutePush.Goal(
             mode=ExecutePush.Goal.MODE_CONTACT,
             object_id=object_id,
@@ -170,9 +170,9 @@ def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -
         )
         outcome.test.append(score)
         done += 1
-        show(f"unseen push {done}: {millimetres(score.predicted_m)} off", 1)
+        show(f"test push {done}: error {millimetres(score.predicted_m)}", 1)
         console.print(
-            f"unseen push {done}: moved {millimetres(score.moved_m)}; predicted to {millimetres(score.predicted_m)} "
+            f"test push {done}: travel {millimetres(score.moved_m)}; error of the prediction {millimetres(score.predicted_m)} "
             f"(expected {millimetres(score.expected_m)}), equal cells {millimetres(score.uniform_m)}",
             highlight=False,
         )
@@ -182,7 +182,7 @@ _PHASES = ("planning", "approach", "pushing, identifying", "rest", "retreat", "r
 
 
 def _await_executor(client: CellClient, object_id: str) -> None:
-    """Until the executor has found the object as well, and its arm answers."""
+    """Wait until the executor knows the object and its arm answers."""
     from push_ident_msgs.action import ExecutePush
 
     plan = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, dry_run=True)
@@ -198,13 +198,13 @@ def _push_seed(seed: int, number: int) -> int:
 
 
 def _refused(result: ExecutePush.Result, refusals: int) -> None:
-    console.print(f"push not made: {result.error_text}", style="yellow", highlight=False, soft_wrap=True)
+    console.print(f"push not executed: {result.error_text}", style="yellow", highlight=False, soft_wrap=True)
     if refusals > _MAX_REFUSALS:
-        raise PushIdentError(f"{refusals} pushes could not be made; the last: {result.error_text}")
+        raise PushIdentError(f"{refusals} pushes could not be executed; the last error: {result.error_text}")
 
 
 def _ground_truth(client: CellClient) -> ObjectModel:
-    """What the simulator knows: read for the score alone, after everything else is done."""
+    """Ground truth of the simulator: read at the end, for the score only."""
     truth = jsonlib.loads(client.latched_text("sim_cell_node/ground_truth/object"))
     cells = CellGrid(np.array(truth["cells"]), float(truth["cell_size"]))
     shape = ObjectShape(cells, np.array(truth["outline"]))
@@ -218,7 +218,7 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
     _, posterior = load_model(run / "model.json")
     assert outcome.truth is not None
     predicted, uniform = (np.array([getattr(s, name) for s in outcome.test]) for name in ("predicted_m", "uniform_m"))
-    table = Table(title=f"cell error on {len(outcome.test)} unseen pushes, poses from the camera")
+    table = Table(title=f"cell error on {len(outcome.test)} test pushes, poses from the camera")
     for heading in ("model", "mean", "median", "worst"):
         table.add_column(heading, justify="right" if heading != "model" else "left")
     for name, errors in (("equal cells, nominal", uniform), ("identified", predicted)):
@@ -258,7 +258,7 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
 
 
 def _share(model: ObjectModel) -> Float64Array:
-    """Friction force of each cell per area, as a share of the whole, comparable between grids of different cells."""
+    """Friction force of each cell per area, relative to the total: comparable between grids of different cells."""
     product = model.mass * model.friction
     density = product / model.shape.cells.size**2
     return np.asarray(100 * density / product.sum() * 1e-4)

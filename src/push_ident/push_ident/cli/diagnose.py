@@ -1,4 +1,4 @@
-"""`push-ident diagnose`: where the simulation parts from recorded pushes, and why."""
+"""`push-ident diagnose`: where a simulation differs from recorded pushes, and why."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
+from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.report import write_report
+from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.identification.model_file import save_model
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import EFFECTS
+from push_ident.pushing.push import PushPlan2D
 
 __all__ = ["diagnose_command"]
 
 _NOMINAL = Prior()
-_SHOWN = 8
+_N_RANKED = 8
 
 
 def diagnose_command(
@@ -37,22 +40,22 @@ def diagnose_command(
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
-    seen: Annotated[bool, typer.Option("--seen", help="Poses and outline in the bags come from a camera, not from a model.")] = False,
+    from_camera: Annotated[
+        bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
+    ] = False,
     total_mass: Annotated[float | None, typer.Option(help="Weight of the object, if it was weighed [kg].", show_default=False)] = None,
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
     friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[
-        float, typer.Option(help="Nominal friction of the pusher: another one is an effect.")
-    ] = _NOMINAL.pusher_friction,
+    pusher_friction: Annotated[float, typer.Option(help="Nominal pusher friction: another value is an effect.")] = _NOMINAL.pusher_friction,
 ) -> None:
-    """Say where the simulation parts from recorded pushes, which effect it leaves out, and how much of the gap goes with it."""
+    """Report where the simulation differs from recorded pushes, which missing effect causes it, and how far the gap shrinks with it."""
     prior = Prior(
         total_mass=nominal_mass if total_mass is None else total_mass,
         total_mass_std=_NOMINAL.total_mass_std if total_mass is None else 0.0,
         friction=friction,
         pusher_friction=pusher_friction,
     )
-    settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_is_seen=seen)
+    settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")
@@ -83,33 +86,41 @@ def _show(diagnosis: Diagnosis) -> None:
     for gate in diagnosis.gates:
         if not gate.passed:
             warn(f"! {gate.found}: {gate.remedy}")
-    console.print(f"{diagnosis.verdict.value}: {diagnosis.sentence}", highlight=False, soft_wrap=True)
+    _print(f"{diagnosis.verdict.value}: {diagnosis.sentence}")
     if diagnosis.check:
-        console.print(f"To settle it without a push: {diagnosis.check}", highlight=False, soft_wrap=True)
-    proposal = diagnosis.next_push
-    if proposal is not None and proposal.push.plan is not None:
-        plan = proposal.push.plan
-        console.print(
-            f"The push that {proposal.aim}: contact at ({plan.contact_point[0]:.3f}, "
-            f"{plan.contact_point[1]:.3f}) m, heading {plan.direction:.2f} rad, {plan.distance:.3f} m at {plan.speed:.2f} m/s, table "
-            "frame. " + ("It should be enough." if proposal.settles else "It will hardly be enough by itself."),
-            highlight=False,
-            soft_wrap=True,
-        )
-    elif diagnosis.confusable:
-        console.print("No push within the limits of a push would tell what is still open.", highlight=False)
-    if diagnosis.selection is None:
-        return
-    first = diagnosis.selection.steps[0]
-    refitted = {c.name: c.gain for c in first.candidates}
+        _print(f"Without a push: {diagnosis.check}")
+    if diagnosis.next_push is not None and diagnosis.next_push.push.plan is not None:
+        _print(_describe_push(diagnosis.next_push, diagnosis.next_push.push.plan))
+    elif diagnosis.confusion_set:
+        _print("No push within its limits would resolve what is still open.")
+    if diagnosis.selection is not None:
+        console.print(_ranking(diagnosis.selection))
+
+
+def _print(text: str) -> None:
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def _describe_push(proposal: SeparatingPush, plan: PushPlan2D) -> str:
+    x, y = plan.contact_point
+    where = f"contact at ({x:.3f}, {y:.3f}) m, heading {plan.direction:.2f} rad, {plan.distance:.3f} m at {plan.speed:.2f} m/s, table frame"
+    expectation = "One such push is expected to be enough." if proposal.resolves else "One such push will hardly be enough."
+    return f"The push that {proposal.aim}: {where}. {expectation}"
+
+
+def _ranking(selection: Selection) -> Table:
+    """The most promising effects of the first step."""
+    first = selection.steps[0]
+    refitted = {c.name: c.log_bayes_factor for c in first.candidates}
     table = Table(title="effects beside the base model")
-    for heading, justify in (("effect", "left"), ("evidence [nat]", "right"), ("smallest that would have shown", "right"), ("", "left")):
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
-    ranked = sorted(first.scores, key=lambda s: -refitted.get(s.name, s.gain))
-    for score in ranked[:_SHOWN]:
-        gain = refitted.get(score.name, score.gain)
-        found = "found" if score.name in diagnosis.selection.found else ""
+    table.add_column("effect")
+    table.add_column("log Bayes factor [nat]", justify="right")
+    table.add_column("smallest detectable size", justify="right")
+    table.add_column("")
+    ranked = sorted(first.scores, key=lambda s: -refitted.get(s.name, s.expected_log_bayes_factor))
+    for score in ranked[:_N_RANKED]:
+        value = refitted.get(score.name, score.expected_log_bayes_factor)
         unit = EFFECTS[score.name].parameters[0].unit
-        smallest = f"{score.smallest:.2g} {unit}".rstrip() if math.isfinite(score.smallest) else "none"
-        table.add_row(score.name, f"{gain:.1f}", smallest, found)
-    console.print(table)
+        smallest = f"{score.smallest_detectable:.2g} {unit}".rstrip() if math.isfinite(score.smallest_detectable) else "none"
+        table.add_row(score.name, f"{value:.1f}", smallest, "found" if score.name in selection.found else "")
+    return table

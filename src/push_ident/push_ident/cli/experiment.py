@@ -1,4 +1,4 @@
-"""`push-ident experiment`: the paper's experiments on simulated ground truth, and the page of their results."""
+"""`push-ident experiment`: experiments on simulated ground truth, those of the paper included, and the page of their results."""
 
 from __future__ import annotations
 
@@ -15,43 +15,46 @@ from push_ident.errors import InputError
 
 __all__ = ["experiment_command", "sim_module"]
 
-_REPORT = "report"
+_LIST, _REPORT = "list", "report"
 _FOLDER = Path("out/experiments")
-_PAGE = Path("docs/experiments.md")
+_PAGE = Path("docs/results/experiments.md")
 
 
 def experiment_command(
     name: Annotated[
         str,
-        typer.Argument(
-            help="convergence, maps, training, real-protocol, coverage, next-push, online, live, cell, perception, pushing, settle, "
-            "blind; "
-            "`report` writes the page of their results.",
-            show_default=False,
-        ),
+        typer.Argument(help="Experiment; `list` lists all, `report` writes the page of their results.", show_default=False),
     ],
     objects: Annotated[str, typer.Option(metavar="A,B", help="Objects. Default: all five.", show_default=False)] = "",
-    models: Annotated[int, typer.Option(help="Ground truths of each object.")] = 10,
-    seed: Annotated[int, typer.Option(help="Of the first ground truth.")] = 0,
+    models: Annotated[int, typer.Option(help="Number of ground truths of each object.")] = 10,
+    seed: Annotated[int, typer.Option(help="Seed of the first ground truth; the others follow it.")] = 0,
     variants: Annotated[str, typer.Option(metavar="A,B", help="Variants of the experiment. Default: all.", show_default=False)] = "",
     seconds: Annotated[float, typer.Option(help="Budget of one solve [s].")] = 30.0,
-    jobs: Annotated[int, typer.Option(help="Processes, each with one thread.")] = 2,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Of single results; a run that was cut off goes on from them.")] = _FOLDER,
-    truth: Annotated[Path | None, typer.Option(metavar="DIR", help="Of the pushes. Default: truth/ in --out.", show_default=False)] = None,
+    jobs: Annotated[int, typer.Option(help="Number of processes, each with one thread.")] = 2,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of single results; an interrupted run continues from them.")] = _FOLDER,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the ground-truth pushes. Default: truth/ in --out.", show_default=False)
+    ] = None,
     recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
     json: JsonOption = None,
-    page: Annotated[Path, typer.Option(metavar="FILE", help="Of `report`; reads the JSON files in the folder of the same name.")] = _PAGE,
+    page: Annotated[
+        Path, typer.Option(metavar="FILE", help="Page that `report` writes from the JSON files in the folder of the same name.")
+    ] = _PAGE,
 ) -> None:
-    """Run one of the paper's experiments on simulated ground truth, or write the page of all results."""
-    known = sim_module("push_ident_sim.studies").EXPERIMENTS
+    """Run one of the experiments on simulated ground truth, or write the page of all results."""
+    known = sim_module("push_ident_sim.studies.registry").EXPERIMENTS
+    if name == _LIST:
+        console.print("\n".join(f"{study.name}: {study.title}" for study in known.values()), highlight=False, markup=False, soft_wrap=True)
+        return
     if name == _REPORT:
-        written = sim_module("push_ident_sim.studies.common.report").write_report(known, page, "push-ident experiment report")
+        pages = sim_module("push_ident_sim.studies.common.pages")
+        written = pages.write_experiments(known.values(), page, "push-ident experiment report")
         console.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
         return
     if name not in known:
         raise InputError(f"There is no experiment `{name}`; choose one of {', '.join(known)}, or {_REPORT}.")
-    running = sim_module("push_ident_sim.studies.common.runner")
-    options = running.RunOptions(
+    runner = sim_module("push_ident_sim.studies.common.runner")
+    options = runner.RunOptions(
         folder=out,
         truth_folder=truth or out / "truth",
         **({"objects": _words(objects)} if objects else {}),
@@ -65,14 +68,14 @@ def experiment_command(
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(name)
-        content = running.run_experiment(
+        content = runner.run_experiment(
             known[name], options, lambda what, done, total: progress.update(task, description=what, completed=done, total=total)
         )
     console.print(known[name].tables(content["summary"]), highlight=False, markup=False, soft_wrap=True)
     for failure in content["failed"]:
         warn(f"push-ident: {failure['case']}: {failure['error']}")
     if json is not None:
-        running.write_json(json, content)
+        sim_module("push_ident_sim.studies.common.files").write_json(json, content)
         console.print(f"written: {json}", highlight=False, soft_wrap=True)
 
 
@@ -81,7 +84,7 @@ def _words(text: str) -> tuple[str, ...]:
 
 
 def sim_module(name: str) -> ModuleType:
-    """Part of the simulated cell, which stands beside this package and is looked up only here: the core works without it."""
+    """A module of `push_ident_sim`. Only this function imports that package: the core works without it."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

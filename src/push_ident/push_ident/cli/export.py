@@ -1,4 +1,4 @@
-"""`push-ident export`: a model for other simulators."""
+"""`push-ident export`: a model as a description for a simulator."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ def export_command(
     model: Annotated[Path, typer.Argument(help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)],
     format_name: Annotated[str, typer.Option("--format", metavar="|".join(SUFFIXES), help="Gazebo, Bullet or MuJoCo.", show_default=False)],
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Default: beside the model.", show_default=False)] = None,
-    height: Annotated[float, typer.Option(metavar="M", help="Height of the object, which pushes do not tell [m].")] = DEFAULT_HEIGHT,
+    height: Annotated[float, typer.Option(metavar="M", help="Height of the object, which pushes do not determine [m].")] = DEFAULT_HEIGHT,
     cells: Annotated[
-        str, typer.Option(metavar="|".join(_CELLS), help="sliding: each cell rests on its own weight, in the plane. fixed: one rigid body.")
+        str,
+        typer.Option(metavar="|".join(_CELLS), help="sliding: each cell carries its own weight. fixed: one rigid body."),
     ] = "sliding",
 ) -> None:
     """Write a model for a simulator: mass and friction of every cell, and the outline for the pusher.
 
-    SDF and URDF come with a mesh of the outline beside them. A comment in the file says what the simulator must be told.
+    SDF and URDF come with a mesh of the outline beside them. A comment in the file lists the settings that the simulator needs.
     """
     if format_name not in SUFFIXES:
-        raise InputError(f"The format `{format_name}` is not known, expected one of {', '.join(SUFFIXES)}.")
+        raise InputError(f"The format `{format_name}` is unknown, expected one of {', '.join(SUFFIXES)}.")
     if cells not in _CELLS:
-        raise InputError(f"`--cells {cells}` is not known, expected one of {', '.join(_CELLS)}.")
+        raise InputError(f"`--cells {cells}` is unknown, expected one of {', '.join(_CELLS)}.")
     path = out or model.with_suffix(SUFFIXES[format_name])
     if path.resolve() == model.resolve():
         raise InputError(f"{path} is the model itself; name another file with --out.")
@@ -45,10 +46,8 @@ def export_command(
     for file in write_description(path, thing, format_name):
         console.print(f"written {file}", highlight=False, soft_wrap=True)
     if thing.effects:
-        text = (
-            f"note: the model has effects beside its maps ({', '.join(thing.effects)}); a comment in the file says which of them are in it"
-        )
+        text = f"note: the model has effects ({', '.join(thing.effects)}); a comment in the file lists those that it contains"
         console.print(text, highlight=False, soft_wrap=True)
     if not posterior.total_mass_identifiable:
-        text = f"note: the total mass, {posterior.total_mass.value:.3g} kg, is the one assumed: pushes alone do not tell it"
+        text = f"note: the total mass, {posterior.total_mass.value:.3g} kg, is the nominal one: pushes alone do not determine it"
         console.print(text, highlight=False, soft_wrap=True)

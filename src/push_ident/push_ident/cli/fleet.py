@@ -13,8 +13,8 @@ from push_ident.cli.identify import ObjectOption
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
-from push_ident.identification.parameters import Prior
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.prior import Prior
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 
 __all__ = ["fleet_command"]
 
@@ -23,25 +23,25 @@ _NOMINAL = Prior()
 
 def fleet_command(
     bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags, or folders that hold bags at any depth.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Of the results; a run that was cut off goes on from them.")] = Path(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of results; an interrupted run continues from them.")] = Path(
         "out/fleet"
     ),
     address: Annotated[
-        str, typer.Option(help="Of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
+        str, typer.Option(help="Address of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
     ] = "",
-    workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: one a core.")] = 0,
-    again: Annotated[bool, typer.Option("--again", help="Try bags again that failed in an earlier run.")] = False,
+    workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: one per core.")] = 0,
+    again: Annotated[bool, typer.Option("--again", help="Retry bags that failed in an earlier run.")] = False,
     object_id: ObjectOption = "",
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
     hold_out: Annotated[int, typer.Option(metavar="N", help="Hold out every Nth push as a test; 0: none.")] = 4,
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
-    friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[float, typer.Option(help="Nominal friction of the pusher.")] = _NOMINAL.pusher_friction,
-    max_seconds: Annotated[float, typer.Option(help="Time one solve may take [s].")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Of methods that draw at random.")] = 0,
+    friction: Annotated[float, typer.Option(help="Nominal friction coefficient of the support.")] = _NOMINAL.friction,
+    pusher_friction: Annotated[float, typer.Option(help="Nominal friction coefficient of the pusher.")] = _NOMINAL.pusher_friction,
+    max_seconds: Annotated[float, typer.Option(help="Time limit of one solve [s].")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")] = 0,
     json: JsonOption = None,
 ) -> None:
-    """Identify many bags side by side; a bag that fails stops nothing. Writes results.parquet, index.html and the models."""
+    """Identify many bags in parallel; a failed bag does not stop the others. Writes results.parquet, index.html and the models."""
     options = FleetOptions(
         prior=Prior(total_mass=nominal_mass, friction=friction, pusher_friction=pusher_friction),
         method=method,
@@ -67,8 +67,8 @@ def fleet_command(
     done = [outcome for outcome in outcomes if outcome["state"] == "done"]
     errors = [o["result"]["test"]["identified_m"] for o in done if o["result"]["test"]["pushes"]]
     console.print(
-        f"{len(done)} of {len(outcomes)} bags identified; pushes held out are predicted to "
-        f"{millimetres(float(np.median(errors)) if errors else float('nan'))} (median)",
+        f"{len(done)} of {len(outcomes)} bags identified; median error on held-out pushes "
+        f"{millimetres(float(np.median(errors)) if errors else float('nan'))}",
         highlight=False,
     )
     for outcome in outcomes:

@@ -1,9 +1,10 @@
-"""`push-ident identify`: from bags to maps, without a node."""
+"""`push-ident identify`: from bags to maps, without ROS."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 import typer
@@ -13,26 +14,28 @@ from rich.table import Table
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identifiability import identifiability
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import save_model
-from push_ident.identification.parameters import Prior
-from push_ident.identification.picture import draw_knowledge, draw_maps
+from push_ident.identification.picture import draw_identifiability, draw_maps
+from push_ident.identification.prior import Prior
 from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import push_errors, result_json
 from push_ident.identification.running_record import running_record
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.scoring import PushScore
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import Float64Array, SolveStatus
 
 __all__ = ["CameraOption", "ObjectOption", "identify_command", "read_camera"]
 
 _NOMINAL = Prior()
-FAILED = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
+FAILED: Final = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
 
 ObjectOption = Annotated[
-    str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one pushed most.", show_default=False)
+    str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one with the most pushes.", show_default=False)
 ]
 CameraOption = Annotated[
     Path | None,
@@ -46,22 +49,22 @@ CameraOption = Annotated[
 
 def identify_command(
     bags: BagsArgument,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "gauss_newton",
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
     train: Annotated[
         str,
-        typer.Option(metavar="0,1,2", help="Pushes to learn from, counted from 0 over all bags; the others are the test. Default: all."),
+        typer.Option(metavar="0,1,2", help="Pushes of the fit, counted from 0 over all bags; the others are held out. Default: all."),
     ] = "",
     out: OutOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
-    total_mass: Annotated[float | None, typer.Option(help="Weight of the object, if it was weighed [kg].", show_default=False)] = None,
+    total_mass: Annotated[float | None, typer.Option(help="Total mass of the object, if it was weighed [kg].", show_default=False)] = None,
     nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
     friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[float, typer.Option(help="Nominal friction of the pusher.")] = _NOMINAL.pusher_friction,
-    max_seconds: Annotated[float, typer.Option(help="Time the solver may take [s].")] = 30.0,
-    max_simulations: Annotated[int | None, typer.Option(help="Pushes the solver may simulate.", show_default=False)] = None,
-    seed: Annotated[int, typer.Option(help="Of methods that draw at random.")] = 0,
+    pusher_friction: Annotated[float, typer.Option(help="Nominal friction between pusher and object.")] = _NOMINAL.pusher_friction,
+    max_seconds: Annotated[float, typer.Option(help="Longest time of the solve [s].")] = 30.0,
+    max_simulations: Annotated[int | None, typer.Option(help="Largest number of simulated pushes.", show_default=False)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of methods that draw at random.")] = 0,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
     prior = Prior(
@@ -73,59 +76,64 @@ def identify_command(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")
-        loaded = load_pushes(
-            bags,
-            object_id=object_id,
-            camera_in_table=read_camera(camera),
-            on_progress=lambda text: progress.update(task, description=text),
-        )
+
+        def report(text: str) -> None:
+            progress.update(task, description=text)
+
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
         chosen = _chosen(train, len(loaded.records))
-        progress.update(task, description=f"identifying from {len(chosen)} pushes")
+        report(f"identifying from {len(chosen)} pushes")
         result = identify(
             [loaded.records[i] for i in chosen],
             prior,
             method=method,
             budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
-            seed=seed,
-            on_progress=lambda best: progress.update(task, description=f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
+            options=FitOptions(seed=seed),
+            on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
-        record = []
-        if out is not None:
-            total = len(loaded.records)
-            record = running_record(
-                loaded.records,
-                prior,
-                on_push=lambda n: progress.update(task, description=f"predicting push {n} of {total} from those before"),
-            )
+        scores = [] if out is None else _scores(loaded, prior, report)
     content = result_json(result, loaded.object_id, loaded.records, chosen, loaded.notes)
-    _show(content, result, loaded)
+    _show_errors(content, loaded)
+    _show_identifiability(result)
     if json is not None:
         write_json(json, content)
     if out is not None:
         write_json(out / "result.json", content)
-        save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=[loaded.records[i].source for i in chosen])
-        known = identifiability(result.posterior)
-        draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
-        draw_knowledge(out / "knowledge.png", result.posterior, known, title=f"What {len(chosen)} pushes could tell")
-        others = [i for i in range(len(loaded.records)) if i not in chosen]
-        write_report(
-            out / "report.html",
-            result,
-            push_errors(result, loaded.records, chosen),
-            push_errors(result, loaded.records, others),
-            Provenance(loaded.object_id, tuple(loaded.records[i].source for i in chosen), tuple(loaded.notes)),
-            loaded.records[0].pusher.radius,
-            record,
-        )
-        files = ("report.html", "model.json", "map.png", "knowledge.png", "result.json")
-        console.print(f"written: {', '.join(str(out / name) for name in files)}", highlight=False, soft_wrap=True)
+        _write_model(out, result, loaded, chosen, scores)
     if result.status in FAILED:
         warn(f"push-ident: {result.status.value}")
         raise typer.Exit(1)
 
 
+def _scores(loaded: LoadedPushes, prior: Prior, report: Callable[[str], None]) -> list[PushScore]:
+    """Predictions of each push from the pushes before it."""
+    total = len(loaded.records)
+    return running_record(loaded.records, prior, on_push=lambda n: report(f"predicting push {n} of {total} from those before"))
+
+
+def _write_model(out: Path, result: Identification, loaded: LoadedPushes, chosen: Sequence[int], scores: Sequence[PushScore]) -> None:
+    """Write model, pictures and report, and name the files."""
+    sources = [loaded.records[i].source for i in chosen]
+    save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources)
+    draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
+    known = identifiability(result.posterior)
+    draw_identifiability(out / "knowledge.png", result.posterior, known, title=f"Identifiability from {len(chosen)} pushes")
+    others = [i for i in range(len(loaded.records)) if i not in chosen]
+    write_report(
+        out / "report.html",
+        result,
+        push_errors(result, loaded.records, chosen),
+        push_errors(result, loaded.records, others),
+        Provenance(loaded.object_id, tuple(sources), tuple(loaded.notes)),
+        loaded.records[0].pusher.radius,
+        scores,
+    )
+    files = ("report.html", "model.json", "map.png", "knowledge.png", "result.json")
+    console.print(f"written: {', '.join(str(out / name) for name in files)}", highlight=False, soft_wrap=True)
+
+
 def read_camera(path: Path | None) -> Float64Array | None:
-    """Homogeneous matrix of 16 numbers in a text file."""
+    """Homogeneous matrix of 16 numbers in a text file; None where no file is given. Raises InputError for another content."""
     if path is None:
         return None
     try:
@@ -151,7 +159,8 @@ def _chosen(train: str, n_pushes: int) -> list[int]:
     return chosen
 
 
-def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes) -> None:
+def _show_errors(content: dict[str, Any], loaded: LoadedPushes) -> None:
+    """Print the notes and the mean cell errors of all models."""
     for note in loaded.notes:
         warn(f"note: {note}")
     table = Table(title=f"object {loaded.object_id}: {content['n_cells']} cells, mean cell error at the end of a push")
@@ -163,18 +172,22 @@ def _show(content: dict[str, Any], result: Identification, loaded: LoadedPushes)
             row = [millimetres(part[f"{model}_m"]) for model in ("uniform", "scalar", "identified")]
             table.add_row(f"{name} ({len(part['pushes'])})", *row)
     console.print(table)
+
+
+def _show_identifiability(result: Identification) -> None:
+    """Print which quantities the pushes determine, and how the solve ended."""
     known = identifiability(result.posterior)
-    verdicts = Table(title="what these pushes could tell")
-    for heading, justify in (("quantity", "left"), ("value", "right"), ("before", "right"), ("verdict", "left")):
-        verdicts.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    table = Table(title="identifiability from these pushes")
+    for heading, justify in (("quantity", "left"), ("value", "right"), ("before", "right"), ("identifiability", "left")):
+        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
     for q in known.quantities:
         scale, unit = (1e3, "mm") if q.unit == "m" else (1.0, q.unit)
         digits = 1 if q.unit == "m" else 3
         value = f"{scale * q.value:.{digits}f} ± {scale * q.std:.{digits}f} {unit}".rstrip()
-        verdicts.add_row(q.name, value, f"± {scale * q.prior_std:.{digits}f}", q.knowledge.value.partition(":")[0])
-    console.print(verdicts)
+        table.add_row(q.name, value, f"± {scale * q.prior_std:.{digits}f}", q.knowledge.value.partition(":")[0])
+    console.print(table)
     console.print(
-        f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} left open",
+        f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained",
         highlight=False,
     )
     console.print(f"{result.method}: {result.status.value}; {result.n_simulations} simulations in {result.time_s:.2f} s", highlight=False)

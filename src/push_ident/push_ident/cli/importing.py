@@ -1,4 +1,4 @@
-"""`push-ident import`: recordings of others as bags of the contract."""
+"""`push-ident import`: published recordings as bags of the contract."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["import_command"]
 
 
 class Source(StrEnum):
-    """Formats there are importers for."""
+    """Formats that have an importer."""
 
     cmu_icra16 = "cmu-icra16"
     cmu_mocap = "cmu-mocap"
@@ -30,9 +30,10 @@ def import_command(
 ) -> None:
     """Convert a published recording to a bag of the contract."""
     report = (import_cmu_icra16 if source is Source.cmu_icra16 else import_cmu_mocap)(file, out)
-    off = 1e3 * report.contact_distance
+    distance = 1e3 * report.contact_distance
     console.print(
-        f"{report.n_pushes} pushes written to {report.bag}; pusher to outline at first contact {np.mean(off):.1f} ± {np.std(off):.1f} mm",
+        f"{report.n_pushes} pushes written to {report.bag}; distance between pusher and outline at first contact "
+        f"{np.mean(distance):.1f} ± {np.std(distance):.1f} mm",
         highlight=False,
         soft_wrap=True,
     )

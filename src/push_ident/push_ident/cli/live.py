@@ -1,4 +1,4 @@
-"""`push-ident up`, `replay` and `doctor`: commands that start or look at live nodes."""
+"""`push-ident up`, `replay` and `doctor`: commands that start or inspect live nodes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
 
 
 class CellKind(StrEnum):
-    """What `up` starts."""
+    """The kinds of cell that `up` starts."""
 
     sim = "sim"
     replay = "replay"
@@ -45,14 +45,14 @@ def up_command(
 
 def replay_command(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Bag to play.", show_default=False)],
-    rate: Annotated[float, typer.Option(min=0.0, help="Speed relative to real time; 0: as fast as it goes.")] = 1.0,
+    rate: Annotated[float, typer.Option(min=0.0, help="Speed relative to real time; 0: as fast as possible.")] = 1.0,
     view: Annotated[bool, typer.Option("--view", help="Serve a live view for browsers.")] = False,
     out: OutOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Play a bag through the live nodes and show the maps they find."""
-    contents = read_bag(bag)  # a bag that cannot be used is refused before any process starts
-    # The identification node listens to poses, and so does this command; to depth, perception alone.
+    """Play a bag through the live nodes and show the identified maps."""
+    contents = read_bag(bag)  # an unusable bag is refused before any process starts
+    # Poses have two subscribers, the identification node and this command; depth has one, perception.
     listeners = 2 if contents.has_poses else 1
     parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
@@ -113,7 +113,7 @@ def doctor_command(
     seconds: Annotated[float, typer.Option(min=0.5, help="How long to listen.")] = 4.0,
     json: JsonOption = None,
 ) -> None:
-    """Say what is installed, which ROS is used, which topics are alive, and what is missing."""
+    """Report installed packages, the ROS in use, live topics, and what is missing."""
     problems: list[str] = []
     installed: dict[str, str | None] = {}
     for name in _PACKAGES:

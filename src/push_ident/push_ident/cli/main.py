@@ -1,4 +1,4 @@
-"""`push-ident`: one command for everything that needs no code."""
+"""`push-ident`: the command line of the package."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from push_ident import __version__
 from push_ident.cli.bench import bench_command
 from push_ident.cli.demo import demo_command
 from push_ident.cli.diagnose import diagnose_command
@@ -25,6 +26,21 @@ from push_ident.errors import PushIdentError
 __all__ = ["app", "main"]
 
 app = typer.Typer(name="push-ident", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        console.print(f"push-ident {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Identify mass and friction of an unknown object by pushing it."""
+
+
 app.command("identify")(identify_command)
 app.command("predict")(predict_command)
 app.command("diagnose")(diagnose_command)
@@ -45,7 +61,7 @@ def salvage_command(
     bag: Annotated[Path, typer.Argument(help="A damaged MCAP bag.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="New bag.", show_default=False)],
 ) -> None:
-    """Recover what can be read of a bag that was cut off or damaged, into a new bag."""
+    """Copy all readable messages of a truncated or damaged bag into a new bag."""
     from push_ident.bags.salvage import salvage
 
     report = salvage(bag, out)
@@ -53,7 +69,7 @@ def salvage_command(
 
 
 def main() -> None:
-    """Entry point: errors that are expected end in one line and exit status 1."""
+    """Entry point: expected errors end in one line and exit status 1."""
     try:
         app(standalone_mode=True)
     except PushIdentError as error:

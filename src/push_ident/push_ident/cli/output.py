@@ -1,4 +1,4 @@
-"""What all commands share: where they print, how they end, how they write JSON."""
+"""Common parts of all commands: console, options, JSON files."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Wr
 
 
 def warn(text: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     _errors.print(text, style="yellow", highlight=False, soft_wrap=True)
 
 
 def millimetres(metres: float) -> str:
-    """A length for a table; a dash where there is none."""
+    """A length in a table; a dash for a value that is not finite."""
     return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else "-"
 
 

@@ -1,4 +1,4 @@
-"""`push-ident predict`: what a model says of recorded pushes, against what happened."""
+"""`push-ident predict`: predictions of recorded pushes, compared with what happened."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
 from push_ident.offline.loading import load_pushes
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import PushRecord, SolveStatus
 
 __all__ = ["predict_command"]
@@ -35,7 +36,7 @@ def predict_command(
     """Predict recorded pushes with a model and compare with what was observed."""
     in_file, posterior = load_model(model)
     loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera))
-    expected = posterior.parameters.shape.cells
+    expected = posterior.unknowns.shape.cells
     got = loaded.records[0].shape.cells
     if len(expected) != len(got) or not np.allclose(expected.centres, got.centres, atol=1e-3):
         raise InputError(
@@ -62,18 +63,19 @@ def predict_command(
 
 
 def _compare(posterior: ModelPosterior, record: PushRecord) -> dict[str, Any]:
-    seen = observe_push(record)
-    prediction = predict(posterior, record.pusher, seen.pose[0], seen.time, first_covariance=seen.first_covariance)
-    off = seen.pose[-1] - prediction.pose[-1]
-    off[2] = wrap_angle(off[2])
-    covariance = prediction.covariance[-1] + np.linalg.inv(seen.whitening[-1].T @ seen.whitening[-1])
+    observed = observe_push(record)
+    scenario = PushScenario(record.pusher, observed.pose[0], observed.time)
+    prediction = predict(posterior, scenario, first_covariance=observed.first_covariance)
+    difference = observed.pose[-1] - prediction.pose[-1]
+    difference[2] = wrap_angle(difference[2])
+    covariance = prediction.covariance[-1] + np.linalg.inv(observed.whitening[-1].T @ observed.whitening[-1])
     failed = prediction.status is SolveStatus.SIMULATION_FAILED
     return {
         "source": record.source,
         "predicted": prediction.pose[-1].tolist(),
-        "observed": seen.pose[-1].tolist(),
-        "cell_error_m": cell_error(record.shape.cells, prediction.pose[-1], seen.pose[-1]),
+        "observed": observed.pose[-1].tolist(),
+        "cell_error_m": cell_error(record.shape.cells, prediction.pose[-1], observed.pose[-1]),
         "cell_error_std_m": prediction.cell_error_std,
-        "within_90": bool(not failed and off @ np.linalg.solve(covariance, off) < chdtri(3, 0.1)),
+        "within_90": bool(not failed and difference @ np.linalg.solve(covariance, difference) < chdtri(3, 0.1)),
         "status": prediction.status.name.lower(),
     }

@@ -36,11 +36,11 @@ def simulate_command(
     effects: Annotated[bool, typer.Option("--effects", help="List the effects and end.")] = False,
 ) -> None:
     """Push an object in the simulated cell and write what is seen of it as a bag."""
-    catalogue = sim_module("push_ident_sim.injected")
+    injected = sim_module("push_ident_sim.injected")
     if effects:
-        for entry in catalogue.EFFECTS.values():
-            sizes = ", ".join(f"{p.name} [{p.unit}] {p.lowest:g} to {p.highest:g}, typical {p.typical:g}" for p in entry.parameters)
-            console.print(f"{entry.name}: {entry.what}\n    {sizes}", highlight=False, markup=False, soft_wrap=True)
+        for entry in injected.INJECTED.values():
+            lines = [f"{entry.name}: {entry.what}", *(f"    {p.described}" for p in entry.parameters), f"    Simulated: {entry.how}."]
+            console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
         return
     if out is None:
         raise InputError("--out is missing; name the new bag, such as --out out/tilted.")
@@ -50,7 +50,7 @@ def simulate_command(
         model=model,
         n_pushes=pushes,
         seed=seed,
-        effects=catalogue.Effects.parse(effect or ()),
+        effects=injected.InjectedEffects.parse(effect or ()),
         speed_range=_range(speed),
         noise=pushing.CameraNoise(
             position_std=position_noise,

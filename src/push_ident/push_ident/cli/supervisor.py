@@ -1,4 +1,4 @@
-"""Starts the node processes, shows what they say and stops them together: `ros2 launch` for machines that have none."""
+"""Start the node processes, show their output and stop them together: a replacement for `ros2 launch`."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _COLOURS: Final = ("cyan", "green", "magenta", "yellow", "blue", "bright_red")
 _TAIL_LINES: Final = 12
 _POLL_PERIOD: Final = 0.05
 _TERMINATE_AFTER: Final = 2.0
-"""[s] that a process has to stop by itself after SIGINT; a node of this project takes at most 1.8 s."""
+"""Time from SIGINT to SIGTERM [s]; a node of this project stops within 1.8 s."""
 _KILL_AFTER: Final = 1.0
-"""[s] from SIGTERM to SIGKILL."""
+"""Time from SIGTERM to SIGKILL [s]."""
 
 _SIM_NODES: Final = ("sim_cell_node",)
-"""Nodes of the package push_ident_sim; the others are of push_ident."""
+"""Nodes of the package push_ident_sim; the others belong to push_ident."""
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
     "replay": ("perception_node", "identification_node", "bag_player_node"),
     "arm": ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
 }
 _SIM_PATIENCE: Final = 1.0
-"""Silence or lag of a simulated arm that is taken for a fault [s]."""
+"""Silence or lag of a simulated arm that counts as a fault [s]."""
 _CLOCKS: Final = ("sim_cell_node", "bag_player_node")
 """Nodes that publish /clock themselves."""
 
@@ -59,18 +59,18 @@ class NodeCommand:
     name: str
     argv: tuple[str, ...]
     may_end: bool = False
-    """Ending with exit code 0 is its normal course and stops nothing, as for a bag that was played."""
+    """Whether it may end with exit code 0 without stopping the others, as the player of a bag does."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeExit:
-    """A process that ended without having been asked to."""
+    """A process that ended unexpectedly."""
 
     name: str
     code: int
-    """Exit code; -N when signal N ended it."""
+    """Exit code; -N if signal N ended it."""
     tail: tuple[str, ...]
-    """The last lines it wrote, standard output and error as they came."""
+    """Its last lines of standard output and error, in order."""
 
     def __str__(self) -> str:
         how = f"was ended by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with exit code {self.code}"
@@ -80,14 +80,14 @@ class NodeExit:
 class Supervisor:
     """Runs processes until one of them dies or all are stopped.
 
-    As a context manager, of the main thread, it starts them on entry and stops them on exit, whatever happens in between; SIGTERM and
+    As a context manager, of the main thread, it starts them on entry and stops them on exit, also after an exception; SIGTERM and
     SIGHUP end the context as Ctrl-C does, by `SystemExit`.
     Each process leads a group of its own: a Ctrl-C at the terminal reaches only this one, which then stops the others in order.
 
     Args:
-        commands: What to run; names must differ.
+        commands: The processes; their names must differ.
         log_dir: Folder for one `<name>.log` per process; None keeps none.
-        console: Where their lines go, each behind the name of its process; None shows nothing.
+        console: Output of their lines, each with the name of its process; None shows nothing.
     """
 
     def __init__(self, commands: Sequence[NodeCommand], *, log_dir: Path | None = None, console: Console | None = None) -> None:
@@ -121,7 +121,7 @@ class Supervisor:
                 raise SupervisorError(f"{command.name} cannot be started: {error}; the command was `{shlex.join(command.argv)}`") from error
 
     def poll(self) -> NodeExit | None:
-        """The first process that died, None while all is well."""
+        """The first process that died, None if there is none."""
         for process in self._processes.values():
             code = process.poll()
             if code is not None and not (code == 0 and process.command.may_end):
@@ -148,14 +148,14 @@ class Supervisor:
         while (code := self.exit_code(name)) is None:
             self.check()
             if time.monotonic() > deadline:
-                raise SupervisorError(f"{name} still runs after {timeout:g} s; allow more time or see why in its log")
+                raise SupervisorError(f"{name} still runs after {timeout:g} s; allow more time or look into its log")
             time.sleep(_POLL_PERIOD)
         return code
 
     def stop(self) -> list[str]:
-        """Stop everything: SIGINT, 2 s later SIGTERM, 1 s later SIGKILL. Returns only when nothing runs any more.
+        """Stop all processes: SIGINT, 2 s later SIGTERM, 1 s later SIGKILL. Returns when no process runs any more.
 
-        An exception in between, a second Ctrl-C say, ends them at once.
+        An exception in between, such as a second Ctrl-C, ends them at once.
 
         Returns:
             Names of the processes that did not stop on SIGINT.
@@ -200,7 +200,7 @@ class Supervisor:
                 return 1
             stubborn = self.stop()
         if stubborn:
-            console.print(Text(f"did not stop within {_TERMINATE_AFTER:g} s and had to be ended: {', '.join(stubborn)}", style="yellow"))
+            console.print(Text(f"did not stop within {_TERMINATE_AFTER:g} s and were terminated: {', '.join(stubborn)}", style="yellow"))
         if not requested and dead is not None:
             console.print(Text(str(dead), style="bold red"))
             return 1
@@ -230,7 +230,7 @@ class Supervisor:
 
 
 class _Process:
-    """One process in a group of its own, with a thread that passes its lines on."""
+    """One process in a group of its own, with a thread that forwards its lines."""
 
     def __init__(self, command: NodeCommand, log: Path | None, console: Console | None, prefix: Text) -> None:
         self.command = command
@@ -265,21 +265,21 @@ class _Process:
         return self._popen.poll()
 
     def exit(self) -> NodeExit:
-        """How it ended, once it did."""
+        """How the process ended, after it did."""
         self._reader.join(timeout=0.5)  # for the last lines
         return NodeExit(self.command.name, self._popen.returncode, tuple(self._tail))
 
     def runs(self) -> bool:
-        """Whether the process or a child that it left behind is there."""
+        """Whether the process or one of its children runs."""
         self._popen.poll()
         return self._reach(0)
 
     def signal(self, number: signal.Signals) -> bool:
-        """Send a signal to all of the group; whether anybody was there."""
+        """Send a signal to the whole group; whether it had a running process."""
         return self.runs() and self._reach(number)
 
     def _reach(self, number: int) -> bool:
-        if not self._gone:  # afterwards its number may be another's
+        if not self._gone:  # afterwards the number may belong to another group
             try:
                 os.killpg(self._popen.pid, number)
             except ProcessLookupError:
@@ -297,7 +297,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def _stop_requests() -> Iterator[list[int]]:
-    """A list that fills with the numbers of the signals that ask this process to stop."""
+    """A list that collects the stop signals that this process receives."""
     received: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -317,7 +317,7 @@ def _cycle(values: Sequence[str]) -> Iterator[str]:
 
 
 def config_file(package: str, name: str) -> Path:
-    """Path of a configuration file that a package installed.
+    """Path of an installed configuration file of a package.
 
     Raises:
         SupervisorError: The package is not built, or has no such file.
@@ -340,9 +340,7 @@ def node_commands(
     record: Path | None = None,
     perception: bool = True,
     view: bool = False,
-    params_files: Mapping[str, Path] | None = None,
     parameters: Mapping[str, Mapping[str, object]] | None = None,
-    remappings: Mapping[str, str] | None = None,
     log_level: str = "info",
 ) -> list[NodeCommand]:
     """The processes of one kind of cell, as the launch files start them.
@@ -350,55 +348,50 @@ def node_commands(
     Args:
         kind: `sim`: simulated cell and all nodes; `replay`: a bag through perception and identification; `arm`: the nodes beside a
             real arm.
-        bag: What to play; for `replay` only, and needed there.
+        bag: Bag to play; required for `replay`, not allowed otherwise.
         record: Bag to write; None records nothing.
-        perception: Whether `replay` runs perception; without it the bag must hold object poses.
+        perception: Whether `replay` runs perception; without it the bag must have object poses.
         view: Whether to start the viewer for browsers.
-        params_files: Parameter file per package (`push_ident`, `push_ident_sim`), default the installed ones.
-        parameters: Node name to parameters that win over the file.
-        remappings: Topic of the bag contract to the cell's own, for all nodes.
+        parameters: Parameters by name of the node; they override the installed parameter files.
         log_level: ROS log level of all nodes.
 
     Raises:
-        InputError: `bag` and `kind` do not go together, or `parameters` names a node that is not started.
+        InputError: `bag` and `kind` contradict each other, or `parameters` names a node that is not started.
         SupervisorError: A parameter file is missing.
     """
     if kind not in _NODES:
         raise InputError(f"kind is {kind!r}, expected one of {', '.join(_NODES)}")
     if (bag is not None) != (kind == "replay"):
         raise InputError(f"bag is {bag}, expected {'the path of a bag' if kind == 'replay' else 'none'} for kind `{kind}`")
-    files = dict(params_files or {})
-    own = {name: dict(values) for name, values in (parameters or {}).items()}
     names = [name for name in _NODES[kind] if perception or kind != "replay" or name != "perception_node"]
+    names += [name for name, wanted in (("bag_recorder_node", record is not None), ("viewer_node", view)) if wanted]
+    own = {name: dict(values) for name, values in (parameters or {}).items()}
     if record is not None:
-        names.append("bag_recorder_node")
         own.setdefault("bag_recorder_node", {})["bag"] = str(record.resolve())
-    if view:
-        names.append("viewer_node")
+    if bag is not None:
+        own.setdefault("bag_player_node", {})["bag"] = str(bag.resolve())
     unknown = sorted(set(own) - set(names))
     if unknown:
         raise InputError(f"parameters are given for {', '.join(unknown)}, expected nodes of `{kind}`: {', '.join(names)}")
-    if bag is not None:
-        own.setdefault("bag_player_node", {})["bag"] = str(bag.resolve())
-    for name in names:
-        if kind != "arm" and name not in _CLOCKS:
-            own.setdefault(name, {}).setdefault("use_sim_time", True)
-    if kind == "sim":
-        # A simulator may pause for longer than an arm; the watchdogs of the real one stay as tight as they are.
-        for watchdog in ("arm_timeout", "tracking_lag"):
-            own.setdefault("push_executor_node", {}).setdefault(watchdog, _SIM_PATIENCE)
-    ros = [part for topic, to in (remappings or {}).items() for part in ("-r", f"{topic}:={to}")]
+    return [_node_command(name, _defaults_of(name, kind) | own.get(name, {}), log_level) for name in names]
 
-    commands = []
-    for name in names:
-        simulated = name in _SIM_NODES
-        package, file, program = (
-            ("push_ident_sim", "sim.yaml", "push_ident_sim") if simulated else ("push_ident", "push_ident.yaml", "push_ident.nodes")
-        )
-        arguments = ["--params-file", str(files.get(package) or config_file(package, file))]
-        # JSON is YAML: text stays text, however much it looks like a number.
-        arguments += [part for key, value in own.get(name, {}).items() for part in ("-p", f"{key}:={json.dumps(value)}")]
-        arguments += [*ros, "--log-level", log_level]
-        argv = (sys.executable, "-m", program, name, "--ros-args", *arguments)
-        commands.append(NodeCommand(name, argv, may_end=name == "bag_player_node"))
-    return commands
+
+def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
+    """Parameters of a node that depend on the kind of the cell."""
+    clock: dict[str, object] = {"use_sim_time": True} if kind != "arm" and name not in _CLOCKS else {}
+    # A simulator may pause for longer than an arm; the watchdogs of a real arm keep their limits.
+    watchdogs = dict.fromkeys(("arm_timeout", "tracking_lag"), _SIM_PATIENCE) if kind == "sim" and name == "push_executor_node" else {}
+    return clock | watchdogs
+
+
+def _node_command(name: str, parameters: Mapping[str, object], log_level: str) -> NodeCommand:
+    """The process of one node."""
+    if name in _SIM_NODES:
+        package, file, program = "push_ident_sim", "sim.yaml", "push_ident_sim"
+    else:
+        package, file, program = "push_ident", "push_ident.yaml", "push_ident.nodes"
+    arguments = ["--params-file", str(config_file(package, file))]
+    # JSON is YAML: text stays text even if it looks like a number.
+    arguments += [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+    argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--log-level", log_level)
+    return NodeCommand(name, argv, may_end=name == "bag_player_node")

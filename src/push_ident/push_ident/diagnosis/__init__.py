@@ -1,5 +1,7 @@
-"""Where the simulation parts from what was seen, which effect that it leaves out is the cause, and how much of the gap goes with it.
+"""Where a simulation differs from observed pushes, which missing effect causes it, and how far the gap shrinks once it is added.
 
-`fits` (the maps with some effects), `scores` (tests of every absent effect from one fit), `selection` (which effects), `held_out` (how far,
-on pushes that the fit did not see), `residuals` (where), `next_push` (what would settle what is open), `diagnose` (all of it).
+`diagnose` is the pipeline. Its stages are functions from one state (`state`) to the next: `gates`, `base_fit`, `select`, `validate`,
+`decide`, `explain`; `camera` adapts them to poses from a camera. They use `fits` (maps with effects), `scores` (score tests of absent
+effects), `selection` (effects found and their rivals), `residuals`, `held_out`, `unknown` (a smooth wrench) and `next_push`. `policy` has
+every number that decides.
 """

@@ -1,4 +1,4 @@
-"""A diagnosis as the command-line contract has it."""
+"""A diagnosis as JSON, with the keys of the command-line contract."""
 
 from __future__ import annotations
 
@@ -6,79 +6,91 @@ from typing import Any
 
 import numpy as np
 
-from push_ident.diagnosis.verdict import Diagnosis
+from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.next_push import SeparatingPush
+from push_ident.diagnosis.residual_groups import ResidualGroup
+from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.selection import Selection
 from push_ident.physics.effects import EFFECTS
 
 __all__ = ["to_json"]
 
+Json = dict[str, Any]
+_AXES = ("along", "across", "rotation")
 
-def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+
+def to_json(diagnosis: Diagnosis) -> Json:
     """The outcome; lengths in metres, angles in radians."""
-    gap, selection, proposal = diagnosis.gap, diagnosis.selection, diagnosis.next_push
-    first = selection.steps[0] if selection and selection.steps else None
-    refitted = {c.name: c for c in first.candidates} if first else {}
-    nan = float("nan")
+    wrench = diagnosis.wrench
     return {
         "verdict": diagnosis.verdict.value,
         "sentence": diagnosis.sentence,
-        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.evidence} for e in diagnosis.effects],
-        "confusable": list(diagnosis.confusable),
-        "gap": {
-            "before_m": float(np.mean(gap.before)) if gap else nan,
-            "after_m": float(np.mean(gap.after)) if gap else nan,
-            "noise_m": float(np.mean(gap.noise)) if gap else nan,
-            "shrink": gap.shrink if gap else nan,
-            "shrink_interval": list(gap.shrink_interval) if gap else [nan, nan],
-            "before_per_push_m": gap.before.tolist() if gap else [],
-            "after_per_push_m": gap.after.tolist() if gap else [],
-            "stages": [{"effects": names.split(", "), "after_m": float(np.mean(errors))} for names, errors in gap.stages.items()]
-            if gap
-            else [],
-        },
-        "where": {
-            by: [
-                {
-                    "name": g.name,
-                    "n": g.n,
-                    "along": g.rms[0],
-                    "across": g.rms[1],
-                    "rotation": g.rms[2],
-                    "mean_m": g.mean_m,
-                    "by_chance": dict(zip(("along", "across", "rotation"), g.by_chance, strict=True)),
-                }
-                for g in groups
-            ]
-            for by, groups in diagnosis.where.items()
-        },
-        "ranking": [
-            {
-                "name": score.name,
-                "evidence": refitted[score.name].gain if score.name in refitted else score.gain,
-                "refitted": score.name in refitted,
-                "smallest": score.smallest,
-                "unit": EFFECTS[score.name].parameters[0].unit,
-            }
-            for score in (first.scores if first else ())
-        ],
-        "next_push": None
-        if proposal is None or proposal.push.plan is None
-        else {
-            "contact_point_m": proposal.push.plan.contact_point.tolist(),
-            "direction_rad": float(proposal.push.plan.direction),
-            "distance_m": proposal.push.plan.distance,
-            "speed_mps": proposal.push.plan.speed,
-            "frame": "table",
-            "pose_object_in_table": proposal.push.pose_object_in_table.tolist(),
-            "between": list(proposal.between),
-            "distance2": proposal.distance2,
-        },
+        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in diagnosis.effects],
+        "confusable": list(diagnosis.confusion_set),
+        "gap": _gap(diagnosis.gap),
+        "where": {by: [_group(group) for group in groups] for by, groups in diagnosis.where.items()},
+        "ranking": _ranking(diagnosis.selection),
+        "next_push": _next_push(diagnosis.next_push),
         "check": diagnosis.check,
         "unknown": None
-        if diagnosis.unknown is None
-        else {
-            "evidence": diagnosis.unknown.gain,
-            "acts_on": diagnosis.unknown.acts_on,
-            "varies_with": diagnosis.unknown.varies_with,
-        },
+        if wrench is None
+        else {"evidence": wrench.log_bayes_factor, "acts_on": wrench.acts_on, "varies_with": wrench.varies_with},
         "gates": [{"passed": g.passed, "found": g.found, "remedy": g.remedy} for g in diagnosis.gates],
+    }
+
+
+def _gap(gap: Gap | None) -> Json:
+    """Not a number, rather than a plausible number, where the diagnosis abstains."""
+    if gap is None:
+        nan = float("nan")
+        lengths = dict.fromkeys(("before_m", "after_m", "noise_m", "shrink"), nan)
+        return {**lengths, "shrink_interval": [nan, nan], "before_per_push_m": [], "after_per_push_m": [], "stages": []}
+    return {
+        "before_m": float(np.mean(gap.before)),
+        "after_m": float(np.mean(gap.after)),
+        "noise_m": float(np.mean(gap.noise)),
+        "shrink": gap.shrink,
+        "shrink_interval": list(gap.shrink_interval),
+        "before_per_push_m": gap.before.tolist(),
+        "after_per_push_m": gap.after.tolist(),
+        "stages": [{"effects": names.split(", "), "after_m": float(np.mean(errors))} for names, errors in gap.stages.items()],
+    }
+
+
+def _group(group: ResidualGroup) -> Json:
+    rms = dict(zip(_AXES, group.rms, strict=True))
+    return {"name": group.name, "n": group.n, **rms, "mean_m": group.mean_m, "by_chance": dict(zip(_AXES, group.p_value, strict=True))}
+
+
+def _ranking(selection: Selection | None) -> list[Json]:
+    """All effects of the first step by their score, with the log Bayes factor of those that were refitted."""
+    if selection is None or not selection.steps:
+        return []
+    first = selection.steps[0]
+    refitted = {c.name: c.log_bayes_factor for c in first.candidates}
+    return [
+        {
+            "name": score.name,
+            "evidence": refitted.get(score.name, score.expected_log_bayes_factor),
+            "refitted": score.name in refitted,
+            "smallest": score.smallest_detectable,
+            "unit": EFFECTS[score.name].parameters[0].unit,
+        }
+        for score in first.scores
+    ]
+
+
+def _next_push(proposal: SeparatingPush | None) -> Json | None:
+    if proposal is None or proposal.push.plan is None:
+        return None
+    plan = proposal.push.plan
+    return {
+        "contact_point_m": plan.contact_point.tolist(),
+        "direction_rad": float(plan.direction),
+        "distance_m": plan.distance,
+        "speed_mps": plan.speed,
+        "frame": "table",
+        "pose_object_in_table": proposal.push.pose_object_in_table.tolist(),
+        "between": list(proposal.between),
+        "distance2": proposal.mahalanobis2,
     }

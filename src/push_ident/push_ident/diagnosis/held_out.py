@@ -1,4 +1,4 @@
-"""How far off predictions are on pushes that the fit did not see, before and after the effects."""
+"""Errors of predictions on held-out pushes, before and after effects are added."""
 
 from __future__ import annotations
 
@@ -7,50 +7,48 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit, without_pushes
-from push_ident.diagnosis.parallel import side_by_side
+from push_ident.diagnosis.fits import without_pushes
+from push_ident.diagnosis.policy import ValidationPolicy
+from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fit import Fit
 from push_ident.identification.prediction import cell_error, held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
 __all__ = ["Gap", "measure_gap"]
 
-_N_DRAWS = 64
-_N_BOOTSTRAP = 2000
-_N_FOLDS = 10
-"""Pushes are held out one by one, and where they are more than this, some or all of them two or more at a time."""
-_NOTHING = 2.0
-"""The gap before counts as one where it is so many standard errors above the noise."""
-
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Mean cell error at the end of pushes held out."""
+    """Mean cell error at the end of held-out pushes."""
 
     before: Float64Array
     """Of each push, without the effects [m], shape (n_pushes,)."""
     after: Float64Array
     """With them [m], shape (n_pushes,)."""
     noise: Float64Array
-    """That the noise of the poses alone would make [m], shape (n_pushes,)."""
+    """That the noise of the poses would make if the model were right [m], shape (n_pushes,)."""
     log_density_gain: Float64Array
-    """Of pushes held out together, with the effects over without [nat], shape (n_folds,)."""
+    """Log predictive density of pushes that are held out together, with the effects minus without [nat], shape (n_folds,)."""
     estimates: Float64Array
     """Values of the effects in the fits without each of the folds, shape (n_folds, n_values)."""
     folds: tuple[tuple[int, ...], ...] = ()
     """Numbers of the pushes that were held out together."""
-    gain_without: Float64Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Of log evidence, of each stage and of all effects over the stage before, in the fits without each of the folds [nat], shape
-    (n_stages + 1, n_folds); no row where there is no effect."""
+    log_bayes_factor_without: Float64Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Of each stage and of all effects over the stage before, in the fits without each of the folds [nat], shape (n_stages + 1, n_folds);
+    no row where there is no effect."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
+    policy: ValidationPolicy = field(default_factory=ValidationPolicy)
+    """By which the gap is judged."""
 
     @property
     def effects_std(self) -> Float64Array:
-        """Deviation of the values of the effects by the jackknife over the folds, shape (n_values,): pushes that contradict each other
-        widen it, which the curvature of a fit does not know of (Efron & Stein, The jackknife estimate of variance, Ann. Statist. 1981)."""
+        """Standard deviation of the values of the effects by the jackknife over the folds, shape (n_values,). Pushes that contradict each
+        other widen it; the curvature of a fit does not show them (Efron & Stein, The jackknife estimate of variance, Ann. Statist.
+        1981)."""
         n = len(self.estimates)
         return np.asarray(np.sqrt((n - 1) * np.var(self.estimates, axis=0)))
 
@@ -58,21 +56,28 @@ class Gap:
     def is_above_noise(self) -> bool:
         """Whether there was a gap to close."""
         excess = self.before - self.noise
-        return bool(np.mean(excess) > _NOTHING * np.std(excess, ddof=1) / np.sqrt(len(excess)))
+        return bool(np.mean(excess) > self.policy.min_gap_standard_errors * np.std(excess, ddof=1) / np.sqrt(len(excess)))
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether held-out pushes are predicted no better with the effects, neither by their end positions nor by their density."""
+        no_more_probable = float(np.mean(self.log_density_gain)) <= self.policy.min_log_density_gain
+        return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
 
     @property
     def shrink(self) -> float:
-        """1 - (after - noise) / (before - noise): 1 where nothing but noise is left; NaN where there was no gap."""
+        """1 - (after - noise) / (before - noise): 1 where only noise remains; NaN where there was no gap."""
         return _shrink(self.before, self.after, self.noise) if self.is_above_noise else float("nan")
 
     @property
     def shrink_interval(self) -> tuple[float, float]:
-        """Holds `shrink` at 90 %, by bootstrap over the pushes; NaN where there was no gap."""
+        """Contains `shrink` with the probability of the policy, by bootstrap over the pushes; NaN where there was no gap."""
         if not self.is_above_noise:
             return float("nan"), float("nan")
         rng, n = np.random.default_rng(0), len(self.before)
-        drawn = [_shrink(self.before[i], self.after[i], self.noise[i]) for i in rng.integers(n, size=(_N_BOOTSTRAP, n))]
-        low, high = np.nanquantile(drawn, [0.05, 0.95])
+        resampled = rng.integers(n, size=(self.policy.bootstrap_draws, n))
+        drawn = [_shrink(self.before[i], self.after[i], self.noise[i]) for i in resampled]
+        low, high = np.nanquantile(drawn, self.policy.interval_quantiles)
         return float(low), float(high)
 
 
@@ -81,58 +86,90 @@ def _shrink(before: Float64Array, after: Float64Array, noise: Float64Array) -> f
     return 1.0 - float(np.mean(after - noise)) / gap if gap > 0 else float("nan")
 
 
+@dataclass(frozen=True, slots=True)
+class _HeldOutFold:
+    """What a fit without the pushes of a fold predicts of them."""
+
+    errors: Float64Array
+    """Cell error of each push [m]."""
+    log_density: float
+    """Of the pushes of the fold under the fit to the others, up to a constant [nat]."""
+    estimates: Float64Array
+    """Values of the effects."""
+
+
 def measure_gap(
-    base: EffectFit, fit: EffectFit, on_progress: Progress | None = None, *, between: Mapping[str, EffectFit] | None = None
+    base: Fit,
+    fit: Fit,
+    policy: ValidationPolicy,
+    on_progress: Progress | None = None,
+    *,
+    between: Mapping[str, Fit] | None = None,
 ) -> Gap:
-    """Leave each push out of both fits once, and predict it.
+    """Hold each push out of both fits once, and predict it.
 
     Args:
         base: without the effects.
         fit: with them; may be `base` itself.
-        on_progress: told what is fitted.
-        between: fits with some of them, by what they have; for the `stages` of the gap.
+        policy: number of folds and draws.
+        on_progress: called with what is under way.
+        between: fits with some of the effects, by their names, for the `stages` of the gap.
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)
-    n_folds = min(n, _N_FOLDS)
-    folds = [list(range(first, n, n_folds)) for first in range(n_folds)]
-    report(f"holding out each of {n} pushes once, in {n_folds} fits")
-    stages = dict(between or {})
+    folds = _folds(n, policy.max_folds)
+    report(f"holding out each of {n} pushes once, in {len(folds)} fits")
+    stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
-    results = side_by_side(lambda which: _left_out(*which), [(one, fold) for one in fits for fold in folds])
-    errors = np.empty((len(fits), n))
-    density, evidence = np.empty((len(fits), n_folds)), np.empty((len(fits), n_folds))
-    for k, (error, gain, _) in enumerate(results):
-        one, fold = divmod(k, n_folds)
-        errors[one, folds[fold]], density[one, fold] = error, gain
-        evidence[one, fold] = fits[one].log_evidence - gain
-    estimates = np.array([values for _, _, values in results[-n_folds:]])
-    by_stage = dict(zip(stages, errors[1:-1], strict=True)) if fit is not base else {}
+    by_fit = _hold_out_all(fits, folds)
+    errors = np.array([_by_push(own, folds) for own in by_fit])
+    density = np.array([[result.log_density for result in own] for own in by_fit])
+    evidence = np.array([one.log_evidence for one in fits])[:, None] - density
     return Gap(
         before=errors[0],
         after=errors[-1],
-        noise=_noise_errors(fit),
+        noise=_noise_errors(fit, policy.noise_draws),
         log_density_gain=density[-1] - density[0],
-        estimates=estimates,
+        estimates=np.array([result.estimates for result in by_fit[-1]]),
         folds=tuple(map(tuple, folds)),
-        gain_without=np.diff(evidence, axis=0),
-        stages=by_stage,
+        log_bayes_factor_without=np.diff(evidence, axis=0),
+        stages=dict(zip(stages, errors[1:-1], strict=True)),
+        policy=policy,
     )
 
 
-def _left_out(fit: EffectFit, pushes: Sequence[int]) -> tuple[Float64Array, float, Float64Array]:
-    """Cell errors of pushes under the fit to the others [m], their log density under it up to a constant [nat], and its effects."""
+def _folds(n_pushes: int, max_folds: int) -> list[list[int]]:
+    """Numbers of the pushes that are held out together: one each, or two and more where there are more pushes than folds."""
+    n_folds = min(n_pushes, max_folds)
+    return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]
+
+
+def _hold_out_all(fits: Sequence[Fit], folds: Sequence[Sequence[int]]) -> list[list[_HeldOutFold]]:
+    """Of each fit, the results of all folds."""
+    results = map_in_threads(lambda task: _hold_out(*task), [(fit, fold) for fit in fits for fold in folds])
+    return [results[k * len(folds) : (k + 1) * len(folds)] for k in range(len(fits))]
+
+
+def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) -> Float64Array:
+    """Cell errors of all folds in the order of the pushes [m], shape (n_pushes,)."""
+    errors = np.empty(sum(map(len, folds)))
+    for fold, result in zip(folds, results, strict=True):
+        errors[list(fold)] = result.errors
+    return errors
+
+
+def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
     rest, problem = without_pushes(fit, pushes), fit.problem
     records = [problem.records[push] for push in pushes]
     errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
-    return errors, fit.log_evidence - rest.log_evidence, rest.effects.values
+    return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest.effects.values)
 
 
-def _noise_errors(fit: EffectFit) -> Float64Array:
-    """Cell error that the noise of the first and the last pose would make if the model were true [m], shape (n_pushes,)."""
+def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
+    """Cell error that the noise of the first and the last pose would make if the model were right [m], shape (n_pushes,)."""
     rng = np.random.default_rng(0)
     problem = fit.problem
-    mechanics = fit.parameters.mechanics(fit.z)
+    mechanics = fit.unknowns.mechanics(fit.z)
     errors = []
     for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(
@@ -144,7 +181,7 @@ def _noise_errors(fit: EffectFit) -> Float64Array:
         first_root = np.linalg.cholesky(seen.first_covariance)
         last_root = np.linalg.cholesky(seen.last_covariance)
         draws: Sequence[Float64Array] = [
-            by_first @ first_root @ rng.normal(size=3) + last_root @ rng.normal(size=3) for _ in range(_N_DRAWS)
+            by_first @ first_root @ rng.normal(size=3) + last_root @ rng.normal(size=3) for _ in range(n_draws)
         ]
         errors.append(float(np.median([cell_error(record.shape.cells, motion.pose[-1], motion.pose[-1] + d) for d in draws])))
     return np.array(errors)

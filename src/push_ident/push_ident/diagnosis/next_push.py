@@ -1,163 +1,176 @@
-"""The push that would tell apart what these data cannot: the one whose outcome the rivals predict most differently."""
+"""The push that would resolve what these data cannot: the one whose outcome the competing explanations predict most differently."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from push_ident.diagnosis.fits import EffectFit
-from push_ident.diagnosis.parallel import side_by_side
+from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
+from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.errors import PlanningError
+from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import Mechanics
+from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.effect_values import reported_poses, true_pose
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
-from push_ident.types import Float64Array, PoseTrack, SolveStatus
+from push_ident.types import Float64Array, ObjectShape, PoseTrack, SolveStatus
 
-__all__ = ["NO_EFFECT", "SeparatingPush", "check_without_a_push", "separating_push", "without"]
+__all__ = ["NO_EFFECT", "SeparatingPush", "check_without_a_push", "competing_explanations", "separating_push", "without"]
 
 NO_EFFECT = "no effect"
-"""Name of the explanation that nothing is left out."""
-
-_N_CANDIDATES = 120
-_SPEEDS = (0.04, 0.12, 0.25)
-"""Speeds that candidates are spread over [m/s]: some effects differ by their speed alone."""
-_ANYWHERE = np.array([0.01, 0.01, 0.1]) ** 2
-"""Variance of the first pose apart from where it is seen [m^2, m^2, rad^2]: a fit may put it anywhere."""
-
-_TELLS = 1.0
-"""Squared distance from which a push is worth making: two explanations that no push sets further apart are the same to this cell."""
-_SETTLES = 9.0
-"""Squared distance of predictions, in units of what would be seen, that is rarely mistaken."""
+"""Name of the explanation that no effect is missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeparatingPush:
-    """A push, and how well it would settle what is open."""
+    """A push, and how well it would resolve what is open."""
 
     push: PlannedPush
     between: tuple[str, str]
-    """The two explanations that it tells apart best of those that are hardest to tell apart."""
-    distance2: float
-    """Squared distance of their predictions in units of what would be seen."""
-    tells_all: bool
-    """False where there are explanations among them that no push tells apart."""
+    """The pair of explanations whose predictions differ least, among those that a push can distinguish."""
+    mahalanobis2: float
+    """Squared Mahalanobis distance of their predictions, as the sensor would observe them."""
+    resolves: bool
+    """Whether one such push is expected to be enough: no two explanations stay indistinguishable, and the distance is large."""
 
     @property
     def aim(self) -> str:
-        """What it does, to go on with after "the push that"."""
+        """Its purpose, to continue "the push that"."""
         first, second = self.between
         if first == NO_EFFECT:
             return f"would show {second} best"
-        return f"confirms {second} best" if first == without(second) else f"tells {first} from {second} best"
-
-    @property
-    def settles(self) -> bool:
-        """Whether one such push can be expected to be enough."""
-        return self.tells_all and self.distance2 >= _SETTLES
+        return f"confirms {second} best" if first == without(second) else f"distinguishes {first} from {second} best"
 
 
 def without(name: str) -> str:
-    """Name of the explanation that an effect that was found is not there."""
+    """Name of the explanation that an effect that was found is absent."""
     return f"without {name}"
 
 
 def check_without_a_push(names: Sequence[str]) -> str:
-    """What somebody at the cell can do to settle it without a push; empty where nothing is known."""
+    """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
     return next((EFFECTS[name].check for name in names if EFFECTS[name].check), "")
 
 
-def separating_push(fits: dict[str, EffectFit], pose: Float64Array, settings: PushSettings) -> SeparatingPush | None:
-    """The best of some 120 safe pushes.
+def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dict[str, Fit]:
+    """Fits that a push should distinguish, by name: first those in a tie with the last effect, then with one before it.
+
+    Exact twins are left out, since no push distinguishes them. Where nothing was found, the most promising effects compete with none; where
+    nothing is in a tie, the last effect competes with its absence, so that the push confirms it.
+    """
+    if not selection.found:
+        first = selection.steps[0] if selection.steps else None
+        return {NO_EFFECT: selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
+    rivals = [rival for rival in selection.tied_rivals(policy) if rival.name not in EFFECTS[rival.replaces].exact_twins]
+    if rivals:
+        place = rivals[0].replaces
+        return {place: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.replaces == place}}
+    step, last = list(selection.added.values())[-1]
+    return {without(last.name): step.before, last.name: selection.fit}
+
+
+def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> SeparatingPush | None:
+    """The best of some safe candidate pushes: it has the largest distance between the two explanations that it separates least.
 
     Args:
-        fits: explanations to tell apart, at least two, all of one object.
+        fits: explanations by name, at least two, all of one object.
         pose: where the object lies, table frame, shape (3,).
         settings: limits and ranges of pushes.
+        policy: number of candidates, and what counts.
 
     Returns:
-        None where no push is safe, or none of them would tell anything that noise does not hide.
+        None where no push is safe, or none would distinguish any two explanations beyond the noise.
     """
+    problem = next(iter(fits.values())).problem
+    candidates = _candidates(problem.unknowns.shape, pose, settings, policy)
+    models = {name: _Predictor.of(fit) for name, fit in fits.items()}
+    sensor = _sensor(problem.records[-1].poses)
+    first_variance = np.array(policy.first_pose_std) ** 2
+    outcomes = map_in_threads(lambda push: _outcomes(models, push, sensor, problem.noise, first_variance), candidates)
+    pairs = list(combinations(fits, 2))
+    distances = np.array([[_mahalanobis2(own[a], own[b]) for a, b in pairs] for own in outcomes]).reshape(-1, len(pairs))
+    separable = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= policy.min_mahalanobis2)
+    if not len(separable):
+        return None
+    # A pair that no push separates does not count against any.
+    hardest = distances[:, separable].min(axis=1)
+    best = int(np.argmax(hardest))
+    pair = pairs[separable[int(np.argmin(distances[best, separable]))]]
+    resolves = len(separable) == len(pairs) and float(hardest[best]) >= policy.resolving_mahalanobis2
+    return SeparatingPush(candidates[best], pair, float(hardest[best]), resolves)
+
+
+def _candidates(shape: ObjectShape, pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> list[PlannedPush]:
+    """Safe pushes at several speeds; none where there is no safe one at one of them."""
     rng = np.random.default_rng(0)
-    shape = next(iter(fits.values())).parameters.shape
-    speeds = [min(speed, settings.max_speed) for speed in _SPEEDS]
-    spread = [replace(settings, speed_range=(speed, speed)) for speed in speeds]
+    speeds = [min(speed, settings.max_speed) for speed in policy.speeds]
+    each = policy.candidates // len(speeds)
     try:
-        # Lag and latency differ by the ramps alone.
-        candidates = [
+        # With the ramps of a real arm: lag and latency differ by these only.
+        return [
             push
-            for own in spread
-            for push in candidate_pushes(shape, pose, rng, _N_CANDIDATES // len(spread), own, acceleration=PUSH_ACCELERATION)
+            for speed in speeds
+            for push in candidate_pushes(
+                shape, pose, rng, each, replace(settings, speed_range=(speed, speed)), acceleration=PUSH_ACCELERATION
+            )
         ]
     except PlanningError:
-        return None
-    names = list(fits)
-    models = {name: _Predictor.of(fit) for name, fit in fits.items()}
-    problem = next(iter(fits.values())).problem
-    sensor = _sensor(problem.records[-1].poses)
-    outcomes = side_by_side(lambda push: _outcomes(models, push, sensor, problem.noise), candidates)
-    pairs = list(combinations(names, 2))
-    distances = np.array([[_distance2(seen[a], seen[b]) for a, b in pairs] for seen in outcomes])
-    told = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= _TELLS)
-    if not len(told):
-        return None
-    # What no push tells apart does not count against any.
-    hardest = distances[:, told].min(axis=1)
-    best = int(np.argmax(hardest))
-    pair = pairs[told[int(np.argmin(distances[best, told]))]]
-    return SeparatingPush(candidates[best], pair, float(hardest[best]), len(told) == len(pairs))
+        return []
 
 
 @dataclass(frozen=True, slots=True)
 class _Predictor:
-    """What predictions of a fit need, made once."""
+    """What predictions of a fit need, computed once."""
 
     mechanics: Mechanics
     covariance: Float64Array
     settings: SimulationSettings
     order: int
-    """Pushes made before."""
+    """Number of pushes made before."""
 
     @classmethod
-    def of(cls, fit: EffectFit) -> _Predictor:
-        return cls(fit.parameters.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
+    def of(cls, fit: Fit) -> _Predictor:
+        return cls(fit.unknowns.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
 
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """What an explanation expects to be seen of a push."""
+    """What an explanation predicts that the sensor observes of a push."""
 
     frames: Float64Array
-    """Poses in deviations of what is seen, shape (3 n_frames,)."""
+    """Poses in standard deviations of the observation, shape (3 n_frames,)."""
     covariance: Float64Array
-    """Of them by what the fit does not know, and by where the object lay, shape (3 n_frames, 3 n_frames)."""
+    """Of them, from the posterior of the fit and the first pose, shape (3 n_frames, 3 n_frames)."""
 
 
 def _sensor(poses: PoseTrack) -> PoseSensor:
-    """Sees as often and as well as the poses were seen."""
-    apart = float(np.median(np.diff(poses.time)))
-    return PoseSensor(rate=1.0 / max(apart, 1e-3), covariance=np.mean(poses.covariance, axis=0))
+    """A sensor with the rate and the noise of the observed poses."""
+    interval = float(np.median(np.diff(poses.time)))
+    return PoseSensor(rate=1.0 / max(interval, 1e-3), covariance=np.mean(poses.covariance, axis=0))
 
 
-def _outcomes(models: dict[str, _Predictor], push: PlannedPush, sensor: PoseSensor, noise: NoiseModel | None) -> dict[str, _Outcome | None]:
-    """What each explanation expects to be seen of a push, at the frames that would be seen if the first one were true."""
+def _outcomes(
+    models: Mapping[str, _Predictor], push: PlannedPush, sensor: PoseSensor, noise: NoiseModel | None, first_variance: Float64Array
+) -> dict[str, _Outcome | None]:
+    """What each explanation predicts of a push, at the frames that would be observed if the first one were true."""
     first = next(iter(models.values()))
     start = true_pose(first.mechanics.effects, push.pose_object_in_table)
     record, _ = imagine_push(first.mechanics, push, start, sensor=sensor, settings=first.settings, order=first.order)
     seen = observe_push(record, noise) if record is not None else None
-    return {name: _outcome(model, push, seen) if seen is not None else None for name, model in models.items()}
+    return {name: _outcome(model, push, seen, first_variance) if seen is not None else None for name, model in models.items()}
 
 
-def _outcome(model: _Predictor, push: PlannedPush, seen: Observation) -> _Outcome | None:
+def _outcome(model: _Predictor, push: PlannedPush, seen: Observation, first_variance: Float64Array) -> _Outcome | None:
     mechanics = model.mechanics
-    # The object lies where it is reported: with a camera that is off, elsewhere.
+    # The reported pose is given; with an error of the camera, the object lies elsewhere.
     start = true_pose(mechanics.effects, push.pose_object_in_table)
     motion = mechanics.simulate(PushScenario(push.pusher, start, seen.time, model.order), settings=model.settings, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
@@ -167,13 +180,14 @@ def _outcome(model: _Predictor, push: PlannedPush, seen: Observation) -> _Outcom
     derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
     whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian).reshape(3 * len(seen.time), -1)
     by_first, rows = whitened[:, :3], whitened @ derivative
-    covariance = rows @ model.covariance @ rows.T + (by_first * _ANYWHERE) @ by_first.T
+    covariance = rows @ model.covariance @ rows.T + (by_first * first_variance) @ by_first.T
     return _Outcome(np.einsum("fij,fj->fi", seen.whitening, motion.pose).ravel(), covariance)
 
 
-def _distance2(a: _Outcome | None, b: _Outcome | None) -> float:
-    """0 where a simulation failed."""
+def _mahalanobis2(a: _Outcome | None, b: _Outcome | None) -> float:
+    """Squared Mahalanobis distance of two predictions; 0 where a simulation failed."""
     if a is None or b is None:
         return 0.0
-    off = a.frames - b.frames
-    return float(off @ np.linalg.solve(0.5 * (a.covariance + b.covariance) + np.eye(len(off)), off))
+    difference = a.frames - b.frames
+    covariance = 0.5 * (a.covariance + b.covariance) + np.eye(len(difference))
+    return float(difference @ np.linalg.solve(covariance, difference))

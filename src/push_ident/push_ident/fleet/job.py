@@ -1,4 +1,4 @@
-"""One bag of a fleet: what is to be done, and doing it."""
+"""One bag of a fleet: how it is found and how it is identified."""
 
 from __future__ import annotations
 
@@ -15,33 +15,36 @@ from typing import Any, Final
 import push_ident
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.budget import Budget
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import model_content
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.result_json import result_json
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.offline.loading import load_pushes
 
 __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
 
 Outcome = dict[str, Any]
-"""JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `seconds`, and where it is done `result` and `model`."""
+"""JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `process`, `seconds`, and if done `result` and `model`."""
 
 _SUFFIXES: Final = (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """How each bag is identified."""
+    """Options of the identification of each bag."""
 
     prior: Prior = field(default_factory=Prior)
-    method: str = "gauss_newton"
+    method: str = DEFAULT_SOLVER
     object_id: str = ""
-    """Empty: of each bag the object pushed most."""
+    """Object to identify; empty: in each bag the one with the most pushes."""
     held_out: int = 4
-    """Every push of so many is held out as a test, from the last of the first so many on; 0: none."""
+    """n: every nth push is held out as a test; 0: none."""
     max_seconds: float = 30.0
-    """Of one solve."""
+    """Time limit of one solve [s]."""
     seed: int = 0
+    """Seed of methods that draw random numbers."""
 
     def __post_init__(self) -> None:
         if self.held_out < 0 or self.held_out == 1:
@@ -50,18 +53,18 @@ class FleetOptions:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One bag, and under which name its result is kept."""
+    """One bag, and the name under which its result is stored."""
 
     bag: Path
     key: str
-    """File name; other for another bag, for a bag that was written anew, and for other options."""
+    """File name; it changes with the bag, its content on the disk, the options and the version."""
 
 
 def find_jobs(paths: Sequence[Path], options: FleetOptions) -> list[Job]:
-    """The bags under some paths, each once, sorted: bags themselves, folders that hold bags at any depth.
+    """The bags under some paths, each once, sorted: bags, or folders that hold bags at any depth.
 
     Raises:
-        InputError: a path does not exist, or there is no bag at all.
+        InputError: a path does not exist, or holds no bag.
     """
     bags: dict[Path, None] = {}
     for path in paths:
@@ -76,7 +79,7 @@ def find_jobs(paths: Sequence[Path], options: FleetOptions) -> list[Job]:
 
 
 def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
-    """Identify one bag. A bag that cannot be identified is an outcome as well, with its error; nothing is raised but a stop by the user."""
+    """Identify one bag. A failure is an outcome with its error; nothing is raised except when the user stops the run."""
     started = time.monotonic()
     outcome: Outcome = {"bag": str(bag), "state": "failed", "error": "", "host": platform.node(), "process": os.getpid()}
     try:
@@ -85,20 +88,21 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
         train = [i for i in range(n) if not every or i % every != every - 1]
         budget = Budget(max_seconds=options.max_seconds)
         chosen = [loaded.records[i] for i in train]
-        result = identify(chosen, options.prior, method=options.method, budget=budget, seed=options.seed)
+        result = identify(chosen, options.prior, method=options.method, budget=budget, options=FitOptions(seed=options.seed))
         outcome["result"] = result_json(result, loaded.object_id, loaded.records, train, loaded.notes)
         sources = [record.source for record in chosen]
         outcome["model"] = model_content(result.posterior, loaded.object_id, sources).model_dump_json(indent=1)
         outcome["state"] = "done"
     except PushIdentError as error:
         outcome["error"] = str(error)
-    except Exception as error:  # one bag must not stop the others, whatever is wrong with it
+    except Exception as error:  # whatever is wrong with one bag must not stop the others
         outcome["error"] = f"{type(error).__name__}: {error}"
     outcome["seconds"] = round(time.monotonic() - started, 3)
     return outcome
 
 
 def _bags_in(path: Path) -> Iterator[Path]:
+    """The bags at a path or below it."""
     if path.is_file() or (path / "metadata.yaml").is_file() or (path / f"{path.name}.mcap").is_file():
         yield path
     else:
@@ -110,7 +114,7 @@ def _bags_in(path: Path) -> Iterator[Path]:
 
 
 def _digest(bag: Path, options: str) -> str:
-    """Of a bag as it lies on the disk, and of the options."""
+    """Hash of a bag (path, sizes and times of its files) and of the options."""
     parts = sorted(p for p in bag.iterdir() if p.is_file()) if bag.is_dir() else [bag]
     stats = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in parts]
     return hashlib.sha256(f"{bag.resolve()}{stats}{options}".encode()).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""The index of a fleet: what went wrong first, then how well all bags are predicted, then each bag."""
+"""Index page of a fleet: first the failures, then the prediction errors of all bags, then each bag."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _GOOD: Final = "converged"
 
 
 def write_index(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write the page. Raises InputError where it cannot be written."""
+    """Write the index page. Raises InputError where it cannot be written."""
     rows = [row_of(outcome) for outcome in outcomes]
     done = [row for row in rows if row["state"] == "done"]
-    # Worst first: whoever opens the page looks for what needs a look.
+    # Worst first: readers look for the bags that need attention.
     done.sort(key=lambda row: (row["status"] == _GOOD, -_number(row["test_identified_m"], row["train_identified_m"])))
     tested = [row for row in done if row["n_test"]]
     failed = [row for row in rows if row["state"] != "done"]
@@ -45,10 +45,10 @@ def _headline(rows: Sequence[Any], done: Sequence[Any], failed: Sequence[Any], t
     parts = [f"{len(done)} of {len(rows)} bags were identified" + (f", {len(failed)} failed." if failed else ".")]
     if tested:
         identified, uniform = (1e3 * float(np.median([row[f"test_{name}_m"] for row in tested])) for name in ("identified", "uniform"))
-        parts.append(f"Pushes held out are predicted to {identified:.1f} mm (median over the bags); equal cells err by {uniform:.1f} mm.")
-    doubtful = sum(row["status"] != _GOOD for row in done)
-    if doubtful:
-        parts.append(f"{doubtful} fits did not converge or fit poorly: they stand first in the table.")
+        parts.append(f"The median error on held-out pushes is {identified:.1f} mm; a model with equal cells has {uniform:.1f} mm.")
+    unreliable = sum(row["status"] != _GOOD for row in done)
+    if unreliable:
+        parts.append(f"{unreliable} fits did not converge or fit poorly: they come first in the table.")
     return " ".join(parts)
 
 
@@ -62,8 +62,8 @@ def _draw(rows: Sequence[Any]) -> Figure:
     ax.plot([low, high], [low, high], ":", color="black", linewidth=1)
     ax.plot(uniform, identified, "o", color="#0072b2", markersize=5, alpha=0.6)
     ax.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
-    ax.set_xlabel("error of equal cells on pushes held out [mm]")
-    ax.set_ylabel("error of the identified model [mm]")
+    ax.set_xlabel("error of equal cells on held-out pushes [mm]")
+    ax.set_ylabel("error of the identified model on held-out pushes [mm]")
     ax.grid(alpha=0.3)
     return figure
 

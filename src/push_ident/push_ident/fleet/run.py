@@ -1,4 +1,4 @@
-"""Hand the bags to Ray's workers, keep every outcome as it comes, go on where a run was cut off."""
+"""Distribute the bags to Ray's workers, store each outcome as it arrives, continue an interrupted run."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from push_ident.identification.files import json_text, write_whole
 __all__ = ["FleetProgress", "run_fleet"]
 
 FleetProgress = Callable[[Outcome], None]
-"""Told each outcome, also those of an earlier run."""
+"""Called with each outcome, those of an earlier run included."""
 
 _AHEAD: Final = 3
-"""Bags handed out a worker, so that none waits for the next."""
+"""Bags queued per worker, so that no worker waits for the next one."""
 _RETRIES: Final = 1
-"""How often a bag is tried again whose worker was killed."""
+"""Number of times that a bag is tried again after its worker was killed."""
 
 
 def run_fleet(
@@ -37,13 +37,13 @@ def run_fleet(
     """Identify all bags that have no outcome in `folder` yet.
 
     Args:
-        jobs: see `find_jobs`. On several machines the bags lie under the same paths on all of them.
-        options: how.
-        folder: of the outcomes, one file a bag in `folder`/bags; models in `folder`/models.
-        address: of a Ray cluster (`auto`, `ray://host:10001`); empty starts one here.
-        workers: processes here; 0: one a core. Of no meaning with `address`: there all processors of the cluster work.
+        jobs: from `find_jobs`. With several machines, the bags have the same paths on all of them.
+        options: options of the identification.
+        folder: folder of the outcomes, one file per bag in `folder`/bags; models are in `folder`/models.
+        address: address of a Ray cluster (`auto`, `ray://host:10001`); empty starts one on this machine.
+        workers: processes on this machine; 0: one per core. Ignored with `address`: there all processors of the cluster work.
         again: whether bags that failed in an earlier run are tried again.
-        on_outcome: told each outcome.
+        on_outcome: called with each outcome.
 
     Returns:
         Outcomes in the order of the jobs.
@@ -76,6 +76,7 @@ def _work(
     outcomes: dict[str, Outcome],
     on_outcome: FleetProgress,
 ) -> None:
+    """Run the jobs on Ray and add their outcomes."""
     ray = _start(address, workers)
     try:
         remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(identify_bag)
@@ -92,12 +93,12 @@ def _work(
                 try:
                     outcome = ray.get(reference)
                 except ray.exceptions.RayError as error:
-                    # Killed, out of memory, or a machine that went away; the text of Ray begins with its kind.
+                    # The worker was killed, ran out of memory, or its machine was lost; the first line names the cause.
                     lines = str(error).strip().splitlines() or [""]
-                    why = f"its worker died twice ({type(error).__name__}: {lines[0]}); look for lack of memory"
+                    why = f"its worker died twice ({type(error).__name__}: {lines[0]}); check the memory of the machine"
                     outcome = {"bag": str(job.bag), "state": "failed", "error": why, "host": "", "process": 0, "seconds": 0.0}
                 outcome["bag"] = str(job.bag)
-                _keep(folder, job, outcome)
+                _store(folder, job, outcome)
                 outcomes[job.key] = outcome
                 on_outcome(outcome)
     finally:
@@ -105,14 +106,15 @@ def _work(
 
 
 def _start(address: str, workers: int) -> Any:
-    # Before the import: Ray reads these then.
+    """Connect to a cluster or start one; the module `ray`."""
+    # Ray reads these when it is imported.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
         import ray
     except ImportError as error:
         raise InputError(f"Ray is not installed ({error}); run `pip install --no-deps -r requirements/fleet.txt`.") from None
-    # One thread a bag: bags are what runs side by side.
+    # One thread per bag, since the bags run in parallel.
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
     here: dict[str, Any] = {} if address else {"num_cpus": workers or os.cpu_count() or 1, "include_dashboard": False}
     try:
@@ -128,17 +130,18 @@ def _file(folder: Path, job: Job) -> Path:
 
 
 def _read(folder: Path, job: Job) -> Outcome | None:
+    """Stored outcome of a job; None without one."""
     try:
         content: Outcome = json.loads(_file(folder, job).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise PushIdentError(f"{_file(folder, job)} cannot be read: {error}; remove it, and the bag is identified again.") from None
+        raise PushIdentError(f"{_file(folder, job)} cannot be read: {error}; remove it to identify the bag again.") from None
     return content
 
 
-def _keep(folder: Path, job: Job, outcome: Outcome) -> None:
-    """The model first: an outcome that is there says that all of it is there."""
+def _store(folder: Path, job: Job, outcome: Outcome) -> None:
+    """Write the model, then the outcome: a stored outcome implies that its model is complete."""
     model = outcome.pop("model", None)
     if model is not None:
         path = folder / "models" / f"{job.key}.json"

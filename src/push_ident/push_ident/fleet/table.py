@@ -1,4 +1,4 @@
-"""Outcomes of a fleet as one Parquet table, a row a bag."""
+"""Outcomes of a fleet as one Parquet table with a row per bag."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ _COLUMNS: Final = {
     "total_mass_std": ("float64", "result.total_mass.std"),
     "total_mass_identifiable": ("bool", "result.total_mass.identifiable"),
 }
-"""Column, its type, and where it stands in an outcome."""
+"""Columns: type, and path of the value in an outcome."""
 
 
 def row_of(outcome: Outcome) -> dict[str, Any]:
-    """One row: what became of the bag, then the numbers of its result; None where there are none."""
+    """One row: state of the bag, then the numbers of its result; None where there are none."""
     row: dict[str, Any] = {name: outcome.get(name) for name in ("bag", "state", "error", "host", "seconds", "model_file")}
     for part in ("train", "test"):
         pushes = _at(outcome, f"result.{part}.pushes")
@@ -61,7 +61,7 @@ def row_of(outcome: Outcome) -> dict[str, Any]:
 
 
 def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write all outcomes; the file appears whole or not at all.
+    """Write all outcomes to a Parquet file; an interrupted write leaves no file.
 
     Raises:
         InputError: pyarrow is not installed.
@@ -89,7 +89,7 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
         parquet.write_table(pa.Table.from_pylist([row_of(o) for o in outcomes], schema=schema), part)
         part.replace(path)
     except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder with write permission.") from None
 
 
 def read_table(path: Path) -> list[dict[str, Any]]:
@@ -112,6 +112,7 @@ def _pyarrow() -> tuple[Any, Any]:
 
 
 def _at(content: Any, where: str) -> Any:
+    """Value at a dotted path in nested dictionaries; None where there is none."""
     for name in where.split("."):
         content = content.get(name) if isinstance(content, dict) else None
     return content

@@ -1,1 +1,1 @@
-"""Planar rigid motions and outline polygons."""
+"""Planar and spatial rigid motions, outline polygons, and the kinematics and shape of an arm."""

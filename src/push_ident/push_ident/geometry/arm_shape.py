@@ -1,4 +1,4 @@
-"""Where the links of an arm are in space, as one cylinder per solid of its URDF: enough to tell arm from object in a depth image."""
+"""The links of an arm in space, as one cylinder per solid of its URDF: enough to separate arm and object in a depth image."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ _ROOT: Final = "table"
 
 @dataclass(frozen=True, slots=True)
 class Rod:
-    """A cylinder with flat ends, in any direction."""
+    """A cylinder with flat ends and any direction."""
 
     start: Float64Array
-    """Middle of one end [m], shape (3,)."""
+    """Centre of one end [m], shape (3,)."""
     end: Float64Array
-    """Middle of the other end [m], shape (3,)."""
+    """Centre of the other end [m], shape (3,)."""
     radius: float
     """[m]"""
 
     def moved(self, pose: Float64Array) -> Rod:
-        """The same in the frame in which `pose`, shape (4, 4), places the frame of this one."""
+        """The rod in another frame; `pose`, shape (4, 4), is the pose of this rod's frame in that one."""
         return Rod(pose[:3, :3] @ self.start + pose[:3, 3], pose[:3, :3] @ self.end + pose[:3, 3], self.radius)
 
     @property
     def lowest(self) -> float:
-        """Height that the whole rod is above [m]."""
+        """Lower bound of the height of the rod [m]."""
         return float(min(self.start[2], self.end[2])) - self.radius
 
 
 class ArmShape:
     """All solids of a URDF whose root link is `table`, placed by joint positions.
 
-    Cylinders are themselves, spheres and boxes are the cylinder around them. Meshes are not read: such a link is the piece
-    from its joint to the next one, thickened. Not safe to share between threads.
+    A cylinder stands for itself, spheres and boxes are replaced by a cylinder around them. Meshes are not read: such a link is a rod
+    from its joint to the next one. Not safe to share between threads.
     """
 
     def __init__(self, urdf_xml: str, link_radius: float = 0.1) -> None:
-        """Read the text of a URDF; `link_radius` [m] is that of links given as meshes.
+        """Read the text of a URDF; `link_radius` [m] is the radius of links given as meshes.
 
         Raises InputError when it cannot be parsed or has no link `table`.
         """
@@ -55,7 +55,7 @@ class ArmShape:
             self._model = pin.buildModelFromXML(urdf_xml)
             links = ET.fromstring(urdf_xml).findall("link")
         except (ValueError, RuntimeError, ET.ParseError) as error:
-            raise InputError(f"The robot description is not a URDF that can be read: {str(error).strip()}") from None
+            raise InputError(f"The robot description is not a valid URDF: {str(error).strip()}") from None
         if _ROOT not in [link.get("name") for link in links]:
             raise InputError(f"The robot description has no link `{_ROOT}`; root it there, so that its poses are in the table frame.")
         self._data = self._model.createData()
@@ -72,7 +72,7 @@ class ArmShape:
         ]
 
     def at(self, positions: Mapping[str, float]) -> list[Rod]:
-        """The solids in the table frame for joint positions by name [rad]; joints that are not named are at zero."""
+        """The solids in the table frame for joint positions by name [rad]; other joints are at zero."""
         q = pin.neutral(self._model)
         for name, value in positions.items():
             if name in self._index:
@@ -82,6 +82,7 @@ class ArmShape:
         return [rod.moved(np.array(self._data.oMf[frame].homogeneous)) for frame, rod in self._rods]
 
     def _solid(self, link: str, collision: ET.Element, link_radius: float) -> list[Rod]:
+        """The rods of one collision element, frame of its link."""
         solid = collision.find("geometry/*")
         if solid is None:
             return []
@@ -106,7 +107,7 @@ class ArmShape:
         return [Rod(-direction, direction, radius).moved(placed)]
 
     def _between_joints(self, link: str, radius: float) -> list[Rod]:
-        """From the origin of the link to each of the joints it carries, or about its origin where it carries none."""
+        """Rods from the origin of the link to each of its child joints, or one around its origin where it has none."""
         frame = self._model.frames[self._model.getFrameId(link)]
         joint, in_link, start = frame.parentJoint, frame.placement.inverse(), np.zeros(3)
         ends = [np.array(in_link.act(self._model.jointPlacements[child].translation)) for child in self._model.children[joint]]

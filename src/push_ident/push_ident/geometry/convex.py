@@ -1,4 +1,4 @@
-"""A polygon cut into convex pieces, for collision engines that know no other solids."""
+"""A polygon divided into convex pieces, for collision engines that need convex solids."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from push_ident.types import Float64Array
 __all__ = ["convex_pieces"]
 
 _FLAT = 1e-10
-"""Twice the area of a triangle, as a share of the squared extent of the polygon, below which its corners count as one line."""
+"""A triangle whose doubled area is a smaller fraction of the squared extent of the polygon counts as a line."""
 
 
 def convex_pieces(polygon: ArrayLike) -> list[Float64Array]:
     """Convex polygons without overlap whose union is `polygon`.
 
-    Ears are clipped, the best shaped first; then every diagonal goes that both its ends can spare (Hertel and Mehlhorn, 1983), which
-    leaves at most four times as many pieces as are needed. All corners are corners of `polygon`, so no side of it is split.
+    Ears are clipped, the best shaped first; then every diagonal is removed that no reflex corner needs (Hertel and Mehlhorn, 1983). The
+    result has at most four times the minimal number of pieces. All corners are corners of `polygon`, so that no side of it is split.
 
     Args:
         polygon: simple, counter-clockwise, not closed [m], shape (n_vertices, 2).
@@ -27,7 +27,7 @@ def convex_pieces(polygon: ArrayLike) -> list[Float64Array]:
         The pieces, counter-clockwise, not closed, each shape (n, 2).
 
     Raises:
-        InputError: no ear is left, since the polygon crosses itself; or it has no area.
+        InputError: the polygon crosses itself, so that no ear remains; or it has no area.
     """
     points = np.asarray(polygon, dtype=np.float64)
     flat = _FLAT * float(np.max(np.ptp(points, axis=0))) ** 2
@@ -41,26 +41,26 @@ def _turn(a: Float64Array, b: Float64Array, c: Float64Array) -> Float64Array:
 
 def _triangles(points: Float64Array, flat: float) -> list[list[int]]:
     """Ear clipping: triangles of corner indices, counter-clockwise."""
-    left = list(range(len(points)))
+    remaining = list(range(len(points)))
     triangles: list[list[int]] = []
-    while len(left) > 2:
-        ring = np.array(left)
+    while len(remaining) > 2:
+        ring = np.array(remaining)
         before, here, after = points[np.roll(ring, 1)], points[ring], points[np.roll(ring, -1)]
         turn = _turn(before, here, after)
         straight = np.flatnonzero(np.abs(turn) <= flat)
         if len(straight):
-            del left[int(straight[0])]
+            del remaining[int(straight[0])]
             continue
-        # The altitude on the longest side tells a good ear from a sliver.
+        # A small altitude on the longest side marks a sliver.
         sides = [np.linalg.norm(p - q, axis=1) for p, q in ((before, here), (here, after), (after, before))]
         ears = (i for i in np.argsort(-turn / np.max(sides, axis=0)) if turn[i] > 0 and _is_ear(ring, points, int(i)))
         ear = next(ears, None)
         if ear is None:
-            raise InputError("The outline crosses itself, expected a simple polygon; see the object again.")
-        triangles.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
-        del left[ear]
+            raise InputError("The outline crosses itself, expected a simple polygon; trace the object again.")
+        triangles.append([remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]])
+        del remaining[ear]
     if not triangles:
-        raise InputError("The outline has no area, expected a polygon with corners that are not on one line; see the object again.")
+        raise InputError("The outline has no area, expected a polygon with corners that are not on one line; trace the object again.")
     return triangles
 
 
@@ -87,13 +87,13 @@ def _merged(points: Float64Array, pieces: list[list[int]]) -> list[list[int]]:
 
 
 def _joined(points: Float64Array, pieces: list[list[int]], first: int, second: int) -> tuple[int, list[int]] | None:
-    """`second` and the union of both pieces, if they share a diagonal and the union is convex."""
+    """`second` and the union of both pieces where they share a diagonal and the union is convex, else None."""
     one, two = pieces[first], pieces[second]
     for i, start in enumerate(one):
         end = one[(i + 1) % len(one)]
         if end in two and two[(two.index(end) + 1) % len(two)] == start:
             k = two.index(end)
-            # Both without the diagonal start -> end: `one` from end round to start, then what `two` adds.
+            # Both without the diagonal start -> end: `one` from end round to start, then the other corners of `two`.
             union = one[i + 1 :] + one[: i + 1] + [two[(k + 2 + m) % len(two)] for m in range(len(two) - 2)]
             ring = points[union]
             convex = bool(np.all(_turn(np.roll(ring, 1, axis=0), ring, np.roll(ring, -1, axis=0)) >= 0))

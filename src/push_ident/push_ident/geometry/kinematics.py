@@ -19,21 +19,21 @@ TOOL_DOWN.setflags(write=False)
 class ArmKinematics:
     """Serial arm from the root link of a URDF (`table`) to a tip frame whose z axis points down the tool.
 
-    Only the joints between root and tip count; others (fingers) are fixed at zero. Configurations `q` have shape (n_joints,) [rad],
+    Only the joints between root and tip are variables; others (fingers) are fixed at zero. Configurations `q` have shape (n_joints,) [rad],
     in the order of `joint_names`. Not safe to share between threads: each thread builds its own.
     """
 
     def __init__(self, urdf_xml: str, tip_frame: str = "tool_tip", neutral: ArrayLike | None = None) -> None:
         """Build from the text of a URDF (meshes are not read).
 
-        `neutral` is the posture that `inverse` drifts to where the task leaves freedom; default: the middle of the joint limits,
-        which for an iiwa is the singular upright arm, so give a bent one for real work.
+        `neutral` is the posture towards which `inverse` moves within the redundancy of the task; default: the middle of the joint limits.
+        For an iiwa that is the singular upright arm, so pass a bent posture for real work.
         Raises InputError when the URDF cannot be parsed, lacks the tip, or has a joint without position limits.
         """
         try:
             full = pin.buildModelFromXML(urdf_xml)
         except (ValueError, RuntimeError) as error:
-            raise InputError(f"The robot description is not a URDF that can be read: {str(error).strip()}") from None
+            raise InputError(f"The robot description is not a valid URDF: {str(error).strip()}") from None
         if not full.existFrame(tip_frame):
             raise InputError(f"The robot description has no link `{tip_frame}`; it has {', '.join(f.name for f in full.frames[-5:])}, ...")
         chain = set(full.supports[full.frames[full.getFrameId(tip_frame)].parentJoint])
@@ -75,7 +75,7 @@ class ArmKinematics:
 
     def lowest_joint(self) -> tuple[str, float]:
         """Name and height [m], root frame, of the lowest moving joint in the configuration of the last `forward`; the first joint does
-        not move and is left out."""
+        not move and is excluded."""
         heights = [float(self._data.oMi[j].translation[2]) for j in range(2, self._model.njoints)]
         lowest = int(np.argmin(heights))
         return self.joint_names[lowest + 1], heights[lowest]

@@ -14,11 +14,19 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.types import BoolArray, CellGrid, Float64Array
 
-__all__ = ["cells_in_outline", "outline_of_cells", "points_in_polygon", "polygon_area", "signed_distance"]
+__all__ = [
+    "cells_in_outline",
+    "edge_normals",
+    "outline_of_cells",
+    "points_in_polygon",
+    "polygon_area",
+    "polygon_centroid",
+    "signed_distance",
+]
 
 _Corner = tuple[int, int]
 _LATTICE_TOLERANCE = 0.02
-"""How far a cell may lie off the lattice, in cells: float32 origins are off by far less, a wrong size by far more."""
+"""Largest distance of a cell from the lattice, in cells: rounding to float32 causes far less, a wrong size far more."""
 
 
 def polygon_area(polygon: ArrayLike) -> float:
@@ -27,8 +35,23 @@ def polygon_area(polygon: ArrayLike) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
+def polygon_centroid(polygon: ArrayLike) -> tuple[float, float]:
+    """Centroid (x, y) of the area [m]."""
+    x, y = np.asarray(polygon, dtype=np.float64).T
+    x_next, y_next = np.roll(x, -1), np.roll(y, -1)
+    cross = x * y_next - x_next * y
+    return float(np.sum((x + x_next) * cross) / (3 * np.sum(cross))), float(np.sum((y + y_next) * cross) / (3 * np.sum(cross)))
+
+
+def edge_normals(polygon: Float64Array) -> Float64Array:
+    """Outward unit normal of each edge, from vertex i to i + 1, shape (n_vertices, 2); either orientation."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.asarray(normal if polygon_area(polygon) > 0 else -normal)
+
+
 def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> BoolArray:
-    """Which of `points` (n, 2) lie inside, shape (n,), by the even-odd rule; points on the boundary may go either way."""
+    """Which of `points` (n, 2) lie inside, shape (n,), by the even-odd rule; points on the boundary may count as either."""
     px, py = np.asarray(points, dtype=np.float64).T[:, :, None]
     start = np.asarray(polygon, dtype=np.float64)
     (ax, ay), (bx, by) = start.T, np.roll(start, -1, axis=0).T
@@ -51,7 +74,7 @@ def signed_distance(points: ArrayLike, polygon: ArrayLike) -> Float64Array:
 def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
     """Square cells of edge `size` [m] whose centres lie inside `outline`; the frame's origin is a corner of the lattice.
 
-    Raises InputError when the outline is too small for a single centre.
+    Raises InputError when the outline is too small for one cell centre.
     """
     if not (np.isfinite(size) and size > 0):
         raise InputError(f"cell size is {size}, expected a positive length in metres.")
@@ -70,7 +93,7 @@ def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Fl
     """Exact boundary of the union of square cells, counter-clockwise, shape (n_vertices, 2), corners only.
 
     `centres` [m], shape (n_cells, 2), lie on one square lattice of edge `size` [m], turned by `yaw` [rad]. Of several
-    pieces (cells that touch at a corner alone count as apart) the largest is taken; holes are left out.
+    pieces the largest is taken (cells that share only a corner belong to different pieces); holes are ignored.
     Raises InputError when there are no cells or they do not lie on one lattice.
     """
     centres = np.asarray(centres, dtype=np.float64)
@@ -80,9 +103,9 @@ def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Fl
         raise InputError(f"cells are not finite, or their size {size} is not a positive length in metres.")
     lattice = (centres - centres[0]) @ rotation(yaw) / size
     indices = np.rint(lattice).astype(np.int64)
-    off = float(np.abs(lattice - indices).max())
-    if off > _LATTICE_TOLERANCE:
-        raise InputError(f"cell centres lie up to {off * size:.2g} m off a lattice of {size:g} m; give the size and yaw of the cut.")
+    error = float(np.abs(lattice - indices).max())
+    if error > _LATTICE_TOLERANCE:
+        raise InputError(f"cell centres lie up to {error * size:.2g} m from a lattice of {size:g} m; pass its size and yaw.")
     loops = _boundary_loops({(int(i), int(j)) for i, j in indices})
     corners = max(loops, key=polygon_area)
     vertices = _without_collinear(np.asarray(corners, dtype=np.float64))
@@ -114,7 +137,7 @@ def _boundary_loops(cells: set[_Corner]) -> list[list[_Corner]]:
                 position[corner] = len(walk)
                 walk.append(corner)
                 continue
-            # Where cells meet at a corner alone the walk passes twice: cutting it there keeps every loop simple.
+            # The walk passes twice where cells share only a corner: cutting it there keeps every loop simple.
             loops.append(walk[position[corner] :])
             for closed in loops[-1]:
                 del position[closed]
@@ -126,7 +149,7 @@ def _boundary_loops(cells: set[_Corner]) -> list[list[_Corner]]:
 
 
 def _leave(next_corners: dict[_Corner, list[_Corner]], walk: list[_Corner]) -> _Corner:
-    """Take the edge out of the last corner of `walk`, the leftmost where there are two, and remove it."""
+    """Remove and return the edge that leaves the last corner of `walk`, the leftmost of two."""
     corner = walk[-1]
     ends = next_corners[corner]
     if len(ends) > 1 and len(walk) > 1:
@@ -140,5 +163,6 @@ def _leave(next_corners: dict[_Corner, list[_Corner]], walk: list[_Corner]) -> _
 
 
 def _without_collinear(loop: Float64Array) -> Float64Array:
+    """The corners at which the loop turns."""
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
     return loop[before[:, 0] * after[:, 1] != before[:, 1] * after[:, 0]]

@@ -1,1 +1,1 @@
-"""Fit the mechanical model of an object to pushes, say what they leave open, and predict other pushes."""
+"""Fit the mechanical model of an object to pushes, report its identifiability, and predict other pushes."""

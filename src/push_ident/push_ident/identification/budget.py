@@ -1,4 +1,4 @@
-"""What a solve may cost and what it has cost: one meter for all solvers."""
+"""Budget of a solve and the work done so far: one meter for all solvers."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ class Budget:
     """Limits of one solve; a solver stops at the first that is reached."""
 
     max_simulations: int | None = None
-    """Pushes simulated, with or without derivative."""
+    """Number of simulated pushes, with or without derivative."""
     max_seconds: float | None = 30.0
-    """Of the solve alone [s]."""
+    """Of the solve [s]."""
     processor_time: bool = False
-    """Count the seconds that the processor worked for this process instead of those of the clock on the wall: then a busy machine
-    does not change what a study of solvers reports."""
+    """Count processor time of this process instead of wall time: then a busy machine does not change the results of a study."""
 
     def __post_init__(self) -> None:
         for name in ("max_simulations", "max_seconds"):
@@ -37,7 +36,7 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The best point so far, and what it had cost to get there."""
+    """The best point so far, with the work done until then."""
 
     n_simulations: int
     time_s: float
@@ -51,7 +50,7 @@ class Meter:
 
     Args:
         budget: when to stop.
-        on_progress: told of every better point.
+        on_progress: called with every better point.
     """
 
     def __init__(self, budget: Budget | None = None, on_progress: Progress | None = None) -> None:
@@ -73,10 +72,12 @@ class Meter:
 
     @property
     def seconds(self) -> float:
+        """Time since the start [s]."""
         return self._clock() - self._started if self._stopped is None else self._stopped
 
     @property
     def spent(self) -> bool:
+        """Whether a limit of the budget is reached."""
         limit = self.budget
         return (limit.max_simulations is not None and self.n_simulations >= limit.max_simulations) or (
             limit.max_seconds is not None and self.seconds >= limit.max_seconds
@@ -84,19 +85,20 @@ class Meter:
 
     @property
     def seconds_left(self) -> float:
-        """Until the budget is spent [s]; infinite without a limit."""
+        """Time until the budget is spent [s]; infinite without a limit."""
         return np.inf if self.budget.max_seconds is None else self.budget.max_seconds - self.seconds
 
     @property
     def best(self) -> Sample | None:
+        """The best point so far."""
         return self.history[-1] if self.history else None
 
     def count(self, n: int) -> None:
-        """`n` more pushes were simulated."""
+        """Add `n` simulated pushes."""
         self.n_simulations += n
 
     def offer(self, x: Float64Array, cost: float) -> bool:
-        """Keep `x` if it costs less than the best so far; whether it does."""
+        """Keep `x` if its cost is below the best so far; returns whether it is."""
         if not cost < (self.history[-1].cost if self.history else np.inf):
             return False
         self.history.append(Sample(self.n_simulations, self.seconds, float(cost), np.array(x)))

@@ -1,4 +1,4 @@
-"""Write files so that a reader, or a kill, never meets half of one, and JSON that every reader takes."""
+"""Write files that are complete at any moment, and JSON that every reader accepts."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What the pushes could tell of an object, and what they left open.
+"""Identifiability: which quantities and which combinations of cells the pushes determine.
 
-A push moves with the object's centre of friction, its pressure distribution as a whole, its centre of mass and inertia; single
-cells move nothing by themselves. So the posterior is read in two ways: quantities that have a name, each with the deviation before
-and after the pushes; and the combinations of all cells, sorted by how much of the prior's deviation is left.
+The motion of an object depends on its centre of friction, its pressure distribution as a whole, its centre of mass and its inertia;
+no single cell decides it. So the posterior is compared with the prior in two ways: by named quantities, each with its standard deviation
+before and after the pushes; and by independent combinations of all cells, sorted by the ratio of these standard deviations.
 """
 
 from __future__ import annotations
@@ -20,45 +20,47 @@ from push_ident.types import Float64Array
 __all__ = ["Combination", "Identifiability", "Knowledge", "Quantity", "identifiability"]
 
 _PINNED = 1 / 3
+"""Ratio of posterior to prior standard deviation below which a quantity counts as determined [-]."""
 _OPEN = 0.8
+"""Ratio above which the pushes hardly changed what is known [-]."""
 
 
 class Knowledge(Enum):
-    """How much of the prior's deviation the data leave; the value says what that means."""
+    """How far the data reduce the prior standard deviation; the value explains it."""
 
-    PINNED = "pinned down: the pushes leave less than a third of what was unknown"
-    NARROWED = "narrowed: more pushes, elsewhere or in other directions, would tell more"
-    OPEN = "open: these pushes tell next to nothing of it; the value is the prior's"
-    GIVEN = "given: taken as known, not learned"
+    PINNED = "pinned down: the pushes leave less than a third of the prior standard deviation"
+    NARROWED = "narrowed: more pushes, at other places or in other directions, would narrow it further"
+    OPEN = "open: these pushes hardly constrain it; the value is that of the prior"
+    GIVEN = "given: assumed, not fitted"
 
     @classmethod
-    def of(cls, share_left: float) -> Knowledge:
-        """`share_left`: deviation after over deviation before the pushes."""
-        return cls.PINNED if share_left < _PINNED else cls.NARROWED if share_left < _OPEN else cls.OPEN
+    def of(cls, std_ratio: float) -> Knowledge:
+        """The knowledge at a ratio of posterior to prior standard deviation."""
+        return cls.PINNED if std_ratio < _PINNED else cls.NARROWED if std_ratio < _OPEN else cls.OPEN
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number about the object that has a name."""
+    """A named property of the object."""
 
     name: str
     unit: str
     value: float
     std: float
-    """After the pushes."""
+    """Posterior standard deviation."""
     prior_std: float
-    """Before."""
+    """Prior standard deviation."""
     knowledge: Knowledge
 
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """A direction in the space of the maps: what changes together."""
+    """A direction in the space of the maps: cells that change together."""
 
-    share_left: float
-    """Deviation after over deviation before the pushes, 0..1."""
+    std_ratio: float
+    """Posterior over prior standard deviation, 0..1."""
     log_mass: Float64Array
-    """Change of the logarithm of the cells' masses along it, for one prior deviation, shape (n_cells,)."""
+    """Change of the logarithm of the cells' masses along it, for one prior standard deviation, shape (n_cells,)."""
     log_friction: Float64Array
     """The same for support friction, shape (n_cells,)."""
     knowledge: Knowledge
@@ -66,30 +68,30 @@ class Combination:
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What is known after the pushes."""
+    """What the pushes determine."""
 
     quantities: tuple[Quantity, ...]
     combinations: tuple[Combination, ...]
-    """Best known first; all together they span the maps."""
+    """The best determined first; together they span the maps."""
 
     @property
     def n_pinned(self) -> int:
-        """Number of combinations that are pinned down."""
+        """Number of combinations that the pushes determine."""
         return sum(c.knowledge is Knowledge.PINNED for c in self.combinations)
 
     @property
     def n_open(self) -> int:
+        """Number of combinations that the pushes hardly constrain."""
         return sum(c.knowledge is Knowledge.OPEN for c in self.combinations)
 
 
 def identifiability(posterior: ModelPosterior) -> Identifiability:
-    """Compare a posterior with its prior, both linearised at the posterior's mean."""
-    parameters, z, covariance = posterior.parameters, posterior.z, posterior.covariance
-    mechanics = parameters.mechanics(z)
+    """Compare a posterior with its prior, both linearised at the posterior mean."""
+    unknowns, z, covariance = posterior.unknowns, posterior.z, posterior.covariance
+    mechanics = unknowns.mechanics(z)
     body, d_body = mechanics.body, mechanics.derivative
-    n = parameters.n_modes
     d_limit, total = mechanics.limit_derivative, float(body.limit.sum())
-    arms = parameters.shape.cells.centres - posterior.model.centre_of_friction
+    arms = unknowns.shape.cells.centres - posterior.model.centre_of_friction
     friction_rows = arms.T @ d_limit / total
     gyration = float(np.sqrt(body.inertia / body.mass))
     rows = [
@@ -107,18 +109,19 @@ def identifiability(posterior: ModelPosterior) -> Identifiability:
         knowledge = Knowledge.of(after / before) if before > 0 else Knowledge.GIVEN
         quantities.append(Quantity(name, unit, float(value), after, before, knowledge))
     mass, prior_std = posterior.total_mass, posterior.prior.total_mass * posterior.prior.total_mass_std
-    # The deviation of the logarithm counts: a heavy object is not less known for being heavy.
-    left = (mass.std / mass.value) / posterior.prior.total_mass_std if prior_std > 0 else 0.0
+    # The standard deviation of the logarithm counts: a heavy object is not less known because it is heavy.
+    ratio = (mass.std / mass.value) / posterior.prior.total_mass_std if prior_std > 0 else 0.0
     quantities.append(
-        Quantity("total mass", "kg", mass.value, mass.std, prior_std, Knowledge.of(left) if prior_std > 0 else Knowledge.GIVEN)
+        Quantity("total mass", "kg", mass.value, mass.std, prior_std, Knowledge.of(ratio) if prior_std > 0 else Knowledge.GIVEN)
     )
-    value, vector = np.linalg.eigh(covariance[: 2 * n, : 2 * n])
-    prior = parameters.prior
+    maps = unknowns.slice_of("maps")
+    value, vector = np.linalg.eigh(covariance[maps, maps])
+    prior = unknowns.prior
     combinations = [
         Combination(
-            share_left=float(np.sqrt(np.clip(variance, 0.0, None))),
-            log_mass=prior.mass_map_std * (parameters.modes @ direction[:n]),
-            log_friction=prior.friction_map_std * (parameters.modes @ direction[n:]),
+            std_ratio=float(np.sqrt(np.clip(variance, 0.0, None))),
+            log_mass=prior.mass_map_std * (unknowns.modes @ direction[unknowns.mass_modes]),
+            log_friction=prior.friction_map_std * (unknowns.modes @ direction[unknowns.friction_modes]),
             knowledge=Knowledge.of(float(np.sqrt(max(variance, 0.0)))),
         )
         for variance, direction in zip(value, vector.T, strict=True)

@@ -1,4 +1,4 @@
-"""Models as files: JSON, checked on the way in, with their posterior and where they came from."""
+"""Models as files: JSON, validated when it is read, with their posterior and their sources."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from push_ident import __version__
 from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.files import write_whole
-from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
+from push_ident.identification.unknowns import Unknowns
 from push_ident.types import CellGrid, ObjectShape
 
 __all__ = ["ModelContent", "load_model", "model_content", "posterior_of", "prior_of", "read_checked", "save_model"]
@@ -26,7 +27,7 @@ _Content = TypeVar("_Content", bound=BaseModel)
 
 
 class ModelContent(BaseModel):
-    """What a model file holds."""
+    """Content of a model file."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -34,17 +35,17 @@ class ModelContent(BaseModel):
     version: str
     object_id: str
     sources: list[str]
-    """Bags and pushes that the model rests on."""
+    """Bags and pushes that the model was fitted to."""
     cell_size: float
     cells: list[tuple[float, float]]
     outline: list[tuple[float, float]]
     prior: dict[str, float]
     modes: list[list[float]]
-    """Of the maps, one row a cell. Kept, since eigenvectors differ between machines."""
+    """Of the maps, one row per cell. Kept, since eigenvectors differ between machines."""
     effects: list[str] = []
-    """Names of the effects that act beside the maps."""
+    """Names of the effects that were fitted beside the maps."""
     effect_values: list[float] = []
-    """Of their parameters, as `z` has them too."""
+    """Of their parameters; they follow from `z`."""
     z: list[float]
     covariance: list[list[float]]
     total_mass: float
@@ -53,12 +54,12 @@ class ModelContent(BaseModel):
     mass: list[float]
     friction: list[float]
     pusher_friction: float
-    """The last three follow from the others; they are there for readers of the file."""
+    """The last three follow from the other fields; they are there for readers of the file."""
 
 
 def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str]) -> ModelContent:
-    """A posterior, ready to be written."""
-    shape, model = posterior.parameters.shape, posterior.model
+    """Content of the file of a posterior."""
+    shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(
         format=_FORMAT,
         version=__version__,
@@ -68,7 +69,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         cells=[(float(x), float(y)) for x, y in shape.cells.centres],
         outline=[(float(x), float(y)) for x, y in shape.outline],
         prior=asdict(posterior.prior),
-        modes=posterior.parameters.modes.tolist(),
+        modes=posterior.unknowns.modes.tolist(),
         effects=list(posterior.effects.names),
         effect_values=posterior.effects.values.tolist(),
         z=posterior.z.tolist(),
@@ -83,7 +84,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
 
 
 def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
-    """Write a model; the file appears whole or not at all."""
+    """Write a model; the file appears complete or not at all."""
     write_whole(path, model_content(posterior, object_id, sources).model_dump_json(indent=1), "the model")
 
 
@@ -101,7 +102,7 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
 
 
 def read_checked(path: Path, content: type[_Content], what: str, remedy: str) -> _Content:
-    """Read JSON of a known form. Raises ModelFileError: not there, too large, or of another form."""
+    """Read JSON of a known form. Raises ModelFileError: missing, too large, or of another form."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not {what}.")
@@ -115,19 +116,19 @@ def read_checked(path: Path, content: type[_Content], what: str, remedy: str) ->
 
 
 def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
-    """The posterior that was written. Raises ModelFileError where its parts do not fit together."""
+    """The posterior of a file. Raises ModelFileError where its parts contradict each other."""
     if content.format != _FORMAT:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:
         shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline))
-        parameters = MapParameters(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
+        unknowns = Unknowns(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
     except (InputError, ValueError) as error:
         raise ModelFileError(f"{path} does not describe an object: {error}") from None
     z, covariance = np.array(content.z), np.array(content.covariance)
-    if z.shape != (parameters.size,) or covariance.shape != (parameters.size, parameters.size):
-        raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {parameters.size} for its cells; the file is damaged.")
+    if z.shape != (unknowns.size,) or covariance.shape != (unknowns.size, unknowns.size):
+        raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {unknowns.size} for its cells; the file is damaged.")
     return ModelPosterior(
-        parameters=parameters,
+        unknowns=unknowns,
         z=z,
         covariance=covariance,
         total_mass=Estimate(content.total_mass, content.total_mass_std),
@@ -136,7 +137,7 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
 
 
 def prior_of(values: dict[str, float]) -> Prior:
-    """A prior that was written; names that this version does not know are left out."""
+    """The prior of a file; fields that this version does not have are ignored."""
     known = {name: value for name, value in values.items() if name in Prior.__dataclass_fields__}
     known["max_modes"] = int(known.get("max_modes", Prior().max_modes))
     return Prior(**known)  # type: ignore[arg-type]

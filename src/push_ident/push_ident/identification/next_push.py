@@ -1,17 +1,17 @@
-"""Which push to make next: the one after which other pushes would be predicted best.
+"""The push to make next: the one after which other pushes would be predicted best.
 
-Around a guess z of the object, the frames of a push depend linearly on the unknowns, with the noise that the fit gives them. What
-the posterior covariance S would become then does not depend on what will be seen, and is known before the push is made:
+Around a model z, the frames of a push depend linearly on the unknowns, with the noise that the fit assumes. The posterior covariance S
+after the push then does not depend on its outcome, and is known before the push:
 
-    S' = (S^-1 + H(z))^-1            H: what the push is expected to add to the Hessian of the fit, its own first pose marginalised
+    S' = (S^-1 + H(z))^-1            H: expected contribution of the push to the Hessian of the fit, its own first pose marginalised
     error(S) = mean over reference pushes of sqrt(tr(Q G S G')),   G = d(last pose) / dz,   Q: mean square over the cells
 
-The push with the least error(S') is Bayesian A-optimal, not for the maps but for what they are wanted for, predictions; the
-information gained, 1/2 log det(S S'^-1), is the D-optimal criterion (Chaloner and Verdinelli, Bayesian Experimental Design, 1995).
+The push with the least error(S') is Bayesian A-optimal, not for the maps but for their purpose, predictions; the information gained,
+1/2 log det(S S'^-1), is the D-optimal criterion (Chaloner and Verdinelli, Bayesian Experimental Design, 1995).
 
-A linearisation tells one side of a switch only (stick or slip, left or right of the centre of friction). So H and G are taken at
-several draws from the posterior as well as at its mean, and the criteria are averaged over them. A guess at which the simulation of a
-push fails, or chatters, counts as one at which that push tells nothing.
+A linearisation describes one side of a switch only (stick or slip, left or right of the centre of friction). So H and G are taken at
+several draws from the posterior as well as at its mean, and the criteria are averaged over them. A model for which the simulation of a
+push fails, or chatters, counts as one to which that push adds nothing.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from scipy.linalg import solve_triangular
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.unknowns import Mechanics, Unknowns
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -37,18 +37,19 @@ from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
 
 __all__ = [
-    "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "candidate_pushes", "imagine_push", "rank_pushes",
-    "reference_pushes",
+    "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "candidate_pushes", "imagine_push",
+    "rank_pushes", "reference_pushes",
 ]  # fmt: skip
 
-_SAMPLING = 100.0  # of planned pusher paths [Hz]
+_SAMPLING = 100.0
+"""Of planned pusher paths [Hz]."""
 _CHATTER = 10.0
-"""A first pose that is off makes the end of an ordinary push 1 to 8 times as far off. Where the factor is larger, the motion chatters
-between modes of contact, and its derivative, though exact, holds over micrometres only: it says nothing of what would be seen."""
+"""Largest derivative of the last pose by the first one [-]. It is 1 to 8 in ordinary pushes. Where it is larger, the motion chatters
+between modes of contact: its derivative, though exact, holds over micrometres only and predicts no observation."""
 
 
 class Criterion(Enum):
-    """What makes one push better than another."""
+    """Why one push is better than another."""
 
     ERROR = "least expected cell error of predictions"
     INFORMATION = "most information on the unknowns"
@@ -56,13 +57,13 @@ class Criterion(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PlannedPush:
-    """A push that could be made."""
+    """A possible push."""
 
     pose_object_in_table: Float64Array
     """Of the object before the push, shape (3,)."""
     pusher: PusherPath
     plan: PushPlan2D | None = None
-    """What the path was made from, for the arm."""
+    """The plan behind the path, for the arm."""
 
     def __post_init__(self) -> None:
         _freeze(self, "pose_object_in_table", (3,))
@@ -70,7 +71,7 @@ class PlannedPush:
 
 @dataclass(frozen=True, slots=True)
 class PoseSensor:
-    """How the poses of a push would be seen."""
+    """A sensor of poses."""
 
     rate: float = 30.0
     """Frames per second [Hz]."""
@@ -85,15 +86,15 @@ class PoseSensor:
 
 @dataclass(frozen=True, slots=True)
 class PushValue:
-    """What one candidate is expected to tell."""
+    """Expected value of one candidate."""
 
     push: PlannedPush
     status: SolveStatus
-    """CONVERGED; NO_CONTACT or SIMULATION_FAILED tell nothing and rank last."""
+    """CONVERGED; candidates with NO_CONTACT or SIMULATION_FAILED add no information and rank last."""
     error_after: float
-    """Expected cell error of the reference pushes once this push has been learned from [m]."""
+    """Expected cell error of the reference pushes after a fit to this push [m]."""
     information: float
-    """Expected gain on the unknowns [nat], >= 0."""
+    """Expected information on the unknowns [nat], >= 0."""
     covariance: Float64Array
     """Of the unknowns after this push, linearised at the mean, shape (n_unknowns, n_unknowns)."""
 
@@ -104,11 +105,11 @@ class RankedPushes:
 
     values: tuple[PushValue, ...]
     error_before: float
-    """Expected cell error of the reference pushes as things stand [m]."""
+    """Expected cell error of the reference pushes before any candidate [m]."""
 
     @property
     def best(self) -> PlannedPush | None:
-        """The push to make; None where no candidate would tell anything."""
+        """The push to make; None where no candidate would add information."""
         first = self.values[0]
         return first.push if first.status is SolveStatus.CONVERGED else None
 
@@ -124,18 +125,18 @@ def candidate_pushes(
     rest: float = 0.5,
     acceleration: float = np.inf,
 ) -> list[PlannedPush]:
-    """Random safe pushes of an object where it lies now.
+    """Random safe pushes of an object at its present pose.
 
     Args:
         shape: of the object.
-        pose_object_in_table: where it lies, shape (3,).
+        pose_object_in_table: present pose, shape (3,).
         rng: of the draws.
         n: how many.
         settings: limits and ranges of the pushes.
         obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-        rest: the pusher stands still so long before and after the push [s].
-        acceleration: of the pusher at both ends of its way [m/s^2]; by default it has its speed at once, which is as good where only
-            friction decides.
+        rest: time that the pusher stands still before and after the push [s].
+        acceleration: of the pusher at both ends of its path [m/s^2]; by default it has its speed at once, which makes no difference where
+            friction alone decides.
 
     Raises:
         PlanningError: UNREACHABLE where no push is safe.
@@ -146,12 +147,31 @@ def candidate_pushes(
 
 
 def reference_pushes(shape: ObjectShape, rng: np.random.Generator, n: int, settings: PushSettings | None = None) -> list[PlannedPush]:
-    """Random pushes over the whole outline of an object with free space around it: a fair sample of what there is to predict.
+    """Random pushes over the whole outline of an object with free space around it: a fair sample of the pushes to predict.
 
-    Of `settings` only the workspace is left out.
+    The workspace of `settings` does not count.
     """
     anywhere = replace(settings or PushSettings(), workspace=(-np.inf, np.inf, -np.inf, np.inf))
     return candidate_pushes(shape, np.zeros(3), rng, n, anywhere)
+
+
+@dataclass(frozen=True, slots=True)
+class RankingOptions:
+    """How candidates are ranked."""
+
+    criterion: Criterion = Criterion.ERROR
+    n_draws: int = 1
+    """Models drawn from the posterior, beside its mean; more make a steadier order at proportional cost."""
+    sensor: PoseSensor = field(default_factory=PoseSensor)
+    """That would observe the push."""
+    noise: NoiseModel | None = None
+    """Of the observed poses, as the fit will assume it."""
+    numerics: SimulationSettings = field(default_factory=lambda: SimulationSettings(step=1 / 120))
+    """Of the simulation; coarser than in a fit, since the value of a push needs no more."""
+
+    def __post_init__(self) -> None:
+        if self.n_draws < 0:
+            raise InputError(f"n_draws is {self.n_draws}, expected 0 (only the mean) or more.")
 
 
 def rank_pushes(
@@ -160,48 +180,39 @@ def rank_pushes(
     *,
     reference: Sequence[PlannedPush],
     rng: np.random.Generator,
-    criterion: Criterion = Criterion.ERROR,
-    n_draws: int = 1,
-    sensor: PoseSensor | None = None,
-    noise: NoiseModel | None = None,
-    settings: SimulationSettings | None = None,
+    options: RankingOptions | None = None,
 ) -> RankedPushes:
-    """Order pushes by what they would tell.
+    """Order pushes by what they are expected to add to the knowledge of an object.
 
     Args:
-        posterior: what is known of the object.
+        posterior: of the object.
         candidates: pushes to choose from.
         reference: pushes that are to be predicted well, see `reference_pushes`.
         rng: of the draws from the posterior.
-        criterion: what to order by.
-        n_draws: guesses of the object beside the mean; more make a steadier order at proportional cost.
-        sensor: how the push would be seen.
-        noise: of the observed poses, as the fit will take it.
-        settings: numerics of the simulation; by default steps of 1/120 s, since the worth of a push needs no finer.
+        options: criterion, draws, sensor and numerics.
 
     Returns:
-        The candidates, those that would fail or touch nothing last.
+        The candidates; last those that would fail or touch nothing.
 
     Raises:
-        InputError: no candidate, no reference push that moves the object, or fewer than no draws.
+        InputError: no candidate, or no reference push that moves the object.
     """
+    options = options or RankingOptions()
     if not candidates:
         raise InputError("There is no candidate to rank; give at least one push.")
-    if n_draws < 0:
-        raise InputError(f"n_draws is {n_draws}, expected 0 (the mean alone) or more.")
-    settings = settings or SimulationSettings(step=1 / 120)
     scale = _square_root(posterior.covariance)
-    draws = posterior.z + rng.standard_normal((n_draws, len(posterior.z))) @ scale.T
-    rows = [_reference_rows(posterior.parameters, z, reference, settings) for z in (posterior.z, *draws)]
+    draws = posterior.z + rng.standard_normal((options.n_draws, len(posterior.z))) @ scale.T
+    points = (posterior.z, *draws)
+    rows = [_reference_rows(posterior.unknowns, z, reference, options.numerics) for z in points]
     if len(rows[0]) == 0:
         raise InputError(f"None of {len(reference)} reference pushes moves the object; draw them over its outline.")
-    guesses = [_Guess(z, own @ scale) for z, own in zip((posterior.z, *draws), rows, strict=True) if len(own)]
-    values = [_value(posterior, scale, guesses, push, sensor or PoseSensor(), noise, settings) for push in candidates]
+    models = [_PossibleModel(z, own @ scale) for z, own in zip(points, rows, strict=True) if len(own)]
+    values = [_value(posterior, scale, models, push, options) for push in candidates]
     useless = [v.status is not SolveStatus.CONVERGED for v in values]
-    merit = [v.error_after if criterion is Criterion.ERROR else -v.information for v in values]
+    merit = [v.error_after if options.criterion is Criterion.ERROR else -v.information for v in values]
     return RankedPushes(
         values=tuple(values[i] for i in np.lexsort((merit, useless))),
-        error_before=float(np.mean([g.error(np.eye(len(scale))) for g in guesses])),
+        error_before=float(np.mean([model.error(np.eye(len(scale))) for model in models])),
     )
 
 
@@ -214,19 +225,19 @@ def imagine_push(
     settings: SimulationSettings | None = None,
     order: float = 0.0,
 ) -> tuple[PushRecord | None, SolveStatus]:
-    """The push as it would be recorded without noise if a model were true; no record where there would be nothing to see.
+    """The record of a push without noise if a model were true; no record where the object would not move.
 
     Args:
         mechanics: the model.
-        push: what is made.
-        first: true pose of the object before it, shape (3,), where that is not the one it was planned for.
-        sensor: how it would be seen.
+        push: to imagine.
+        first: true pose of the object before it, shape (3,), where that is not the planned one.
+        sensor: that observes it.
         settings: numerics.
-        order: how many pushes went before.
+        order: number of pushes made before.
     """
     pusher, sensor = push.pusher, sensor or PoseSensor()
     time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)
-    time = time if len(time) > 1 else pusher.time[[0, -1]]  # slow sensors see both ends
+    time = time if len(time) > 1 else pusher.time[[0, -1]]  # slow sensors observe both ends
     motion = mechanics.simulate(PushScenario(pusher, push.pose_object_in_table if first is None else first, time, order), settings=settings)
     if motion.status is not SolveStatus.CONVERGED:
         return None, motion.status
@@ -235,8 +246,8 @@ def imagine_push(
 
 
 @dataclass(frozen=True, slots=True)
-class _Guess:
-    """An object that may be the true one, and how predictions depend on the unknowns there."""
+class _PossibleModel:
+    """A model that may be the true one, and the derivative of predictions there."""
 
     z: Float64Array
     rows: Float64Array
@@ -249,57 +260,50 @@ class _Guess:
 
 
 def _value(
-    posterior: ModelPosterior,
-    scale: Float64Array,
-    guesses: Sequence[_Guess],
-    push: PlannedPush,
-    sensor: PoseSensor,
-    noise: NoiseModel | None,
-    settings: SimulationSettings,
+    posterior: ModelPosterior, scale: Float64Array, models: Sequence[_PossibleModel], push: PlannedPush, options: RankingOptions
 ) -> PushValue:
     """Expected outcome of one push."""
     identity = np.eye(len(scale))
-    roots: list[Float64Array] = [identity] * len(guesses)
-    record, status = imagine_push(posterior.parameters.mechanics(posterior.z), push, sensor=sensor, settings=settings)
+    roots: list[Float64Array] = [identity] * len(models)
+    unknowns, numerics = posterior.unknowns, options.numerics
+    record, status = imagine_push(unknowns.mechanics(posterior.z), push, sensor=options.sensor, settings=numerics)
     if record is not None:
-        seen = observe_push(record, noise)
-        told = [_sensitivity(posterior.parameters, guess.z, push, seen, settings) @ scale for guess in guesses]
-        roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in told]
+        observation = observe_push(record, options.noise)
+        sensitivities = [_sensitivity(unknowns, model.z, push, observation, numerics) @ scale for model in models]
+        roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in sensitivities]
     at_mean = solve_triangular(roots[0], scale.T, lower=True)
     return PushValue(
         push=push,
         status=status,
-        error_after=float(np.mean([guess.error(root) for guess, root in zip(guesses, roots, strict=True)])),
+        error_after=float(np.mean([model.error(root) for model, root in zip(models, roots, strict=True)])),
         information=float(np.mean([max(0.0, np.sum(np.log(np.diag(root)))) for root in roots])),
         covariance=at_mean.T @ at_mean,
     )
 
 
 def _sensitivity(
-    parameters: MapParameters, z: Float64Array, push: PlannedPush, seen: Observation, settings: SimulationSettings
+    unknowns: Unknowns, z: Float64Array, push: PlannedPush, observation: Observation, settings: SimulationSettings
 ) -> Float64Array:
-    """Rows G with H = G' G: how whitened frames depend on z beyond what another first pose would explain, shape (n_rows, n_unknowns)."""
-    mechanics = parameters.mechanics(z)
-    motion = mechanics.simulate(PushScenario(push.pusher, push.pose_object_in_table, seen.time), settings=settings, jacobian=True)
+    """Rows G with H = G' G: derivative of whitened frames by z beyond that by the first pose, shape (n_rows, n_unknowns)."""
+    mechanics = unknowns.mechanics(z)
+    motion = mechanics.simulate(PushScenario(push.pusher, push.pose_object_in_table, observation.time), settings=settings, jacobian=True)
     nothing = np.zeros((0, len(z)))
     if motion.status is SolveStatus.SIMULATION_FAILED:
         return nothing
-    whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian)
+    whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian)
     by_first = whitened[:, :, :3].reshape(-1, 3)
-    in_deviations = by_first @ np.linalg.cholesky(seen.first_covariance)
-    if np.sum(in_deviations**2) > _CHATTER**2 * len(seen.time):
+    in_deviations = by_first @ np.linalg.cholesky(observation.first_covariance)
+    if np.sum(in_deviations**2) > _CHATTER**2 * len(observation.time):
         return nothing
     by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, len(z))
     explained, _ = np.linalg.qr(by_first)
     return np.asarray(by_z - explained @ (explained.T @ by_z))
 
 
-def _reference_rows(
-    parameters: MapParameters, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings
-) -> Float64Array:
+def _reference_rows(unknowns: Unknowns, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings) -> Float64Array:
     """d(cell displacement at the end) / dz of the reference pushes that move the object of `z`, shape (n_moved, 3, n_unknowns)."""
-    mechanics = parameters.mechanics(z)
-    cells = parameters.shape.cells
+    mechanics = unknowns.mechanics(z)
+    cells = unknowns.shape.cells
     rows = []
     for push in reference:
         motion = mechanics.simulate(
@@ -345,9 +349,9 @@ def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float, accelera
     end = length / speed + ramp
     time = np.arange(0.0, end + 2 * rest, 1.0 / _SAMPLING)
     since, left = np.clip(time - rest, 0.0, end), np.clip(rest + end - time, 0.0, end)
-    # At constant speed from the middle of the first ramp to that of the last, but for what is still missing within them.
-    way = np.clip(speed * (since - 0.5 * ramp), 0.0, length)
+    # At constant speed from the middle of the first ramp to the middle of the last one; the ramps follow.
+    travel = np.clip(speed * (since - 0.5 * ramp), 0.0, length)
     if ramp > 0:
-        way = np.where(since < ramp, 0.5 * acceleration * since**2, way)
-        way = np.where(left < ramp, length - 0.5 * acceleration * left**2, way)
-    return PusherPath(time, plan.tool_start(settings.clearance) + way[:, None] * plan.heading, settings.pusher_radius)
+        travel = np.where(since < ramp, 0.5 * acceleration * since**2, travel)
+        travel = np.where(left < ramp, length - 0.5 * acceleration * left**2, travel)
+    return PusherPath(time, plan.tool_start(settings.clearance) + travel[:, None] * plan.heading, settings.pusher_radius)

@@ -18,26 +18,26 @@ if TYPE_CHECKING:
     from matplotlib.collections import PatchCollection
     from matplotlib.figure import Figure
 
-__all__ = ["draw_cells", "draw_knowledge", "draw_maps", "draw_panels"]
+__all__ = ["draw_cells", "draw_identifiability", "draw_maps", "draw_panels"]
 
 
 def draw_maps(path: Path, posterior: ModelPosterior, *, title: str = "") -> None:
-    """Draw mass, friction, their product and its relative deviation, side by side."""
+    """Draw mass, friction, their product and its relative standard deviation, side by side."""
     model = posterior.model
     product = model.mass * model.friction
     panels = [
         ("mass [g]", model.shape, 1e3 * model.mass),
         ("friction", model.shape, model.friction),
         ("mass x friction [g]", model.shape, 1e3 * product),
-        ("deviation of the product [%]", model.shape, 100 * posterior.mass_friction_std / product),
+        ("standard deviation of the product [%]", model.shape, 100 * posterior.mass_friction_std / product),
     ]
     draw_panels(path, panels, centre=model, title=title)
 
 
-def draw_knowledge(path: Path, posterior: ModelPosterior, known: Identifiability, *, title: str = "") -> None:
-    """Draw what the pushes could tell: share of the prior's deviation left in named quantities, in all combinations, and the best four.
+def draw_identifiability(path: Path, posterior: ModelPosterior, known: Identifiability, *, title: str = "") -> None:
+    """Draw the identifiability: ratio of posterior to prior standard deviation of named quantities and of all combinations of cells.
 
-    The best known combinations are drawn as the change of the logarithm of each cell's support friction force.
+    The four best determined combinations are drawn as the change of the logarithm of each cell's support friction force.
     """
     from matplotlib.figure import Figure
 
@@ -46,21 +46,21 @@ def draw_knowledge(path: Path, posterior: ModelPosterior, known: Identifiability
     bars, spectrum = top.subplots(1, 2)
     named = [q for q in known.quantities if q.prior_std > 0]
     bars.barh([q.name for q in named][::-1], [q.std / q.prior_std for q in named][::-1], color="tab:blue")
-    bars.set_xlabel("deviation after / before the pushes")
+    bars.set_xlabel("standard deviation after / before the pushes")
     bars.set_xlim(0, 1.05)
-    left = [c.share_left for c in known.combinations]
-    spectrum.plot(np.arange(1, len(left) + 1), left, marker=".", color="tab:blue")
-    spectrum.set_xlabel(f"combinations of the cells, best known first ({known.n_pinned} pinned down, {known.n_open} open)")
-    spectrum.set_ylabel("deviation after / before")
+    ratios = [c.std_ratio for c in known.combinations]
+    spectrum.plot(np.arange(1, len(ratios) + 1), ratios, marker=".", color="tab:blue")
+    spectrum.set_xlabel(f"combinations of the cells, best determined first ({known.n_pinned} pinned down, {known.n_open} open)")
+    spectrum.set_ylabel("standard deviation after / before")
     spectrum.set_ylim(0, 1.05)
-    shape = posterior.parameters.shape
+    shape = posterior.unknowns.shape
     best = known.combinations[:4]
     axes = bottom.subplots(1, len(best), squeeze=False)[0]
     for ax, combination in zip(axes, best, strict=True):
         change = combination.log_mass + combination.log_friction
         limit = float(np.abs(change).max()) or 1.0
         patches = draw_cells(ax, shape, change, "coolwarm", (-limit, limit))
-        ax.set_title(f"{100 * combination.share_left:.0f} % of the deviation left", fontsize=10)
+        ax.set_title(f"{100 * combination.std_ratio:.0f} % of the prior deviation", fontsize=10)
         bottom.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
         figure.suptitle(title, fontsize=11)
@@ -70,13 +70,13 @@ def draw_knowledge(path: Path, posterior: ModelPosterior, known: Identifiability
 def draw_panels(
     path: Path, panels: Sequence[tuple[str, ObjectShape, Float64Array]], *, centre: ObjectModel | None = None, title: str = ""
 ) -> None:
-    """Draw one map a panel; panels with the same title share their colour scale.
+    """Draw one map per panel; panels with the same title have one colour scale.
 
     Args:
         path: PNG to write.
-        panels: title, shape and one value a cell.
+        panels: title, shape and one value per cell.
         centre: mark its centre of friction.
-        title: over all.
+        title: of the figure.
     """
     from matplotlib.figure import Figure
 

@@ -1,9 +1,9 @@
-"""What a push will do, with its uncertainty, and how far off a prediction was."""
+"""Posterior predictive of a push: where the object will be, with its covariance, and the error of a prediction."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,12 +13,12 @@ from push_ident.identification.result import ModelPosterior
 from push_ident.physics.effect_values import EffectsLike, true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
-from push_ident.types import CellGrid, Float64Array, ObjectModel, PusherPath, PushRecord, SolveStatus
+from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus
 
-__all__ = ["NINETY", "Prediction", "cell_error", "held_out_errors", "predict"]
+__all__ = ["CHI2_90", "Prediction", "cell_error", "held_out_errors", "predict"]
 
-NINETY = 6.251
-"""90 % of chi squared with 3 degrees of freedom lie below it."""
+CHI2_90 = 6.251
+"""Chi squared with 3 degrees of freedom is below it with probability 0.9."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Prediction:
     pose: Float64Array
     """Table frame, shape (n_frames, 3)."""
     covariance: Float64Array
-    """Of each pose, shape (n_frames, 3, 3): model, first pose and the discrepancy of the model class."""
+    """Of each pose, shape (n_frames, 3, 3): posterior of the model, first pose and model discrepancy."""
     cell_error_std: float
     """Expected mean cell error of the last pose, root mean square [m]."""
     status: SolveStatus
@@ -38,77 +38,70 @@ class Prediction:
 
 def cell_error(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> float:
     """Mean over the cells of the distance between their centres at two poses [m]."""
-    apart = transform_points(pose_a_in_table, cells.centres) - transform_points(pose_b_in_table, cells.centres)
-    return float(np.mean(np.linalg.norm(apart, axis=1)))
+    difference = transform_points(pose_a_in_table, cells.centres) - transform_points(pose_b_in_table, cells.centres)
+    return float(np.mean(np.linalg.norm(difference, axis=1)))
 
 
 def predict(
     posterior: ModelPosterior,
-    pusher: PusherPath,
-    pose_object_in_table: Float64Array,
-    time: Float64Array,
+    scenario: PushScenario,
     *,
     first_covariance: Float64Array | None = None,
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
-    order: float = 0.0,
     n_samples: int = 32,
 ) -> Prediction:
     """Predict the motion of an object at rest.
 
     Args:
-        posterior: what is known of the object.
-        pusher: path of the pusher.
-        pose_object_in_table: first pose, shape (3,).
-        time: when [s], ascending, shape (n_frames,).
-        first_covariance: of the first pose, shape (3, 3); default 0.5 mm, 0.3 degrees.
-        noise: its discrepancy, which grows with the way gone, is added.
-        settings: numerics.
-        order: how many pushes went before this one, for effects that wear.
-        n_samples: models drawn from the posterior, with as many first poses.
+        posterior: of the object.
+        scenario: the push; its pose is the first pose as it is observed.
+        first_covariance: of the first pose, shape (3, 3); by default of 0.5 mm and 0.3 degrees.
+        noise: its model discrepancy, which grows with travel, is added.
+        settings: numerics of the simulation.
+        n_samples: number of models drawn from the posterior, each with a first pose.
 
     Returns:
-        The prediction: motion of the mean model, covariance of the motions of the drawn ones. Look at its `status`.
+        The prediction: the motion of the mean model, with the covariance of the motions of the drawn models. Look at its `status`.
     """
     noise = noise or NoiseModel()
-    parameters = posterior.parameters
-    shape = parameters.shape
-    first = np.asarray(pose_object_in_table, dtype=np.float64)
+    unknowns = posterior.unknowns
+    first = scenario.pose_object_in_table
     if first_covariance is None:
         first_covariance = np.diag([5e-4, 5e-4, 5e-3]) ** 2
-    # A motion that switches (left or right of the centre of friction, stick or slip) is no linear function of the model: a
-    # few models that the data allow say more than the derivative at the best one. The draws are the same for every push, so that
-    # the predictions of two pushes can be compared.
-    draws = np.random.default_rng(0).normal(size=(n_samples, parameters.size + 3))
+    # A motion that switches (left or right of the centre of friction, stick or slip) is no linear function of the model: a few models from
+    # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
+    # two pushes can be compared.
+    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + 3))
     z_root, first_root = _root(posterior.covariance), _root(first_covariance)
     poses = []
     for draw in draws:
-        drawn = parameters.mechanics(posterior.z + z_root @ draw[:-3])
-        start = true_pose(drawn.effects, first + first_root @ draw[-3:])
-        motion = drawn.simulate(PushScenario(pusher, start, time, order), settings=settings)
+        drawn = unknowns.mechanics(posterior.z + z_root @ draw[: unknowns.size])
+        start = true_pose(drawn.effects, first + first_root @ draw[unknowns.size :])
+        motion = drawn.simulate(replace(scenario, pose_object_in_table=start), settings=settings)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
             poses.append(motion.pose)
-    mean = parameters.mechanics(posterior.z)
-    centre = mean.simulate(PushScenario(pusher, true_pose(mean.effects, first), time, order), settings=settings)
+    mean = unknowns.mechanics(posterior.z)
+    centre = mean.simulate(replace(scenario, pose_object_in_table=true_pose(mean.effects, first)), settings=settings)
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
         unknown = np.full((len(centre.time), 3, 3), np.nan)
         return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
     covariance = _covariance_of_draws(np.array(poses))
-    way = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
-    growth = np.array([noise.discrepancy_position, noise.discrepancy_position, noise.discrepancy_yaw])
-    covariance += np.einsum("f,i,ij->fij", way**2, growth**2, np.eye(3))
-    return Prediction(centre.time, centre.pose, covariance, _cell_error_std(shape.cells, centre.pose[-1], covariance[-1]), centre.status)
+    travel = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
+    covariance += np.einsum("f,i,ij->fij", travel**2, noise.model_discrepancy**2, np.eye(3))
+    error_std = _cell_error_std(unknowns.shape.cells, centre.pose[-1], covariance[-1])
+    return Prediction(centre.time, centre.pose, covariance, error_std, centre.status)
 
 
 def _covariance_of_draws(poses: Float64Array) -> Float64Array:
-    """Covariance whose 90 % region holds 90 % of the draws, at each frame: shape (n_draws, n_frames, 3) to (n_frames, 3, 3).
+    """Covariance whose 90 % region contains 90 % of the draws, at each frame: shape (n_draws, n_frames, 3) to (n_frames, 3, 3).
 
-    Motions that switch have wild tails: a few draws then blow up the covariance, and its regions would hold nearly all the others.
+    Motions that switch have heavy tails: a few draws then inflate the covariance, and its regions would contain nearly all others.
     """
-    off = poses - poses.mean(axis=0)
-    covariance = np.einsum("sfi,sfj->fij", off, off) / (len(poses) - 1) + 1e-12 * np.eye(3)
-    distance2 = np.einsum("sfi,fij,sfj->sf", off, np.linalg.inv(covariance), off)
-    return np.asarray(covariance * (np.quantile(distance2, 0.9, axis=0) / NINETY)[:, None, None])
+    deviation = poses - poses.mean(axis=0)
+    covariance = np.einsum("sfi,sfj->fij", deviation, deviation) / (len(poses) - 1) + 1e-12 * np.eye(3)
+    mahalanobis2 = np.einsum("sfi,fij,sfj->sf", deviation, np.linalg.inv(covariance), deviation)
+    return np.asarray(covariance * (np.quantile(mahalanobis2, 0.9, axis=0) / CHI2_90)[:, None, None])
 
 
 def _root(covariance: Float64Array) -> Float64Array:
@@ -134,18 +127,18 @@ def held_out_errors(
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
 ) -> Float64Array:
-    """Cell error at the end of each push [m], shape (n_records,): the object simulated from its observed first pose.
+    """Cell error at the end of each push [m], shape (n_records,), with the object simulated from its observed first pose.
 
-    First and last pose are the means of the rest frames. `effects` act beside the model. NaN where the simulation failed.
+    First and last pose are the means of the frames at rest. `effects` act beside the model. NaN where the simulation failed.
     """
     errors = []
     for record in records:
-        seen = observe_push(record, noise)
+        observed = observe_push(record, noise)
         motion = simulate(
             model,
-            PushScenario(record.pusher, true_pose(effects, seen.pose[0]), seen.time[-1:], record.order),
+            PushScenario(record.pusher, true_pose(effects, observed.pose[0]), observed.time[-1:], record.order),
             settings=settings,
             effects=effects,
         )
-        errors.append(cell_error(record.shape.cells, motion.pose[-1], seen.pose[-1]))
+        errors.append(cell_error(record.shape.cells, motion.pose[-1], observed.pose[-1]))
     return np.array(errors)

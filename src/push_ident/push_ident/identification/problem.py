@@ -1,12 +1,12 @@
-"""The fit as one problem: residuals of all pushes and their Jacobian, metered.
+"""The fit as one problem: residuals of all pushes and their Jacobian, with the simulations counted.
 
-Unknowns x = (z, first pose of push 1, first pose of push 2, ...): the first pose of a push is uncertain too, so it is fitted with
-the maps, started from the mean of the rest frames; its prior is the first frame itself. All unknowns are in units of their prior
-deviation, so that the cost is
+Unknowns x = (z, first pose of push 1, first pose of push 2, ...). The first pose of a push is a nuisance parameter: it is uncertain, so
+it is fitted together with the maps, from the mean of the frames at rest; its prior is the first frame itself. All unknowns are in units
+of their prior standard deviation, so that the cost is
 
     sum_frames (n + 3)/2 log(1 + |W (y - f(x))|^2 / n) + 1/2 |z|^2 + past(z),      n = `TAILS`
 
-where the quadratic `past` stands for pushes that are no longer simulated.
+where the quadratic `past` replaces pushes that are no longer simulated. Frozen unknowns have a quadratic of their own.
 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
 the maps with it.
@@ -23,17 +23,19 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.parameters import MapParameters, Mechanics
 from push_ident.identification.quadratic import Quadratic
+from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknowns
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms"]
+__all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms", "without_first_pose"]
 
 TAILS = 4.0
-"""Degrees of freedom of the noise of a frame."""
+"""Degrees of freedom of the noise of a frame [-]."""
+_FIRST_POSES = "first_poses"
+"""Block of the nuisance parameters: three for each push."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +54,13 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True)
 class PushTerms:
-    """Part of the cost that one push makes, by the unknowns of the object and its own first pose."""
+    """Contribution of one push to the cost, by the unknowns of the object and its own first pose."""
 
     cost: float
     gradient: Float64Array
-    """Shape (parameters.size + 3,)."""
+    """Shape (unknowns.size + 3,)."""
     hessian: Float64Array
-    """Gauss-Newton approximation, shape (parameters.size + 3, parameters.size + 3)."""
+    """Gauss-Newton approximation, shape (unknowns.size + 3, unknowns.size + 3)."""
     residual: Float64Array
     """Whitened, shape (n_frames, 3)."""
 
@@ -72,11 +74,12 @@ class FitProblem:
 
     Args:
         records: pushes of one object; all with the same cells.
-        parameters: the unknowns of the object.
+        unknowns: of the object.
         noise: of the observations.
         settings: numerics of the simulation.
-        meter: counts the simulations, and says when a solve has cost enough; by default it never does, so that no clock decides a result.
-        past: what is known beyond the prior and these pushes, in the unknowns of `parameters`.
+        meter: counts the simulations and ends a solve when its budget is spent; by default without a limit, so that no clock decides a
+            result.
+        past: information from other pushes, in the unknowns of the object.
 
     Raises:
         InputError: no push, or pushes of objects with different cells.
@@ -85,7 +88,7 @@ class FitProblem:
     def __init__(
         self,
         records: Sequence[PushRecord],
-        parameters: MapParameters,
+        unknowns: Unknowns,
         *,
         noise: NoiseModel | None = None,
         settings: SimulationSettings | None = None,
@@ -94,27 +97,27 @@ class FitProblem:
     ) -> None:
         if not records:
             raise InputError("There is no push to learn from; give at least one push record.")
-        n_cells = len(parameters.shape.cells)
+        n_cells = len(unknowns.shape.cells)
         for record in records:
             if len(record.shape.cells) != n_cells:
                 raise InputError(f"{record.source or 'A push'} has {len(record.shape.cells)} cells, expected {n_cells} as the others.")
         self.records = list(records)
         self.noise = noise
-        self.parameters = parameters
+        self.unknowns = unknowns
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         self.settings = settings or SimulationSettings()
         self.meter = meter or _unlimited()
-        self.past = past or Quadratic.zero(parameters.size)
+        self.past = past or Quadratic.zero(unknowns.size)
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
-    def of(self, parameters: MapParameters, past: Quadratic | None = None) -> FitProblem:
-        """The same pushes under a model with other unknowns, of which `past` is known beyond the prior."""
+    def of(self, unknowns: Unknowns) -> FitProblem:
+        """The same pushes with other unknowns of the object and an unlimited budget, without information from other pushes."""
         other = copy(self)
-        other.parameters, other.past, other.meter = parameters, past or Quadratic.zero(parameters.size), _unlimited()
+        other.unknowns, other.past, other.meter = unknowns, Quadratic.zero(unknowns.size), _unlimited()
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:
-        """The same problem with some pushes, by their numbers, left out."""
+        """The same problem without some pushes, given by their numbers, and with an unlimited budget."""
         rest = copy(self)
         for name in ("records", "observations", "first_scale"):
             setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
@@ -122,18 +125,46 @@ class FitProblem:
         return rest
 
     @property
+    def layout(self) -> Layout:
+        """Blocks of the unknowns of the object, then `first_poses`."""
+        return Layout((*self.unknowns.blocks, Block.of(_FIRST_POSES, np.ones(3 * len(self.records)))))
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
-        return self.parameters.size + 3 * len(self.records)
+        return self.unknowns.size + 3 * len(self.records)
+
+    def object_unknowns(self, x: Float64Array) -> Float64Array:
+        """The unknowns `z` of the object within `x`, shape (unknowns.size,)."""
+        return x[: self.unknowns.size]
+
+    def slice_of_first_pose(self, push: int) -> slice:
+        """Place of the first pose of a push in `x`."""
+        return _slice_of_first_pose(self.unknowns, push)
+
+    def first_pose_unknowns(self, x: Float64Array) -> Float64Array:
+        """The unknowns of the first poses within `x`, one row per push, shape (n_pushes, 3)."""
+        return x[self.unknowns.size :].reshape(-1, 3)
+
+    @property
+    def unit_prior(self) -> Float64Array:
+        """Precision of the unit normal prior, shape (size,): 1 for unknowns of the object, 0 for first poses (their prior is a frame)."""
+        return np.r_[np.ones(self.unknowns.size), np.zeros(3 * len(self.records))]
+
+    def continued(self, x0: Float64Array, earlier: Float64Array) -> Float64Array:
+        """The start `x0` with the values of an earlier result for the first of these pushes; as it is where that has another size."""
+        x = np.array(x0)
+        if self.unknowns.size <= len(earlier) <= self.size:
+            x[: len(earlier)] = earlier
+        return x
 
     def first_pose(self, x: Float64Array, push: int) -> Float64Array:
         """First pose of a push, table frame, shape (3,)."""
-        start = self.parameters.size + 3 * push
-        return self.observations[push].pose[0] + self.first_scale[push] @ x[start : start + 3]
+        return self.observations[push].pose[0] + self.first_scale[push] @ x[self.slice_of_first_pose(push)]
 
     def simulate(self, x: Float64Array) -> list[Motion]:
         """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
-        mechanics = self.parameters.mechanics(x[: self.parameters.size])
+        mechanics = self.unknowns.mechanics(self.object_unknowns(x))
         motions: list[Motion] = []
         for push in range(len(self.records)):
             motions.append(self._simulate_push(mechanics, x, push))
@@ -151,9 +182,9 @@ class FitProblem:
         )
 
     def residual(self, motion: Motion, push: int) -> Float64Array:
-        """Whitened difference of a simulated push to the observed one, shape (n_frames, 3)."""
-        seen = self.observations[push]
-        return np.einsum("fij,fj->fi", seen.whitening, motion.pose - seen.pose)
+        """Whitened difference between the simulated and the observed push, shape (n_frames, 3)."""
+        observed = self.observations[push]
+        return np.einsum("fij,fj->fi", observed.whitening, motion.pose - observed.pose)
 
     def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
         """Robust cost of whitened residuals, and the weight of each frame's square in it, shape (n_frames,)."""
@@ -161,33 +192,41 @@ class FitProblem:
         return 0.5 * (TAILS + 3) * float(np.sum(np.log1p(size2 / TAILS))), (TAILS + 3) / (TAILS + size2)
 
     def cost(self, x: Float64Array) -> float:
-        """Cost alone at `x`: one simulation a push, without derivative. Infinite where a simulation failed."""
+        """Cost at `x`, without derivative: one simulation per push. Infinite where a simulation failed."""
         return self.cost_of(x, self.simulate(x))
 
     def cost_of(self, x: Float64Array, motions: Sequence[Motion]) -> float:
         """Cost of motions simulated at `x`."""
         if motions[-1].status is SolveStatus.SIMULATION_FAILED:
             return np.inf
-        misfit = sum(self.weigh(self.residual(motion, push))[0] for push, motion in enumerate(motions))
-        z = x[: self.parameters.size]
-        return 0.5 * float(z @ z) + self.past(z) + misfit
+        of_pushes = sum(self.weigh(self.residual(motion, push))[0] for push, motion in enumerate(motions))
+        return self._prior_cost(self.object_unknowns(x)) + of_pushes
+
+    def _prior_cost(self, z: Float64Array) -> float:
+        """Cost of the unknowns of the object by their prior and by earlier pushes."""
+        cost = 0.5 * float(z @ z) + self.past(z)
+        frozen = self.unknowns.frozen_cost
+        return cost if frozen is None else cost + frozen(z)
 
     def evaluate(self, x: Float64Array) -> Evaluation:
-        """Cost and derivatives at `x`: one simulation a push, with its derivative."""
-        n_z = self.parameters.size
-        z = x[:n_z]
-        mechanics = self.parameters.mechanics(z)
-        cost = 0.5 * float(z @ z) + self.past(z)
+        """Cost and derivatives at `x`: one simulation per push, with its derivative."""
+        n_z = self.unknowns.size
+        z = self.object_unknowns(x)
+        mechanics = self.unknowns.mechanics(z)
+        cost = self._prior_cost(z)
         gradient = np.zeros(self.size)
         gradient[:n_z] = z + self.past.slope(z)
         hessian = np.zeros((self.size, self.size))
         hessian[:n_z, :n_z] = np.eye(n_z) + self.past.hessian
+        if (frozen := self.unknowns.frozen_cost) is not None:
+            gradient[:n_z] += frozen.slope(z)
+            hessian[:n_z, :n_z] += frozen.hessian
         residuals = []
         for push in range(len(self.records)):
             terms = self._push_terms(mechanics, x, push)
             if terms is None:
                 return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
-            columns = np.r_[0:n_z, n_z + 3 * push : n_z + 3 * push + 3]
+            columns = np.r_[0:n_z, self.slice_of_first_pose(push)]
             cost += terms.cost
             gradient[columns] += terms.gradient
             hessian[np.ix_(columns, columns)] += terms.hessian
@@ -199,8 +238,8 @@ class FitProblem:
 
         None where a simulation fails.
         """
-        n_z = self.parameters.size
-        mechanics = self.parameters.mechanics(x[:n_z])
+        n_z = self.unknowns.size
+        mechanics = self.unknowns.mechanics(self.object_unknowns(x))
         parts = []
         for push in range(len(self.records)):
             motion = self._simulate_push(mechanics, x, push, jacobian=True)
@@ -209,13 +248,13 @@ class FitProblem:
             own = self._whitened_jacobian(mechanics, motion, push)
             rows = np.zeros((len(own), self.size))
             rows[:, :n_z] = own[:, :n_z]
-            rows[:, n_z + 3 * push : n_z + 3 * push + 3] = own[:, n_z:]
+            rows[:, self.slice_of_first_pose(push)] = own[:, n_z:]
             parts.append(rows)
         return np.concatenate(parts)
 
     def evaluate_push(self, x: Float64Array, push: int) -> PushTerms | None:
-        """What one push adds to `evaluate`; None where its simulation fails."""
-        return self._push_terms(self.parameters.mechanics(x[: self.parameters.size]), x, push)
+        """Contribution of one push to `evaluate`; None where its simulation fails."""
+        return self._push_terms(self.unknowns.mechanics(self.object_unknowns(x)), x, push)
 
     def _push_terms(self, mechanics: Mechanics, x: Float64Array, push: int) -> PushTerms | None:
         motion = self._simulate_push(mechanics, x, push, jacobian=True)
@@ -228,8 +267,18 @@ class FitProblem:
         return PushTerms(cost, weighted.T @ residual.ravel(), weighted.T @ jacobian, residual)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
-        """Of the residuals of one push by the unknowns of the object, then its own first pose, shape (3 n_frames, parameters.size + 3)."""
+        """Derivative of the residuals of one push by the unknowns of the object and its first pose, (3 n_frames, unknowns.size + 3)."""
         whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
         own = whitened[:, :, :3] @ self.first_scale[push]
         shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
         return np.concatenate([shared, own], axis=2).reshape(3 * len(whitened), -1)
+
+
+def without_first_pose(x: Float64Array, unknowns: Unknowns, push: int) -> Float64Array:
+    """The vector of a `FitProblem` with these unknowns of the object, without the first pose of one push."""
+    return np.delete(x, _slice_of_first_pose(unknowns, push))
+
+
+def _slice_of_first_pose(unknowns: Unknowns, push: int) -> slice:
+    start = unknowns.size + 3 * push
+    return slice(start, start + 3)

@@ -24,12 +24,12 @@ class Quadratic:
 
     @classmethod
     def zero(cls, n: int) -> Quadratic:
-        """Nothing known of `n` unknowns."""
+        """No information on `n` unknowns."""
         return cls(np.zeros(n), np.zeros(n), np.zeros((n, n)))
 
     @classmethod
     def beyond_unit_normal(cls, mean: Float64Array, covariance: Float64Array) -> Quadratic:
-        """What turns a unit normal prior into a normal one of `mean`, shape (n,), and `covariance`, shape (n, n)."""
+        """Cost of a normal prior of `mean`, shape (n,), and `covariance`, shape (n, n), less that of a unit normal one."""
         return cls(mean, -mean, np.linalg.inv(covariance) - np.eye(len(mean)))
 
     def scaled(self, unit: Float64Array) -> Quadratic:
@@ -41,9 +41,9 @@ class Quadratic:
         return np.asarray(self.gradient + self.hessian @ (z - self.point))
 
     def __call__(self, z: Float64Array) -> float:
-        away = z - self.point
-        return float(self.gradient @ away + 0.5 * away @ self.hessian @ away)
+        step = z - self.point
+        return float(self.gradient @ step + 0.5 * step @ self.hessian @ step)
 
     def __add__(self, other: Quadratic) -> Quadratic:
-        """Up to a constant; around the point of `other`."""
+        """The sum up to a constant, around the point of `other`."""
         return Quadratic(other.point, self.slope(other.point) + other.gradient, self.hessian + other.hessian)

@@ -1,4 +1,4 @@
-"""The outcome of an identification: a model with its uncertainty, and what the data could not tell."""
+"""The outcome of an identification: a model with its uncertainty."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from push_ident.identification.parameters import MapParameters, Prior
+from push_ident.identification.prior import Prior
+from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
-from push_ident.types import Float64Array, ObjectModel, SolveStatus
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus
 
-__all__ = ["Checkpoint", "Estimate", "Identification", "ModelPosterior"]
+__all__ = ["Checkpoint", "Estimate", "Identification", "ModelPosterior", "prior_posterior"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +25,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ModelPosterior:
-    """A Gaussian over the unknowns of one object, as the pushes left it."""
+    """A Gaussian over the unknowns of one object, given its pushes."""
 
-    parameters: MapParameters
+    unknowns: Unknowns
     z: Float64Array
     """Mean, shape (n_unknowns,)."""
     covariance: Float64Array
@@ -34,38 +35,54 @@ class ModelPosterior:
     total_mass: Estimate
     """[kg]; the prior's where `total_mass_identifiable` is False."""
     total_mass_identifiable: bool
-    """Whether a wrench or a given weight pins it; poses never do."""
+    """Whether a wrench or a given weight determines it; poses never do."""
+
+    @classmethod
+    def of_prior(cls, unknowns: Unknowns) -> ModelPosterior:
+        """The posterior without any push."""
+        prior = unknowns.prior
+        return cls(
+            unknowns=unknowns,
+            z=np.zeros(unknowns.size),
+            covariance=np.eye(unknowns.size),
+            total_mass=Estimate(prior.total_mass, prior.total_mass * prior.total_mass_std),
+            total_mass_identifiable=prior.total_mass_std == 0,
+        )
 
     @cached_property
     def model(self) -> ObjectModel:
-        """The mean model, at the total mass known best."""
-        at_nominal = self.parameters.model(self.z)
+        """The mean model, at the mean total mass."""
+        at_nominal = self.unknowns.model(self.z)
         scale = self.total_mass.value / at_nominal.total_mass
         return ObjectModel(at_nominal.shape, at_nominal.mass * scale, at_nominal.friction, at_nominal.pusher_friction)
 
     @cached_property
     def _log_derivatives(self) -> tuple[Float64Array, Float64Array]:
-        return self.parameters.log_derivatives(self.model)
+        return self.unknowns.log_derivatives(self.model)
 
     @property
     def prior(self) -> Prior:
-        return self.parameters.prior
+        """Of the unknowns."""
+        return self.unknowns.prior
 
     @property
     def effects(self) -> EffectValues:
-        """What acts beside the maps, with its mean values."""
-        return self.parameters.effects_at(self.z)
+        """The effects beside the maps, at their mean values."""
+        return self.unknowns.effects_at(self.z)
 
     @property
     def effects_std(self) -> Float64Array:
         """Standard deviation of the values of the effects, shape (n_values,)."""
-        own = self.parameters.effect_slice
-        return np.asarray(self.parameters.effect_scale * np.sqrt(np.diag(self.covariance)[own]))
+        own = self.unknowns.slice_of("effects")
+        return np.asarray(self.unknowns.effect_std * np.sqrt(np.diag(self.covariance)[own]))
 
     def _log_std(self, rows: Float64Array, left_out: float, other: float) -> Float64Array:
-        """Deviation of a logarithm with derivative `rows`; `left_out` and `other` are variances of the lost modes and of anything else."""
+        """Standard deviation of a logarithm with derivative `rows`.
+
+        `left_out` is the variance of the modes that the maps leave out, `other` that of anything else.
+        """
         variance = np.sum((rows @ self.covariance) * rows, axis=1)
-        return np.sqrt(variance + left_out * self.parameters.map_remainder + other)
+        return np.sqrt(variance + left_out * self.unknowns.map_remainder + other)
 
     @property
     def mass_std(self) -> Float64Array:
@@ -90,16 +107,23 @@ class ModelPosterior:
 
     @property
     def pusher_friction(self) -> Estimate:
-        value = self.model.pusher_friction
-        return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(self.covariance[-1, -1])))
+        """Friction coefficient between pusher and object."""
+        value, own = self.model.pusher_friction, self.unknowns.slice_of("pusher_friction")
+        (variance,) = np.diag(self.covariance)[own]
+        return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(variance)))
+
+
+def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPosterior:
+    """The posterior of an object that was never pushed: its prior."""
+    return ModelPosterior.of_prior(Unknowns(shape, prior or Prior()))
 
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """The best model of a moment of the solve, and what it had cost to get there."""
+    """The best model at one moment of the solve, with the work done until then."""
 
     n_simulations: int
-    """Pushes simulated so far."""
+    """Pushes simulated until then."""
     time_s: float
     cost: float
     model: ObjectModel
@@ -118,16 +142,17 @@ class Identification:
     """Equal cells with nominal values."""
     cost: float
     """Half the robust sum of squared residuals plus half the squared unknowns."""
-    misfit: float
-    """Squared residual per degree of freedom: about 1 where the model fits to within the noise; NaN where the method has no posterior."""
+    reduced_chi2: float
+    """Squared residual per degree of freedom: about 1 where the model fits to within the noise; NaN where the solver has no posterior."""
     n_simulations: int
     time_s: float
-    """The solve alone."""
-    starts: tuple[Float64Array, ...]
-    """Where the fits of `gauss_newton` ended: a warm start for the same pushes and more."""
+    """Of the solve [s]."""
+    warm_starts: tuple[Float64Array, ...]
+    """Where the fits of the solver ended: starts for the same solver, the same pushes and more."""
     history: tuple[Checkpoint, ...] = ()
-    """Every better point on the way, oldest first."""
+    """Every improvement during the solve, the oldest first."""
 
     @property
     def model(self) -> ObjectModel:
+        """The mean model of the posterior."""
         return self.posterior.model

@@ -1,4 +1,4 @@
-"""The outcome of an identification as JSON, in the form that the command-line contract gives it."""
+"""The outcome of an identification as JSON, in the form of the command-line contract."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from push_ident.types import PushRecord
 __all__ = ["knowledge_json", "push_errors", "result_json"]
 
 _SHOWN: Final = 4
-"""Combinations written out cell by cell."""
+"""Number of combinations that are written cell by cell."""
 
 
 def result_json(
     result: Identification, object_id: str, records: Sequence[PushRecord], train: Sequence[int], notes: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """The outcome as the command-line contract has it.
+    """The outcome in the form of the command-line contract.
 
     Args:
         result: of the identification.
         object_id: of the object.
-        records: all pushes, those learned from and the others, which are the test.
-        train: numbers of the pushes learned from.
+        records: all pushes: those of the fit, and the others, which are held out.
+        train: numbers of the pushes of the fit.
         notes: what was missing, dropped or assumed.
     """
     posterior, model = result.posterior, result.model
@@ -58,14 +58,14 @@ def result_json(
             "identifiable": posterior.total_mass_identifiable,
         },
         "knowledge": knowledge_json(identifiability(posterior)),
-        "misfit": result.misfit,
+        "misfit": result.reduced_chi2,
         "status": result.status.name.lower(),
         "notes": list(notes),
     }
 
 
 def knowledge_json(known: Identifiability) -> dict[str, Any]:
-    """What the pushes could tell: named quantities, and the combinations of all cells, best known first."""
+    """Identifiability: named quantities, and the combinations of all cells, the best determined first."""
     return {
         "quantities": [
             {"name": q.name, "unit": q.unit, "value": q.value, "std": q.std, "prior_std": q.prior_std, "verdict": q.knowledge.name.lower()}
@@ -75,9 +75,9 @@ def knowledge_json(known: Identifiability) -> dict[str, Any]:
             "pinned": known.n_pinned,
             "open": known.n_open,
             "all": len(known.combinations),
-            "share_left": [c.share_left for c in known.combinations],
+            "share_left": [c.std_ratio for c in known.combinations],
             "best_known": [
-                {"share_left": c.share_left, "log_mass": c.log_mass.tolist(), "log_friction": c.log_friction.tolist()}
+                {"share_left": c.std_ratio, "log_mass": c.log_mass.tolist(), "log_friction": c.log_friction.tolist()}
                 for c in known.combinations[:_SHOWN]
             ],
         },

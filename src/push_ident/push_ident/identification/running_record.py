@@ -1,4 +1,4 @@
-"""How soon an object was known: each recorded push predicted by the pushes before it, as online."""
+"""Predictions of each recorded push from the pushes before it, as an online identification makes them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.scoring import PushScore, score_push
 from push_ident.types import PushRecord
 
@@ -24,9 +24,9 @@ def running_record(
 
     Args:
         records: pushes of one object, at least one.
-        prior: beliefs.
+        prior: nominal values and their standard deviations.
         noise: of the observed poses.
-        on_push: told the number of each push before it is predicted, from 1.
+        on_push: called with the number of each push before its prediction, from 1.
     """
     online = OnlineIdentifier(OnlineIdentifier.new(records[0].shape, prior), noise=noise)
     scores: list[PushScore] = []

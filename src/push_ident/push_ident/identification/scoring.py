@@ -1,4 +1,4 @@
-"""Predict before, score after: what a model that had not seen a push said of it."""
+"""Predict before a push, score after it, with the model of the pushes before."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from push_ident.identification.identify import uniform_model
 from push_ident.identification.observation import NoiseModel, observe_push
-from push_ident.identification.prediction import NINETY, cell_error, predict
+from push_ident.identification.prediction import CHI2_90, cell_error, predict
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -18,7 +18,7 @@ from push_ident.types import Float64Array, PushRecord, SolveStatus
 __all__ = ["PushScore", "RunningRecord", "ScoreSummary", "score_push", "summarise_scores"]
 
 _REMEMBERED = 200
-"""Scores that a running record holds one by one."""
+"""Number of the latest scores that a running record keeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,52 +30,52 @@ class PushScore:
     source: str
     start: float
     """Stamp of the push [s]."""
-    error: float
-    """Cell error of the prediction at the end of the push [m]; NaN where it could not be simulated."""
-    expected: float
-    """That the prediction expected of itself, root mean square [m]."""
-    distance2: float
-    """Squared normalised error of the last pose: chi squared with 3 degrees of freedom where the covariance is right."""
-    uniform: float
-    """Cell error of equal cells with nominal values [m]."""
+    cell_error: float
+    """Of the prediction at the end of the push [m]; NaN where it could not be simulated."""
+    expected_cell_error: float
+    """By the covariance of the prediction, root mean square [m]."""
+    mahalanobis2: float
+    """Squared Mahalanobis distance of the last pose: chi squared with 3 degrees of freedom where the covariance is right."""
+    uniform_cell_error: float
+    """Of equal cells with nominal values [m]."""
 
     @property
-    def within_ninety(self) -> bool:
-        """Whether the last pose lies in the 90 % region of the prediction."""
-        return bool(self.distance2 <= NINETY)
+    def within_90(self) -> bool:
+        """Whether the last pose is in the 90 % region of the prediction."""
+        return bool(self.mahalanobis2 <= CHI2_90)
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreSummary:
-    """The running record of an object."""
+    """Means over the scores of an object."""
 
     n: int
-    mean_error: float
-    """[m]; NaN before the first push, as the others."""
-    mean_expected: float
+    mean_cell_error: float
+    """[m]; NaN before the first push, as the other means."""
+    mean_expected_cell_error: float
     """[m]"""
-    mean_uniform: float
+    mean_uniform_cell_error: float
     """[m]"""
-    share_within_ninety: float
+    share_within_90: float
 
 
 @dataclass(frozen=True, slots=True)
 class RunningRecord:
-    """Scores of an object that is pushed for as long as one likes: sums over all pushes, and the latest ones themselves."""
+    """Scores of an object in bounded memory: sums over all pushes, and the latest scores themselves."""
 
     n: int = 0
-    """Pushes that could be predicted."""
+    """Number of pushes that could be predicted."""
     sums: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """Over these: error, expected error, error of equal cells [m], pushes within the 90 % region."""
+    """Over these: cell error, expected cell error, cell error of equal cells [m], pushes within the 90 % region."""
     latest: tuple[PushScore, ...] = ()
-    """In the order of the pushes, those that could not be predicted too."""
+    """In the order of the pushes, including those that could not be predicted."""
 
     def add(self, score: PushScore) -> RunningRecord:
         """With one more push."""
         record = replace(self, latest=(*self.latest, score)[-_REMEMBERED:])
-        if not np.isfinite(score.error):
+        if not np.isfinite(score.cell_error):
             return record
-        values = (score.error, score.expected, score.uniform, float(score.within_ninety))
+        values = (score.cell_error, score.expected_cell_error, score.uniform_cell_error, float(score.within_90))
         error, expected, uniform, within = (a + b for a, b in zip(self.sums, values, strict=True))
         return replace(record, n=self.n + 1, sums=(error, expected, uniform, within))
 
@@ -95,7 +95,7 @@ def score_push(
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
 ) -> PushScore:
-    """Predict a finished push with the model that did not know it, and compare.
+    """Predict a finished push with the model of the pushes before it, and compare.
 
     Args:
         before: the posterior before the push.
@@ -104,34 +104,27 @@ def score_push(
         noise: of observed poses.
         settings: numerics of the simulation.
     """
-    seen = observe_push(record, noise)
-    prediction = predict(
-        before,
-        record.pusher,
-        seen.pose[0],
-        seen.time[-1:],
-        first_covariance=seen.first_covariance,
-        noise=noise,
-        settings=settings,
-        order=record.order,
-    )
+    observed = observe_push(record, noise)
+    scenario = PushScenario(record.pusher, observed.pose[0], observed.time[-1:], record.order)
+    prediction = predict(before, scenario, first_covariance=observed.first_covariance, noise=noise, settings=settings)
     plain = simulate(
-        uniform_model(record.shape, before.prior), PushScenario(record.pusher, seen.pose[0], seen.time[-1:]), settings=settings
+        uniform_model(record.shape, before.prior), PushScenario(record.pusher, observed.pose[0], observed.time[-1:]), settings=settings
     )
     cells = record.shape.cells
-    error = distance2 = np.nan
+    error = mahalanobis2 = np.nan
     if prediction.status is not SolveStatus.SIMULATION_FAILED:
-        error = cell_error(cells, prediction.pose[-1], seen.pose[-1])
-        off = prediction.pose[-1] - seen.pose[-1]
-        distance2 = float(off @ np.linalg.solve(prediction.covariance[-1] + _covariance(seen.whitening[-1]), off))
+        error = cell_error(cells, prediction.pose[-1], observed.pose[-1])
+        difference = prediction.pose[-1] - observed.pose[-1]
+        covariance = prediction.covariance[-1] + _covariance(observed.whitening[-1])
+        mahalanobis2 = float(difference @ np.linalg.solve(covariance, difference))
     return PushScore(
         number=number,
         source=record.source,
         start=float(record.pusher.time[0]),
-        error=error,
-        expected=prediction.cell_error_std,
-        distance2=distance2,
-        uniform=cell_error(cells, plain.pose[-1], seen.pose[-1]),
+        cell_error=error,
+        expected_cell_error=prediction.cell_error_std,
+        mahalanobis2=mahalanobis2,
+        uniform_cell_error=cell_error(cells, plain.pose[-1], observed.pose[-1]),
     )
 
 

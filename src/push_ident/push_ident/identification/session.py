@@ -1,4 +1,4 @@
-"""One object while it is being pushed: estimate, predictions, their scores, and the file that survives a kill."""
+"""One object during its pushes: estimate, predictions, their scores, and the file that survives a killed process."""
 
 from __future__ import annotations
 
@@ -9,28 +9,31 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.errors import InputError, PlanningError
-from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.next_push import PlannedPush, RankingOptions, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
-from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import Prediction, predict
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, RunningRecord, score_push
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.identification.state_file import load_state, save_state
+from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
 
 __all__ = ["ObjectSession", "SessionOptions"]
 
 _SAMPLES_UNDER_WAY = 12
-"""Models drawn for a prediction in the middle of a push: it is made again a moment later."""
+"""Models drawn for a prediction in the middle of a push: few, since the next one follows soon."""
 _LATEST = 0.1
-"""The pusher is taken to go on as over the last so many seconds [s]."""
+"""The pusher is assumed to keep its mean velocity over this last period [s]."""
 _N_REFERENCES = 12
+"""Reference pushes for the choice of the next push."""
 _SOURCES = 200
-"""Latest pushes that a model names as what it rests on."""
-_KNOWN = 10_000
-"""Latest pushes that are known when they come again: memory must not grow for as long as pushes come in."""
+"""Number of the latest pushes that a model names as its sources."""
+REMEMBERED_PUSHES = 10_000
+"""Number of the latest pushes that are recognised when they arrive again: memory must not grow with the pushes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,58 +41,59 @@ class SessionOptions:
     """How objects are identified online."""
 
     prior: Prior = field(default_factory=Prior)
-    method: str = "gauss_newton"
+    method: str = DEFAULT_SOLVER
     window: int = 8
     """Pushes simulated again at every solve."""
     max_seconds: float = 10.0
     """Of the solve after a push [s]."""
     frame_seconds: float = 0.02
-    """Of an update at a frame, for methods without a bound of their own [s]."""
+    """Of an update at a frame, for methods whose update has no bound of its own [s]."""
     noise: NoiseModel | None = None
     folder: Path | None = None
-    """Where the state of each object is kept; None: nowhere."""
+    """Folder of the states of all objects; None: they are not kept."""
 
 
 class ObjectSession:
-    """Everything that is known of one object, kept on disk after every push.
+    """The estimate of one object, kept on disk after every push.
 
     Args:
-        object_id: names the file.
+        object_id: of the object; part of the file name.
         shape: of the object.
         options: how it is identified.
 
     Raises:
-        ModelFileError: a file of this object is there but cannot be used, or the state cannot be written.
+        ModelFileError: a file of this object exists but cannot be used, or the state cannot be written.
     """
 
     def __init__(self, object_id: str, shape: ObjectShape, options: SessionOptions) -> None:
         self.object_id = object_id
         self.options = options
         self.sources: list[str] = []
-        """Of the latest pushes."""
+        """Names of the latest pushes."""
         self.record = RunningRecord()
         self.n_known_again = 0
-        """Pushes that came a second time (a bag that is played in a loop, or again after a kill) and were left out."""
+        """Number of pushes that arrived a second time (a bag played in a loop, or again after a killed process) and were ignored."""
         self._known = _KnownPushes()
         state = OnlineIdentifier.new(shape, options.prior)
         self.restored = False
-        """Whether the estimate goes on from a file."""
+        """Whether the estimate continues from a file."""
         if self.file is not None and self.file.exists():
             kept = load_state(self.file)
             if kept.state.shape.is_same_object(shape):
                 state, self.restored = kept.state, True
                 self.sources, self.record, self._known = list(kept.sources), kept.record, _KnownPushes(kept.pushes)
             else:
-                self._put_aside()
+                self._rename_file()
         self.online = self._identifier(state)
 
     @property
     def file(self) -> Path | None:
-        """Of the state."""
+        """File of the state."""
         return None if self.options.folder is None else self.options.folder / f"{self.object_id}.state.json"
 
     @property
     def shape(self) -> ObjectShape:
+        """Outline and cells of the object."""
         return self.online.state.shape
 
     @property
@@ -104,22 +108,22 @@ class ObjectSession:
 
     @property
     def n_pushes(self) -> int:
-        """Finished pushes that the estimate rests on."""
+        """Number of finished pushes in the estimate."""
         return self.online.n_pushes
 
     def knows(self, record: PushRecord) -> bool:
-        """Whether this push is part of the estimate already."""
+        """Whether this push is in the estimate already."""
         return _key(record) in self._known
 
     def update(self, partial: PushRecord) -> FrameUpdate | None:
-        """Estimate with the push under way; None where it does not touch the object yet, or is known already."""
+        """Estimate from the push so far; None where the pusher does not touch the object yet, or the push is known already."""
         return None if self.knows(partial) else self.online.update(partial)
 
     def finish(self, record: PushRecord) -> PushScore | None:
-        """Score the prediction of a finished push, learn from it, and keep the state; None where there is nothing to learn.
+        """Score the prediction of a finished push, add the push to the estimate, and keep the state; None where it adds nothing.
 
         Raises:
-            ModelFileError: the state cannot be written. The estimate is the new one all the same.
+            ModelFileError: the state cannot be written. The estimate has changed nevertheless.
         """
         if self.knows(record):
             self.n_known_again += 1
@@ -136,14 +140,14 @@ class ObjectSession:
         return score
 
     def adopt(self, posterior: ModelPosterior, source: str) -> None:
-        """Take over a model from elsewhere; further pushes add to it.
+        """Adopt another model of the object; further pushes add to it.
 
         Raises:
-            InputError: it is the model of an object of another shape.
+            InputError: the model belongs to an object of another shape.
         """
-        if not posterior.parameters.shape.is_same_object(self.shape):
+        if not posterior.unknowns.shape.is_same_object(self.shape):
             raise InputError(
-                f"The model is of another object: {len(posterior.parameters.shape.cells)} cells, expected the outline and the cells of "
+                f"The model is of another object: {len(posterior.unknowns.shape.cells)} cells, expected the outline and the cells of "
                 f"`{self.object_id}` with {len(self.shape.cells)}; load it for the object that it was made of."
             )
         self.online = self._identifier(OnlineIdentifier.known(posterior))
@@ -152,24 +156,22 @@ class ObjectSession:
         self.save()
 
     def save(self) -> None:
-        """Keep the state; the file on disk is whole at any moment."""
+        """Keep the state; the file on disk is complete at any moment."""
         if self.file is not None:
             save_state(
                 self.file, self.online.state, object_id=self.object_id, sources=self.sources, record=self.record, pushes=self._known.keys
             )
 
     def predict_under_way(self, partial: PushRecord, horizon: float) -> Prediction:
-        """Where the object will be while the pusher goes on as it does now, for `horizon` seconds."""
-        seen = observe_push(partial, self.options.noise)
+        """Motion of the object during the next `horizon` seconds if the pusher keeps its velocity."""
+        observed = observe_push(partial, self.options.noise)
         path = _continued(partial.pusher, horizon)
         now = float(partial.pusher.time[-1])
         time = np.linspace(now, now + horizon, 11)
         return predict(
             self.posterior,
-            path,
-            seen.pose[0],
-            time,
-            first_covariance=seen.first_covariance,
+            PushScenario(path, observed.pose[0], time),
+            first_covariance=observed.first_covariance,
             noise=self.options.noise,
             n_samples=_SAMPLES_UNDER_WAY,
         )
@@ -177,10 +179,10 @@ class ObjectSession:
     def suggest(
         self, pose: Float64Array, push_settings: PushSettings, obstacles: Sequence[Float64Array] = (), *, n_candidates: int = 24
     ) -> tuple[PlannedPush, Prediction] | None:
-        """The push to make next, and what it will do; None where no safe push would tell anything.
+        """The push to make next, with its prediction; None where no safe push would add information.
 
         Args:
-            pose: of the object now, table frame, shape (3,).
+            pose: present pose of the object, table frame, shape (3,).
             push_settings: limits and ranges of pushes.
             obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
             n_candidates: pushes to choose from.
@@ -191,18 +193,18 @@ class ObjectSession:
         except PlanningError:
             return None
         reference = reference_pushes(self.shape, rng, _N_REFERENCES, push_settings)
-        best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, noise=self.options.noise).best
+        best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, options=RankingOptions(noise=self.options.noise)).best
         if best is None:
             return None
         time = np.linspace(best.pusher.time[0], best.pusher.time[-1], 31)
-        return best, predict(self.posterior, best.pusher, best.pose_object_in_table, time, noise=self.options.noise)
+        return best, predict(self.posterior, PushScenario(best.pusher, best.pose_object_in_table, time), noise=self.options.noise)
 
     def replaced_by(self, shape: ObjectShape) -> ObjectSession:
-        """Session of another object that took over the id; the state of this one is put aside on disk."""
-        self._put_aside()
+        """Session of another object with the same id; the state of this one is renamed on disk."""
+        self._rename_file()
         return ObjectSession(self.object_id, shape, self.options)
 
-    def _put_aside(self) -> None:
+    def _rename_file(self) -> None:
         if self.file is not None and self.file.exists():
             n = 1
             while (aside := self.file.with_name(f"{self.object_id}-before-{n}.state.json")).exists():
@@ -222,21 +224,21 @@ class ObjectSession:
 
 
 class _KnownPushes:
-    """The latest pushes that were learned from, in memory that is taken at once.
+    """The latest pushes of the estimate, in memory of fixed size.
 
     Args:
-        keys: see `_key`, in the order they came.
+        keys: see `_key`, in the order of arrival.
     """
 
     def __init__(self, keys: Sequence[tuple[float, float, float]] = ()) -> None:
-        self._ring = np.full((_KNOWN, 3), np.nan)
+        self._ring = np.full((REMEMBERED_PUSHES, 3), np.nan)
         self._n = 0
         for key in keys:
             self.add(key)
 
     def add(self, key: tuple[float, float, float]) -> None:
-        """One more; for it, the oldest is forgotten where there are too many."""
-        self._ring[self._n % _KNOWN] = key
+        """Add a push; the oldest one is forgotten where there are too many."""
+        self._ring[self._n % REMEMBERED_PUSHES] = key
         self._n += 1
 
     def __contains__(self, key: tuple[float, float, float]) -> bool:
@@ -244,19 +246,19 @@ class _KnownPushes:
 
     @property
     def keys(self) -> list[tuple[float, float, float]]:
-        """In the order they came."""
-        order = np.arange(max(0, self._n - _KNOWN), self._n) % _KNOWN
+        """In the order of arrival."""
+        order = np.arange(max(0, self._n - REMEMBERED_PUSHES), self._n) % REMEMBERED_PUSHES
         return [(time, x, y) for time, x, y in self._ring[order].tolist()]
 
 
 def _key(record: PushRecord) -> tuple[float, float, float]:
-    """What tells one push from another: when and where it began."""
+    """Identity of a push: when and where it began."""
     time, (x, y) = record.pusher.time[0], record.pusher.position[0]
     return round(float(time), 6), round(float(x), 6), round(float(y), 6)
 
 
 def _continued(pusher: PusherPath, horizon: float) -> PusherPath:
-    """The path so far, and on at the velocity of its last moments."""
+    """The path so far, continued at its last velocity."""
     end = float(pusher.time[-1])
     since = max(float(pusher.time[0]), end - _LATEST)
     start = np.array([np.interp(since, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])

@@ -1,4 +1,4 @@
-"""The state of an identification that goes on, as a file: JSON, checked on the way in, with every number to the last bit."""
+"""The state of an online identification as a file: JSON, validated when it is read, with every number to the last bit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.files import write_whole
@@ -52,15 +52,15 @@ class _Past(_Part):
 
 
 class _Score(_Part):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants", populate_by_name=True)
 
     number: int
     source: str
     start: float
-    error: float
-    expected: float
-    distance2: float
-    uniform: float
+    cell_error: float = Field(alias="error")
+    expected_cell_error: float = Field(alias="expected")
+    mahalanobis2: float = Field(alias="distance2")
+    uniform_cell_error: float = Field(alias="uniform")
 
 
 class _Record(_Part):
@@ -79,20 +79,20 @@ class _State(_Part):
     status: str | None
     record: _Record
     keys: list[tuple[float, float, float]]
-    """When and where each push that is known began [s, m, m]."""
+    """When and where each known push began [s, m, m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptState:
-    """What a state file holds."""
+    """Content of a state file."""
 
     object_id: str
     state: OnlineState
     sources: tuple[str, ...]
-    """Bags and pushes that it rests on."""
+    """Bags and pushes of the estimate."""
     record: RunningRecord
     pushes: tuple[tuple[float, float, float], ...]
-    """When and where each push that is known began [s, m, m]."""
+    """When and where each known push began [s, m, m]."""
 
 
 def save_state(
@@ -104,7 +104,7 @@ def save_state(
     record: RunningRecord | None = None,
     pushes: Sequence[tuple[float, float, float]] = (),
 ) -> None:
-    """Write a state, and what `KeptState` has beside it; the file appears whole or not at all.
+    """Write a state with the other fields of `KeptState`; the file appears complete or not at all.
 
     Raises ModelFileError where it cannot be written.
     """
@@ -123,39 +123,39 @@ def save_state(
             hessian=past.cost.hessian.tolist(),
             log_forces=past.log_forces.tolist(),
         ),
-        starts=[x.tolist() for x in state.starts],
+        starts=[x.tolist() for x in state.warm_starts],
         status=state.status.name if state.status else None,
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
     )
-    write_whole(path, content.model_dump_json(), "the state of the identification")
+    write_whole(path, content.model_dump_json(by_alias=True), "the state of the identification")
 
 
 def load_state(path: Path) -> KeptState:
     """Read a state. Raises ModelFileError: no such file, or not one written by `save_state`."""
-    content = read_checked(path, _State, "a state of the identification", "remove it to begin anew")
+    content = read_checked(path, _State, "a state of the identification", "remove it to start again")
     if content.format != _FORMAT:
-        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to begin anew.")
+        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to start again.")
     posterior = posterior_of(content.model, path)
-    parameters, past = posterior.parameters, None
+    unknowns, past = posterior.unknowns, None
     try:
         if content.past:
             point, gradient, hessian = (np.array(v) for v in (content.past.point, content.past.gradient, content.past.hessian))
-            if point.shape != gradient.shape or hessian.shape != (parameters.size, parameters.size) or point.shape != (parameters.size,):
-                raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {parameters.size}; the file is damaged.")
+            if point.shape != gradient.shape or hessian.shape != (unknowns.size, unknowns.size) or point.shape != (unknowns.size,):
+                raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {unknowns.size}; the file is damaged.")
             cost = Quadratic(point, gradient, hessian)
-            past = Summary(content.past.n_pushes, parameters.modes, cost, np.array(content.past.log_forces))
+            past = Summary(content.past.n_pushes, unknowns.modes, cost, np.array(content.past.log_forces))
         state = OnlineState(
-            shape=parameters.shape,
+            shape=unknowns.shape,
             prior=prior_of(content.prior),
-            records=tuple(_record(push, content.model.object_id, parameters.shape) for push in content.pushes),
+            records=tuple(_record(push, content.model.object_id, unknowns.shape) for push in content.pushes),
             past=past,
-            starts=tuple(np.array(x) for x in content.starts),
+            warm_starts=tuple(np.array(x) for x in content.starts),
             posterior=posterior,
             status=SolveStatus[content.status] if content.status else None,
         )
     except (InputError, KeyError, ValueError) as error:
-        raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to begin anew.") from None
+        raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to start again.") from None
     latest = tuple(PushScore(**score.model_dump()) for score in content.record.latest)
     record = RunningRecord(content.record.n, content.record.sums, latest)
     return KeptState(content.model.object_id, state, tuple(content.model.sources), record, tuple(content.keys))

@@ -1,10 +1,10 @@
-"""What pushes say that are no longer simulated: a quadratic in the unknowns, and the forces that were measured.
+"""Information from pushes that are no longer simulated: a quadratic in the unknowns, and the measured forces.
 
 Around the point x* where a fit ended, the cost of a push is nearly
 
     1/2 (z - z*)' H (z - z*) + g' (z - z*)
 
-with its own first pose minimised over (Schur complement). Such quadratics add up, so that any number of old pushes costs as much as none:
+with its own first pose minimised over (Schur complement). Such quadratics add up, so that old pushes cost nothing however many they are:
 the square-root filter of smoothing and mapping (Kaess et al., iSAM, IEEE Trans. Robotics 2008), with Hessians in place of roots.
 """
 
@@ -25,9 +25,9 @@ from push_ident.types import Float64Array, PushRecord
 __all__ = ["Summary", "summarise"]
 
 _POSE_STEPS = 2
-"""Newton steps that put the first pose of a push where it fits best."""
+"""Newton steps to the best first pose of a push."""
 _FORCES = 200
-"""Latest measured forces that are kept: their median is known long before, and memory must not grow with the pushes."""
+"""Number of the latest measured forces that are kept: enough for their median, and memory must not grow with the pushes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Summary:
 
     n_pushes: int
     modes: Float64Array
-    """Of the maps, see `MapParameters`, shape (n_cells, n_modes)."""
+    """Of the maps, see `Unknowns`, shape (n_cells, n_modes)."""
     cost: Quadratic
     """Of the unknowns, in units of the prior at full amplitude."""
     log_forces: Float64Array
@@ -49,9 +49,10 @@ class Summary:
 
 
 def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel | None, settings: SimulationSettings | None) -> Summary:
-    """Sum up one push around the mean of a posterior that rests on it; of a push that cannot be simulated, the summary says nothing."""
-    problem = FitProblem([record], posterior.parameters, noise=noise, settings=settings)
-    n_z, modes = posterior.parameters.size, posterior.parameters.modes
+    """Sum up one push around the mean of a posterior that was fitted to it; a push that cannot be simulated adds no information."""
+    unknowns = posterior.unknowns
+    problem = FitProblem([record], unknowns, noise=noise, settings=settings)
+    n_z, modes = unknowns.size, unknowns.modes
     x = np.r_[posterior.z, np.zeros(3)]
     for _ in range(_POSE_STEPS):
         terms = problem.evaluate_push(x, 0)
@@ -65,5 +66,5 @@ def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel |
     onto = np.linalg.solve(own, shared.T).T
     hessian = full.hessian[:n_z, :n_z] - onto @ shared.T
     gradient = full.gradient[:n_z] - onto @ full.gradient[n_z:]
-    force = log_force(posterior.parameters.model(posterior.z), problem, x, 0)
+    force = log_force(unknowns.model(posterior.z), problem, x, 0)
     return Summary(1, modes, Quadratic(posterior.z, gradient, hessian), np.array([] if force is None else [force]))

@@ -1,7 +1,7 @@
-"""Total mass from measured forces, the one thing that poses cannot tell.
+"""Total mass from measured forces: poses carry no information about it.
 
-A force tells the product of total mass M and friction scale: log(F_measured / F_simulated at M = 1) = log M + log(friction scale).
-Poses tell the friction scale a little (through inertia), the prior tells both a little: one Gaussian measurement of their sum.
+A force determines the product of total mass M and friction scale: log(F_measured / F_simulated at M = 1) = log M + log(friction scale).
+Poses (through inertia) and the prior bound both factors weakly. So a force is one Gaussian measurement of the sum of their logarithms.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.physics.scenario import PushScenario
@@ -20,30 +20,32 @@ from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
 __all__ = ["log_force", "with_measured_forces"]
 
-_IDENTIFIABLE = 0.5  # total mass is identified when the data leave less than this share of the prior's deviation
-_MIN_FORCE_STD = 0.05  # of the logarithm, shared by all pushes: no force sensor and no friction model is better
+_IDENTIFIABLE = 0.5
+"""The total mass is identified when its posterior standard deviation is below this share of the prior's."""
+_MIN_FORCE_STD = 0.05
+"""Standard deviation of the logarithm of a force that all pushes share: no force sensor and no friction model is better."""
 
 
 def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Float64Array, past: Sequence[float] = ()) -> ModelPosterior:
-    """Condition a posterior on the wrenches of the pushes; as it was where there are none.
+    """Condition a posterior on the wrenches of the pushes; unchanged where there are none.
 
     Args:
         posterior: from the poses alone.
-        problem: pushes it rests on.
+        problem: pushes that it was fitted to.
         x: unknowns of the problem at the posterior's mean, for the first poses, shape (problem.size,).
         past: `log_force` of pushes that are not in the problem.
     """
-    model = posterior.parameters.model(posterior.z)
+    model = posterior.unknowns.model(posterior.z)
     forces = [f for push in range(len(problem.records)) if (f := log_force(model, problem, x, push)) is not None]
     if not forces and not len(past):
         return posterior
     logs = np.array([*past, *forces]) - _log_scale(model, posterior.prior)
     measured = float(np.median(logs))
-    # The sensor's scale is off by the same in every push; the rest averages out.
+    # The scale error of the sensor is the same in every push; other errors average out.
     variance = _MIN_FORCE_STD**2 + float(np.var(logs)) / len(logs)
     prior = posterior.prior
     row = np.zeros(len(posterior.z))
-    row[-2] = prior.friction_std
+    row[posterior.unknowns.slice_of("friction_scale")] = prior.friction_std
     mass_variance = prior.total_mass_std**2
     spread = posterior.covariance @ row
     total = float(row @ spread) + mass_variance + variance
@@ -63,12 +65,12 @@ def with_measured_forces(posterior: ModelPosterior, problem: FitProblem, x: Floa
 
 
 def log_force(model: ObjectModel, problem: FitProblem, x: Float64Array, push: int) -> float | None:
-    """Logarithm of how strong the friction of the object is over its nominal value, as the wrench of one push tells.
+    """Logarithm of the friction of the object over its nominal value, from the wrench of one push.
 
-    That is log(measured over simulated force), median over the time in contact, plus that of the model's own friction.
+    That is log(measured over simulated force), median over the time in contact, plus the logarithm of the model's own friction.
 
     Args:
-        model: that the force is simulated with, of the nominal mass.
+        model: for the simulated force, of the nominal mass.
         problem, x: for the push and its first pose.
         push: index of the push.
 
@@ -76,11 +78,11 @@ def log_force(model: ObjectModel, problem: FitProblem, x: Float64Array, push: in
         None where nothing was measured.
     """
     ratio = _force_ratio(model, problem, x, push)
-    return None if ratio is None else float(np.log(ratio)) + _log_scale(model, problem.parameters.prior)
+    return None if ratio is None else float(np.log(ratio)) + _log_scale(model, problem.unknowns.prior)
 
 
 def _log_scale(model: ObjectModel, prior: Prior) -> float:
-    """Of the friction of the whole object over its nominal value."""
+    """Logarithm of the friction of the whole object over its nominal value."""
     return float(np.log(model.mass @ model.friction / (prior.total_mass * prior.friction)))
 
 
@@ -93,7 +95,7 @@ def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push:
         model,
         PushScenario(record.pusher, problem.first_pose(x, push), record.pusher.time[-1:], record.order),
         settings=problem.settings,
-        effects=problem.parameters.effects_at(x[: problem.parameters.size]),
+        effects=problem.unknowns.effects_at(problem.object_unknowns(x)),
     )
     if motion.status is not SolveStatus.CONVERGED:
         return None
@@ -103,6 +105,6 @@ def _force_ratio(model: ObjectModel, problem: FitProblem, x: Float64Array, push:
     steady = size2 > 0.25 * np.median(size2[size2 > 0]) if np.any(size2 > 0) else np.zeros(len(size2), dtype=bool)
     if not np.any(steady):
         return None
-    # The median: at the touch a small error of time makes a large error of force.
+    # The median, since at the touch a small error of time makes a large error of force.
     ratio = float(np.median(np.sum(wrench.force[steady] * simulated[steady], axis=1) / size2[steady]))
     return ratio if np.isfinite(ratio) and ratio > 0 else None

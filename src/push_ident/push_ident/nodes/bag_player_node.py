@@ -27,7 +27,7 @@ from push_ident.nodes.run import run_node
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# A listener that keeps all, too, holds the player back until it has room: then nothing is lost, however fast the bag is played.
+# A subscriber that also keeps all holds the player back until it has room: nothing is lost, however fast the bag is played.
 _RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
 _SEEN: Final = frozenset({Role.POSE, Role.DEPTH})
@@ -38,7 +38,7 @@ _DELIVERY: Final = 120.0
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to play: a folder or an .mcap or .db3 file", read_only=True),
-    Parameter("rate", 1.0, "Speed of playing relative to real time; 0: as fast as it goes [-]", 0.0, 1000.0, read_only=True),
+    Parameter("rate", 1.0, "Speed relative to real time; 0: as fast as possible [-]", 0.0, 1000.0, read_only=True),
     Parameter("loop", False, "Start again at the end", read_only=True),
     Parameter("wait", 5.0, "Longest wait for `listeners` before playing [s]", 0.0, 600.0, read_only=True),
     Parameter("listeners", 1, "Subscriptions to the poses of an object, or to depth, to wait for", 0, 100, read_only=True),
@@ -46,7 +46,7 @@ PARAMETERS: Final = (
 
 
 class BagPlayerNode(Node):
-    """Publishes the recorded messages of the contract as they are, byte for byte, under their contract names."""
+    """Publishes the recorded messages of the contract byte for byte under their contract names."""
 
     def __init__(self) -> None:
         super().__init__("bag_player_node")
@@ -75,7 +75,7 @@ class BagPlayerNode(Node):
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play, name="play", daemon=True)
         self._thread.start()
-        # Keeps the executor busy enough to see a stop; the wall clock runs whatever /clock says.
+        # Wakes the executor regularly so that it notices a stop; the wall clock runs independently of /clock.
         self.create_timer(1.0, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class BagPlayerNode(Node):
         except PushIdentError as error:
             self.get_logger().fatal(str(error))
         self._done.publish(Bool(data=True))
-        # Late messages must reach their listeners before their publisher goes.
+        # The last messages must reach their subscribers before the publisher is destroyed.
         deadline = time.monotonic() + _DELIVERY
         for publisher in self._player_publishers.values():
             while not publisher.wait_for_all_acked(Duration(seconds=0.1)) and not self._stop.is_set() and time.monotonic() < deadline:
@@ -158,7 +158,7 @@ class BagPlayerNode(Node):
                 publisher.publish(message.data)
                 return 1
             except rclpy_implementation.RCLError:
-                # No room within DDS's own patience of 0.1 s: a listener is busy.
+                # No room within the 0.1 s timeout of DDS: a subscriber is busy.
                 if not self.context.ok():
                     break
         return 0

@@ -1,4 +1,4 @@
-"""Node `bag_recorder`: writes the topics of the bag contract to MCAP as they come, readable after a kill."""
+"""Node `bag_recorder`: writes the topics of the bag contract to an MCAP file that stays readable after a kill."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from push_ident.types import Float64Array
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
 _CHECK_PERIOD: Final = 0.5
-"""[s] between two looks at the free disk."""
+"""Time between two checks of the free disk [s]."""
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
@@ -38,10 +38,10 @@ PARAMETERS: Final = (
 
 
 class BagRecorderNode(Node):
-    """Subscribes to every topic of the contract that appears and writes its messages as they are.
+    """Subscribes to every topic of the contract that appears and writes its messages unchanged.
 
-    On the latched topic `recording` it says whether it can: where it cannot any more, the bag is closed at once, readable up to there,
-    and an executor that hears it stops pushing.
+    It publishes its status on the latched topic `recording`. When it cannot write any more, it closes the bag at once, which stays
+    readable, and an executor that receives the status stops pushing.
     """
 
     def __init__(self) -> None:
@@ -92,17 +92,17 @@ class BagRecorderNode(Node):
     def _check_disk(self) -> None:
         free, least = shutil.disk_usage(self._disk).free >> 20, self._settings["min_free_mib"]
         if free < least:
-            raise BagError(f"{self._disk} has {free} MiB free, expected at least {least}; make room first.")
+            raise BagError(f"{self._disk} has {free} MiB free, expected at least {least}; free some space first.")
 
     def _fail(self, error: BagError) -> None:
-        """Tell everyone, and close the bag: what is written stays readable."""
+        """Publish the failure and close the bag, which stays readable."""
         self._failed = str(error)
         self._recording.publish(self._status())
         self.get_logger().error(self._failed)
         try:
             self._writer.__exit__(None, None, None)
         except BagError as failure:
-            self.get_logger().error(f"the bag has no index, its chunks can be read nevertheless: {failure}")
+            self.get_logger().error(f"the bag has no index, but its chunks can be read: {failure}")
         self._report()
 
     def _discover(self) -> None:

@@ -41,14 +41,14 @@ T = TypeVar("T")
 
 
 class CellTimeout(PushIdentError):
-    """A node did not answer in time; the text names it and what would help."""
+    """A node did not answer in time; the text names the node and a remedy."""
 
 
 class CellClient:
-    """Talks to the nodes of one cell. Use it as a context manager; its callbacks run in a thread of its own.
+    """A client of the nodes of one cell. Use it as a context manager; its callbacks run in their own thread.
 
     Args:
-        check: called while waiting; may raise to end the wait (a supervisor that sees a dead node).
+        check: called while waiting; may raise to end the wait (such as the check of a supervisor for dead nodes).
     """
 
     def __init__(self, *, check: Callable[[], None] = lambda: None) -> None:
@@ -90,10 +90,10 @@ class CellClient:
             return
 
     def wait(self, what: Callable[[], T | None], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> T:
-        """Wait until `what` gives something else than None or False.
+        """Wait until `what` returns something else than None or False.
 
         Args:
-            last_heard: When there was a sign of life [s], of `time.monotonic`; the timeout counts from it and not from now.
+            last_heard: Time of the last sign of life [s], of `time.monotonic`; the timeout counts from it instead of from now.
 
         Raises:
             CellTimeout: `timeout` [s] of wall time has passed; the text is `missing`.
@@ -106,16 +106,16 @@ class CellClient:
             time.sleep(_POLL)
         return found
 
-    # ---- what is seen
+    # ---- observations
 
     def wait_for_object(self, timeout: float = 60.0) -> str:
         """Id of the first object with poses and cells."""
 
-        def seen() -> str | None:
+        def complete() -> str | None:
             return next((i for i in sorted(self._poses) if self._poses[i] and i in self._cells and i in self._outlines), None)
 
         reasons = "; ".join(f"{name}: {status.message}" for name, status in sorted(self.diagnostics.items()))
-        return self.wait(seen, timeout, f"no object after {timeout:.0f} s ({reasons or 'no diagnostics either, is perception running?'})")
+        return self.wait(complete, timeout, f"no object after {timeout:.0f} s ({reasons or 'no diagnostics; is perception running?'})")
 
     def poses(self, object_id: str) -> list[tuple[float, Float64Array]]:
         """The latest poses of an object with their stamps, oldest first."""
@@ -128,7 +128,7 @@ class CellClient:
             found = [pose for stamp, pose in self.poses(object_id) if stamp > after]
             return found if len(found) >= n else None
 
-        found = self.wait(later, timeout, f"object {object_id} was not seen {n} times within {timeout:.0f} s; is it hidden?")[-n:]
+        found = self.wait(later, timeout, f"object {object_id} has fewer than {n} new poses within {timeout:.0f} s; is it hidden?")[-n:]
         mean: Float64Array = np.mean(found, axis=0)
         # Yaw may wrap between frames.
         turn = wrap_angle(np.array([pose[2] for pose in found]) - found[0][2])
@@ -136,7 +136,7 @@ class CellClient:
         return mean
 
     def shape(self, object_id: str) -> ObjectShape:
-        """Cells and outline of an object that `wait_for_object` has named."""
+        """Cells and outline of an object that `wait_for_object` returned."""
         return shape_from_msgs(self._cells[object_id], self._outlines[object_id])
 
     def latched_text(self, topic: str, timeout: float = 10.0) -> str:
@@ -153,7 +153,7 @@ class CellClient:
         return self._maps.get(object_id)
 
     def wait_for_map(self, object_id: str, n_pushes: int, timeout: float = 120.0) -> MassFrictionMap:
-        """The first map that rests on at least so many finished pushes."""
+        """The first map from at least so many finished pushes."""
 
         def enough() -> MassFrictionMap | None:
             latest = self._maps.get(object_id)
@@ -171,21 +171,21 @@ class CellClient:
 
         return self.wait(settled, timeout, f"no map of object {object_id} came; see identification's log")
 
-    # ---- what is asked for
+    # ---- requests
 
     def execute_push(
         self, goal: ExecutePush.Goal, *, silence: float = 60.0, on_feedback: Callable[[Any], None] | None = None
     ) -> ExecutePush.Result:
         """Push (or plan only); returns the result whatever its error code.
 
-        A push may take minutes, with another one before it that brings the object back to the middle. It is waited for while the
-        executor tells how far it is.
+        A push may take minutes, since another one may bring the object back to the middle first. The wait goes on while the executor
+        sends feedback.
 
         Args:
-            silence: longest time without feedback [s], wall time; planning tells nothing and a simulated cell may be slow.
+            silence: longest time without feedback [s], wall time; planning sends none and a simulated cell may be slow.
 
         Raises:
-            CellTimeout: The action is not served, the goal was refused, or the executor fell silent.
+            CellTimeout: The action is not served, the goal was refused, or the executor sent no more feedback.
         """
         self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
         heard = time.monotonic()
@@ -202,11 +202,11 @@ class CellClient:
         if not handle.accepted:
             raise CellTimeout("execute_push refused the goal")
         heard = time.monotonic()
-        missing = f"execute_push told nothing for {silence:.0f} s and gave no result; see the log of push_executor_node"
+        missing = f"execute_push sent no feedback for {silence:.0f} s and no result; see the log of push_executor_node"
         return self._answer(handle.get_result_async, silence, missing, lambda: heard).result
 
     def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
-        """Diagnose the pushes seen so far.
+        """Diagnose the pushes so far.
 
         Raises:
             CellTimeout: The action is not served, refused the goal, or took longer than `timeout` [s].
@@ -218,7 +218,7 @@ class CellClient:
         return self._answer(handle.get_result_async, timeout, f"diagnose_gap gave no result within {timeout:.0f} s").result
 
     def predict(self, object_id: str, path: Path) -> PushPrediction:
-        """What the identified model says of a push along `path`, from the object's latest pose."""
+        """Prediction of the identified model for a push along `path`, from the object's latest pose."""
         request = PredictPush.Request(object_id=object_id, pusher_path=path)
         answer = self._call(self._predict, request, "predict_push")
         return answer.prediction
@@ -235,14 +235,14 @@ class CellClient:
         return answer
 
     def _answer(self, ask: Callable[[], Future], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> Any:
-        # Asked from the thread that spins: from another one, the answer may come before the question is noted, and is dropped.
+        # The request is made in the thread that spins: otherwise the answer may arrive before the request is registered, and is dropped.
         asked: Future = self._executor.create_task(ask)
         self.wait(asked.done, timeout, missing, last_heard)
         future: Future = asked.result()
         self.wait(future.done, timeout, missing, last_heard)
         return future.result()
 
-    # ---- what comes in
+    # ---- messages
 
     def _on_new_object(self, object_id: str) -> None:
         prefix = f"objects/{object_id}"

@@ -18,6 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import FrameError, InputError
+from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
@@ -48,7 +49,6 @@ __all__ = [
     "transform_to_msg",
 ]
 
-TABLE_FRAME: Final = "table"
 
 _CELL: Final = 100
 _PLANAR: Final = (0, 1, 5)
@@ -57,11 +57,6 @@ _FIXED_VARIANCE: Final = 1e-6
 """Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
 _MAX_TILT: Final = 0.1
 """[rad] a pose may be tilted against the table and still count as planar."""
-
-
-def object_frame(object_id: str) -> str:
-    """Name of the frame fixed in an object."""
-    return f"object_{object_id}"
 
 
 def stamp_from_msg(stamp: Time) -> float:

@@ -1,4 +1,4 @@
-"""Finding the objects that are being tracked, by the topics they are published on."""
+"""Find the tracked objects by the topics on which they are published."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ObjectTopics:
     """
 
     def __init__(self, node: Node, on_new_object: Callable[[str], None], *, callback_group: CallbackGroup | None = None) -> None:
-        """`on_new_object` is called once with the id of each object, as soon as somebody publishes its pose."""
+        """`on_new_object` is called once with the id of each object, as soon as its pose is published."""
         self._node = node
         self._on_new_object = on_new_object
         self._pattern = re.compile(re.escape(node.resolve_topic_name("objects")) + r"/([^/]+)/pose")
@@ -39,7 +39,7 @@ class ObjectTopics:
         self._timer.destroy()
 
     def poll(self) -> None:
-        """Look now rather than at the next second."""
+        """Check now instead of at the next second."""
         for topic, types in self._node.get_topic_names_and_types():
             match = self._pattern.fullmatch(topic)
             if match is None or _POSE_TYPE not in types or match[1] in self._ids or self._node.count_publishers(topic) == 0:

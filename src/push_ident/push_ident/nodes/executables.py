@@ -41,7 +41,7 @@ def run_executable(name: str, nodes: Mapping[str, str]) -> None:
     in_main = threading.current_thread() is threading.main_thread()
     if in_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
-    importlib.import_module(nodes[name]).main()
+    sys.exit(importlib.import_module(nodes[name]).main())
 
 
 def _end(number: int, frame: FrameType | None) -> None:

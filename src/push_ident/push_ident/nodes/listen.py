@@ -1,4 +1,4 @@
-"""Which topics of the bag contract are alive, at which rate and quality of service."""
+"""Live topics of the bag contract with their rates and quality of service."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from push_ident.bags.contract import Role, role_of
 __all__ = ["listen_to_contract"]
 
 _RARE = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.PUSHER, Role.PUSH_RECORD})
-"""Roles that may well be silent for a while."""
+"""Roles that may be silent for a while."""
 
 
 def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
-    """Listen for so long [s]; one row a topic: topic, type, rate_hz, qos, silent (should speak and does not)."""
+    """Listen for some time [s]; one row per topic: topic, type, rate_hz, qos, silent (no message although some are expected)."""
     rclpy.init()
     node = Node("push_ident_doctor")
     counts: Counter[str] = Counter()

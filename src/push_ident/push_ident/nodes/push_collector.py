@@ -1,4 +1,4 @@
-"""From the topics of a cell to finished pushes: what every node needs that learns from pushes."""
+"""Collects finished pushes from the topics of a cell."""
 
 from __future__ import annotations
 
@@ -26,41 +26,42 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
 )
 from push_ident.nodes.discovery import ObjectTopics
-from push_ident.pushing.assembly import PushAssembler
+from push_ident.pushing.cutter import PushCutter, PushInterval
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
 __all__ = ["PushCollector"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# What a busy moment leaves waiting is kept: a sender that keeps all, as the bag player does, is held back rather than overwritten.
+# Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
 _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _SILENCE: Final = 2.0
-"""Wall time without a message after which a push counts as finished [s]: the source has gone."""
+"""Wall time without a message after which a push counts as finished [s]: the source has stopped."""
 _HIDDEN: Final = 10.0
-"""The same where no object was seen since the push [s]: the arm may still be in the way."""
+"""The same while no object has a pose since the push [s]: the arm may still hide it."""
 _NO_CLOCK: Final = 3.0
 """Wall time without /clock after which simulated time counts as missing [s]."""
+_FAILED: Final = "pushes that failed, left out"
 _PERIOD: Final = 0.1
-"""Between two looks for pushes that are complete [s], wall time."""
+"""Wall time between two checks for complete pushes [s]."""
 
 
 class PushCollector:
     """Subscribes to objects, pusher, wrench and push records of a cell, and cuts them into pushes.
 
     Args:
-        node: that subscribes.
+        node: node that subscribes.
         gap: pause of the pusher that ends a push [s].
         on_object: called with the id of each object as soon as its pose is published.
-        on_shape: called with id and shape of an object whenever its shape is told; what it raises as `PushIdentError` refuses the shape.
-        on_pushes: called with complete pushes, each a list of one record per object; empty where too little was seen.
+        on_shape: called with id and shape of an object whenever its shape is published; a `PushIdentError` refuses the shape.
+        on_pushes: called with complete pushes, each a list of one record per object; empty without enough observations.
         on_frame: called with the id of an object after each new pose while a push is under way.
 
     Attributes:
-        active: whether messages are taken in.
-        counts: of messages, by kind and what became of them.
-        last_error: why a message was refused last.
-        radius: of the pusher [m]; 0 until it is told.
+        active: whether messages are used.
+        counts: numbers of messages, by kind and outcome.
+        last_error: reason of the latest refusal of a message.
+        radius: radius of the pusher [m]; 0 until it is published.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class PushCollector:
         self._node = node
         self._on_object, self._on_shape, self._on_pushes, self._on_frame = on_object, on_shape, on_pushes, on_frame
         self._lock = threading.RLock()
-        self._assembler = PushAssembler(gap)
+        self._cutter = PushCutter(gap)
         self._latest: dict[str, tuple[float, Float64Array, Float64Array]] = {}
         self._shapes: dict[str, ObjectShape] = {}
         self._cells: dict[str, OccupancyGrid] = {}
@@ -98,15 +99,15 @@ class PushCollector:
         ]
         self._topics = ObjectTopics(node, self._on_new_object)
 
-    # ---- what is known
+    # ---- state
 
     @property
     def now(self) -> float:
-        """Latest stamp seen [s]."""
-        return self._assembler.now
+        """Latest stamp of all streams [s]."""
+        return self._cutter.now
 
     def latest(self, object_id: str) -> tuple[float, Float64Array, Float64Array] | None:
-        """Stamp [s], pose and covariance of an object as it was seen last; None before that."""
+        """Stamp [s], latest pose and covariance of an object; None before the first."""
         return self._latest.get(object_id)
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
@@ -119,16 +120,16 @@ class PushCollector:
             ]
 
     def partial(self, object_id: str) -> PushRecord | None:
-        """The push under way as far as it has come; None while there is none."""
+        """The part so far of the push under way; None while there is none."""
         with self._lock:
-            return self._assembler.partial(object_id)
+            return self._cutter.partial(object_id)
 
     def what_is_missing(self) -> str:
-        """Why no pushes come in; empty when they can."""
+        """Why no pushes arrive; empty if they can."""
         if self._lacks_clock():
             return "use_sim_time is true but nothing comes on /clock; is the simulator or bag player running?"
         if not self.active:
-            return "inactive: nothing is taken in; activate the node"
+            return "inactive: messages are ignored; activate the node"
         if not self._topics.ids:
             return "no objects/<id>/pose is published; is perception (or a bag player) running?"
         if not self._shapes:
@@ -140,7 +141,7 @@ class PushCollector:
         with self._lock:
             return {
                 **self.counts,
-                "pushes that failed, left out": self._assembler.n_failed,
+                _FAILED: self.counts[_FAILED],
                 "run": self._run,
                 "last error": self.last_error or "none",
             }
@@ -152,10 +153,10 @@ class PushCollector:
         self._node.get_logger().warning(why, throttle_duration_sec=5.0)
 
     def pause(self) -> None:
-        """Take no more messages in; a push under way is let go."""
+        """Ignore further messages; a push under way is dropped."""
         with self._lock:
             self.active = False
-            self._assembler.reset()
+            self._cutter.reset()
 
     def close(self) -> None:
         """Withdraw all subscriptions."""
@@ -164,7 +165,7 @@ class PushCollector:
         for entity in self._entities:
             entity.destroy()
 
-    # ---- what comes in
+    # ---- messages
 
     def _on_new_object(self, object_id: str) -> None:
         node, prefix = self._node, f"objects/{object_id}"
@@ -191,7 +192,7 @@ class PushCollector:
                 self.refuse("shapes", f"objects/{object_id}/cells: {error}")
                 return
             self._shapes[object_id] = shape
-            self._assembler.set_shape(object_id, shape)
+            self._cutter.set_shape(object_id, shape)
             self.counts["shapes"] += 1
 
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
@@ -203,10 +204,10 @@ class PushCollector:
             self.refuse("poses", f"objects/{object_id}/pose: {error}")
             return
         with self._lock:
-            if not self._arrived("poses", self._assembler.add_pose(object_id, stamp, pose, covariance)):
+            if not self._arrived("poses", self._cutter.add_pose(object_id, stamp, pose, covariance)):
                 return
             self._latest[object_id] = (stamp, pose, covariance)
-            pushing = self._assembler.is_under_way and object_id in self._shapes
+            pushing = self._cutter.is_under_way and object_id in self._shapes
         if pushing:
             self._on_frame(object_id)
 
@@ -219,7 +220,7 @@ class PushCollector:
             self.refuse("pusher samples", f"pusher/pose: {error}")
             return
         with self._lock:
-            self._arrived("pusher samples", self._assembler.add_pusher(stamp, position[:2]))
+            self._arrived("pusher samples", self._cutter.add_pusher(stamp, position[:2]))
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
         try:
@@ -228,7 +229,7 @@ class PushCollector:
             self.refuse("pusher shapes", f"pusher/shape: {error}")
             return
         with self._lock:
-            self._assembler.set_radius(self.radius)
+            self._cutter.set_radius(self.radius)
 
     def _on_wrench(self, msg: WrenchStamped) -> None:
         if not self.active:
@@ -239,23 +240,23 @@ class PushCollector:
             self.refuse("wrenches", f"pusher/wrench: {error}")
             return
         with self._lock:
-            self._arrived("wrenches", self._assembler.add_wrench(stamp, force))
+            self._arrived("wrenches", self._cutter.add_wrench(stamp, force))
 
     def _on_push_record(self, msg: PushRecordMsg) -> None:
         if not self.active:
             return
         with self._lock:
-            failed_since = stamp_from_msg(msg.start) if msg.error_code else None
-            self._assembler.end_push(stamp_from_msg(msg.end), failed_since)
+            start, end = stamp_from_msg(msg.start), stamp_from_msg(msg.end)
+            self._cutter.add_record(PushInterval(int(msg.push_id), str(msg.object_id), start, end, int(msg.error_code)))
             self.counts["push records"] += 1
 
     def _arrived(self, what: str, taken: bool) -> bool:
-        """Count a message; whether it was taken."""
+        """Count a message; return whether it was used."""
         self.counts[what if taken else f"{what} with old stamps"] += 1
-        if self._assembler.run > self._run:
-            self._run = self._assembler.run
+        if self._cutter.run > self._run:
+            self._run = self._cutter.run
             self._node.get_logger().warning(
-                f"time went back to {self._assembler.now:.2f} s ({what}): run {self._run}; buffered data dropped, models kept"
+                f"time went back to {self._cutter.now:.2f} s ({what}): run {self._run}; buffered data dropped, models kept"
             )
             self.counts["time jumps"] += 1
         self._received = time.monotonic()
@@ -264,15 +265,17 @@ class PushCollector:
 
     def _collect(self) -> None:
         with self._lock:
-            patience = _HIDDEN if self._assembler.is_awaiting else _SILENCE
+            patience = _HIDDEN if self._cutter.is_awaiting else _SILENCE
             silent = not self._flushed and time.monotonic() - self._received > patience
-            pushes = self._assembler.finished(flush=silent)
+            pushes = self._cutter.finished(flush=silent)
             self._flushed = self._flushed or silent
-        if pushes:
-            self._on_pushes(pushes)
+        failed = sum(push.interval.error_code != 0 for push in pushes)
+        self.counts[_FAILED] += failed
+        if len(pushes) > failed:
+            self._on_pushes([push.records for push in pushes if push.interval.error_code == 0])
 
     def _lacks_clock(self) -> bool:
-        """Whether the node waits for a /clock that nobody publishes."""
+        """Whether the node waits for a /clock without publisher."""
         simulated = self._node.get_parameter("use_sim_time").value
         patient = time.monotonic() - self._began < _NO_CLOCK
         return bool(simulated and not patient and self._node.get_clock().now().nanoseconds == 0)

@@ -1,4 +1,4 @@
-"""Whether the recorder can still write, told by one node and minded by another."""
+"""The status of the recorder, which the push executor observes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 __all__ = ["RECORDING_QOS", "RECORDING_TOPIC", "RecordingPort"]
 
 RECORDING_TOPIC: Final = "recording"
-"""diagnostic_msgs/DiagnosticStatus, latched: OK while a bag is written, ERROR with the reason once it cannot be."""
+"""diagnostic_msgs/DiagnosticStatus, latched: OK while a bag is written, ERROR with the reason after a failure."""
 RECORDING_QOS: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RecordingPort:
-    """The executor's side."""
+    """Subscription of the push executor to the status of the recorder."""
 
     def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
         self._node = node
@@ -26,7 +26,7 @@ class RecordingPort:
 
     @property
     def fault(self) -> str:
-        """Why the recorder cannot write; empty while it can, or where none runs (any more)."""
+        """Why the recorder cannot write; empty while it can, or while none runs."""
         if self._fault and self._node.count_publishers(self._node.resolve_topic_name(RECORDING_TOPIC)) == 0:
             self._fault = ""
         return self._fault

@@ -1,4 +1,4 @@
-"""How every node process starts, spins and stops."""
+"""Start, spin and stop of every node process."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from push_ident.errors import PushIdentError
 __all__ = ["run_node", "settle_memory"]
 
 _STOP_WITHIN: Final = 1.8
-"""[s] after the first signal the process is gone, whatever a callback is busy with."""
+"""Longest time from the first signal to the end of the process, even if a callback is busy [s]."""
 
 _WAIT: Final = 0.05
-"""[s] between two looks at the stop flag; bounds the delay of a stop while nothing arrives."""
+"""Time between two checks of the stop flag [s]; limits the delay of a stop while no message arrives."""
 
 _YIELD: Final = 3e-4
-"""[s] in which a worker thread can begin its callback."""
+"""Time for a worker thread to begin its callback [s]."""
 
 
 def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
     """Run one node until SIGINT or SIGTERM.
 
     The signal only raises a flag: the ROS context stays valid, so a node that has a method `close()` can still publish there
-    (hold the arm, end a bag) before it is destroyed. A process that is not done after 1.8 s is ended hard.
+    (hold the arm, end a bag) before it is destroyed. A process that still runs after 1.8 s is killed.
 
     Args:
         factory: Builds the node; `PushIdentError` raised there ends the process with one line and exit code 1.
@@ -69,8 +69,7 @@ def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, 
 
 
 def settle_memory() -> None:
-    """Take what was made so far out of the garbage collector's rounds: modules and compiled kernels stay, and going through them again
-    in the middle of a push takes some 50 ms."""
+    """Exclude all present objects from garbage collection: scanning modules and compiled kernels during a push takes some 50 ms."""
     gc.collect()
     gc.freeze()
 
@@ -88,8 +87,8 @@ def _spin(factory: Callable[[], Node], stop: threading.Event, n_threads: int) ->
         while not stop.is_set() and rclpy.ok():
             executor.spin_once(timeout_sec=_WAIT)
             if n_threads > 1:
-                # Until a worker has taken a callback, rclpy hands the same one out again and again, and this thread would keep
-                # the interpreter from the worker: 100% of a core where 16% do.
+                # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
+                # interpreter for the worker: 100 % of a core instead of 16 %.
                 time.sleep(_YIELD)
     except ExternalShutdownException:
         pass  # The node ended the context itself.

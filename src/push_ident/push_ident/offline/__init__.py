@@ -1,1 +1,1 @@
-"""From bags to the pushes of one object, with poses from the bag or tracked in its depth images."""
+"""The pushes of one object from bags, with recorded poses or poses tracked in depth images."""

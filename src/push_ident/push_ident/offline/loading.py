@@ -1,4 +1,4 @@
-"""Everything a fit needs from one or more bags: pushes, whether poses were recorded or only depth images."""
+"""The pushes of one object from one or more bags; poses are tracked in depth images where a bag has none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class LoadedPushes:
     records: list[PushRecord]
     """In order of bags and time."""
     notes: list[str]
-    """What was missing, dropped or assumed."""
+    """Data that was missing, dropped or assumed; one line each."""
 
 
 def load_pushes(
@@ -41,12 +41,12 @@ def load_pushes(
 
     Args:
         paths: bags. Where one has no object poses, they are tracked in its depth images.
-        object_id: which object; empty takes the only one, or of several the one that was pushed most.
-        camera_in_table: extrinsics for depth bags that carry none, homogeneous, shape (4, 4).
-        on_progress: told what is going on, a line each.
+        object_id: the object; empty: the only one, or the one with the most pushes.
+        camera_in_table: extrinsics for depth bags without them, homogeneous, shape (4, 4).
+        on_progress: called with a line of text for each step.
 
     Raises:
-        BagError: a bag cannot be read, lacks what is needed, or shows another object than the others.
+        BagError: a bag cannot be read, lacks what is needed, or has another object than the others.
     """
     records: list[PushRecord] = []
     notes: list[str] = []
@@ -65,14 +65,14 @@ def load_pushes(
     for record in records:
         if not np.array_equal(record.shape.cells.centres, first.shape.cells.centres):
             raise BagError(
-                f"{record.source} shows {len(record.shape.cells)} other cells than {first.source}; "
-                "identify bags of one object together only if they share its cells, or name the bags of one run."
+                f"{record.source} has {len(record.shape.cells)} other cells than {first.source}; "
+                "only bags with the same cells of one object can be identified together, such as those of one run."
             )
     return LoadedPushes(object_id, records, notes)
 
 
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
-    """The same bag with objects seen and tracked in its depth images."""
+    """The same bag with objects detected and tracked in its depth images."""
     camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
     if camera is None:
         raise BagError(
@@ -81,16 +81,16 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     pusher, radius = contents.pusher, contents.pusher_radius
 
     def robot_at(stamp: float) -> list[Cylinder]:
-        """The pusher, where it is known to be at that time."""
+        """The pusher, if its position is known at that time."""
         if not pusher.time[0] - 0.1 <= stamp <= pusher.time[-1] + 0.1 or np.min(np.abs(pusher.time - stamp)) > 0.1:
             return []
         x, y = (float(np.interp(stamp, pusher.time, pusher.value[:, axis])) for axis in (0, 1))
         return [Cylinder(x=x, y=y, radius=radius)]
 
-    seen = observe_offline(contents.depth_frames(), camera, robot_at=robot_at)
+    tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at)
     objects = {
         object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
-        for object_id, (shape, track) in seen.items()
+        for object_id, (shape, track) in tracked.items()
     }
     if not objects:
         raise BagError(f"{contents.path}: no object was found in its {contents.n_depth} depth images; check the pose of the camera.")
@@ -98,7 +98,7 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
 
 
 def _most_pushed(contents: BagContents) -> str:
-    """The object that is touched in most pushes."""
+    """The object that the most pushes touch."""
     if len(contents.objects) == 1:
         return next(iter(contents.objects))
     touched = {}

@@ -1,1 +1,1 @@
-"""One-page HTML reports: one look, one file, nothing loaded from elsewhere."""
+"""HTML reports: one common layout, one self-contained file per report."""

@@ -1,4 +1,4 @@
-"""Render a report as one HTML file that needs nothing else."""
+"""Render a report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["svg", "write_page"]
 
 
 def svg(figure: Figure) -> str:
-    """A figure as an SVG element, to stand in a page. Labels stay text: they can be searched and read aloud."""
+    """A figure as an SVG element for a page. Labels stay text, so that they can be searched and read aloud."""
     import matplotlib
 
     buffer = io.StringIO()
-    # A fixed salt: the same report twice is the same file.
+    # With a fixed salt the same report gives the same file.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "push_ident"}):
         figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = buffer.getvalue()
@@ -33,9 +33,9 @@ def write_page(path: Path, package: str, template: str, context: Mapping[str, An
 
     Args:
         path: HTML file to write.
-        package: that the template lies in.
-        template: its name; it may extend `page.html.j2`, the common look.
-        context: what the template names.
+        package: package that contains the template.
+        template: name of the template; it may extend `page.html.j2`, the common layout.
+        context: values of the template's variables.
 
     Raises:
         InputError: the file cannot be written.

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError, PerceptionError
-from push_ident.geometry.outline import cells_in_outline, polygon_area
+from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_centroid
 from push_ident.geometry.se2 import transform_points
 from push_ident.perception.labels import RobotPart
-from push_ident.perception.shape import TracedObject, centroid
+from push_ident.perception.shape import TracedObject
 from push_ident.perception.straighten import straighten
 from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose, lines_of_sight
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
@@ -105,7 +105,7 @@ def fuse_views(traced: TracedObject, views: Sequence[View], *, pose_known: bool 
         outline, moved = _without_reversed(outline, _with_edges_moved(outline, step), moved + step)
     straight = straighten(_dense(outline))
     outline = straight if len(straight) >= 3 else outline
-    x, y = centroid(outline)
+    x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), traced_by_camera=True)
     return replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
 
@@ -115,7 +115,7 @@ def relative_size(view: View, traced: TracedObject) -> float:
     outline = traced.shape.outline
     gradient, curvature = _edge_derivatives(Template(traced), outline, view, view.pose)
     # An edge moves by its distance from the origin times the relative growth.
-    lever = np.sum(outline * _normals(outline), axis=1)
+    lever = np.sum(outline * edge_normals(outline), axis=1)
     return 1.0 + float(np.sum(gradient * lever) / max(float(np.sum(curvature * lever**2)), 1e-9))
 
 
@@ -172,7 +172,7 @@ def _same_curve(outline: Float64Array) -> Float64Array:
 
 def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:
     """Every edge moved outwards by its offset; corners where the moved edges meet."""
-    normal = _normals(outline)
+    normal = edge_normals(outline)
     before, offset_before = np.roll(normal, 1, axis=0), np.roll(offset, 1)
     cosine = np.sum(normal * before, axis=1)
     mean = 0.5 * (offset + offset_before)[:, None] * (normal + before) / np.maximum(1.0 + cosine, 0.5)[:, None]
@@ -181,13 +181,6 @@ def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Arr
     a, b = (offset_before - cosine * offset) / sine2, (offset - cosine * offset_before) / sine2
     meeting = a[:, None] * before + b[:, None] * normal
     return outline + np.where((1.0 - cosine**2 > _LEAST_SINE2)[:, None], meeting, mean)
-
-
-def _normals(outline: Float64Array) -> Float64Array:
-    """Outward unit normal of each edge, shape (n_edges, 2)."""
-    edge = np.roll(outline, -1, axis=0) - outline
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
-    return np.asarray(normal if polygon_area(outline) > 0 else -normal)
 
 
 def _without_reversed(before: Float64Array, after: Float64Array, moved: Float64Array) -> tuple[Float64Array, Float64Array]:

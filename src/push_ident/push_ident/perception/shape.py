@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import PerceptionError
-from push_ident.geometry.outline import cells_in_outline, polygon_area, signed_distance
+from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_area, polygon_centroid, signed_distance
 from push_ident.perception.depth import rays_in_table
 from push_ident.perception.segments import Segment
 from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["SegmentedView", "TracedObject", "centroid", "median_depth", "trace_object"]
+__all__ = ["SegmentedView", "TracedObject", "median_depth", "trace_object"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
@@ -108,7 +108,7 @@ def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_coun
     for _ in range(_PASSES - 1):
         full = [stopped.points(outline) for stopped, _, _ in lines]
         outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.points(outline) for _, passing, _ in lines]))
-    x, y = centroid(outline)
+    x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y), traced_by_camera=True)
     grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines]), origin)
     return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
@@ -253,19 +253,10 @@ def _grown(polygon: Float64Array, distance: float) -> Float64Array:
     """Every edge moved outwards by `distance`; counter-clockwise result."""
     if polygon_area(polygon) < 0:
         polygon = polygon[::-1]
-    edge = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    normal = edge_normals(polygon)
     before = np.roll(normal, 1, axis=0)
     # The corner moves along the sum of both normals, at sharp corners by at most twice the distance.
     return polygon + distance * (normal + before) / np.maximum(1.0 + np.sum(normal * before, axis=1, keepdims=True), 0.5)
-
-
-def centroid(polygon: Float64Array) -> tuple[float, float]:
-    """Centroid of the area of a polygon, shape (n, 2) [m]."""
-    x, y = polygon.T
-    x_next, y_next = np.roll(x, -1), np.roll(y, -1)
-    cross = x * y_next - x_next * y
-    return float(np.sum((x + x_next) * cross) / (3 * np.sum(cross))), float(np.sum((y + y_next) * cross) / (3 * np.sum(cross)))
 
 
 def _cell_size(outline: Float64Array, cell_count: int) -> float:

@@ -25,13 +25,21 @@ __all__ = [
     "POINT", "TIP", "count_inside", "find_contacts", "max_candidates",
 ]  # fmt: skip
 
-GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
+GAP = 0
+NORMAL = 1
+POINT = 3
+CURVATURE = 5
+KIND = 6
+TIP = 7
+OWNER = 9
 CONTACT_FIELDS = 10
 """Columns of a contact: gap [m], outward normal x, y, contact point x, y [m], curvature [1/m], kind, point of the pusher's core that
 decides the gap x, y [m], index of the pusher's corner (-1 for a side).
 
 `curvature` c [1/m] gives the turn of the normal, dn = c (I - n n') d(tip): 0 on an edge, +-1/distance at a corner."""
-ON_EDGE, ON_CORNER, ON_SIDE = 0.0, 1.0, 2.0
+ON_EDGE = 0.0
+ON_CORNER = 1.0
+ON_SIDE = 2.0
 """`kind`: a corner of the pusher on an edge of the outline (the contact point follows the pusher), on a corner of the outline (it
 stays), a corner of the outline on a side of the pusher (it stays and the normal turns with the pusher)."""
 

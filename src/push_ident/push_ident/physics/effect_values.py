@@ -48,6 +48,7 @@ class EffectValues:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
+        """In the order of `names`."""
         return tuple(EFFECTS[name] for name in self.names)
 
     @property

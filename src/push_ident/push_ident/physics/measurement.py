@@ -37,7 +37,7 @@ class StepClock:
     def of(cls, start: float, end: float, step: float) -> StepClock:
         """Steps from `start` until at least `end` [s], one at least."""
         n_steps = max(1, int(np.ceil((end - start) / step)))
-        return cls(start, step, n_steps, start + step * np.arange(n_steps + 1))
+        return cls(start, step, n_steps, np.asarray(start + step * np.arange(n_steps + 1), dtype=np.float64))
 
     @property
     def middles(self) -> Float64Array:

@@ -140,9 +140,7 @@ def _locate_pusher(push: Push, n: int, geometry: StepGeometry, state: Float64Arr
     velocity[0], velocity[1] = cos * vx + sin * vy, -sin * vx + cos * vy
     spin = (pusher[n + 1, 2] - pusher[n, 2]) / dt
     relative.spin[0] = spin
-    cos_relative, sin_relative = 1.0, 0.0
-    if shape.shape[0] > 1:  # a disc has no orientation
-        cos_relative, sin_relative = math.cos(pusher[n, 2] - state[2]), math.sin(pusher[n, 2] - state[2])
+    cos_relative, sin_relative = math.cos(pusher[n, 2] - state[2]), math.sin(pusher[n, 2] - state[2])
     extent = 0.0
     for j in range(shape.shape[0]):
         corners[j, 0] = centre[0] + cos_relative * shape[j, 0] - sin_relative * shape[j, 1]

@@ -1,1 +1,1 @@
-"""Choosing a push, checking it, and planning the arm's motion for it."""
+"""Choose and check a push, plan and execute the motion of the arm, and cut streams into push records."""

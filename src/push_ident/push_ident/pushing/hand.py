@@ -1,4 +1,4 @@
-"""When a Robotiq 3-finger hand is a closed fist, by the registers of its manual."""
+"""Whether a Robotiq 3-finger hand is a closed fist, from the registers in its manual."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ BASIC_MODE: Final = 0
 _READY: Final = 3
 """Activation and change of mode are complete (gIMC)."""
 _MIN_REQUEST: Final = 240
-"""Requests below leave the fist open."""
+"""Least requested position of a closed fist."""
 
 
 class HandMotion(IntEnum):
-    """What the fingers do (gSTA). Closing without an object, they stop at each other, before or at the requested position."""
+    """Motion of the fingers (gSTA). Without an object they stop against each other, before or at the requested position."""
 
     MOVING = 0
     SOME_STOPPED = 1
@@ -35,19 +35,19 @@ class HandState:
     mode: int
     """Grasping mode: 0 basic, 1 pinch, 2 wide, 3 scissor."""
     going: bool
-    """The hand acts on the requested position."""
+    """Whether the hand moves to the requested position."""
     readiness: int
     """0 reset, 1 activating, 2 changing mode, 3 ready."""
     motion: int
     """A `HandMotion`."""
     fault: int
-    """0: none."""
+    """Fault code; 0: none."""
     request: int
     """Requested position, 0 open to 255 closed."""
 
     @property
     def why_no_fist(self) -> str:
-        """Why the hand is no closed fist; empty when it is one."""
+        """Why the hand is not a closed fist; empty when it is one."""
         if self.fault:
             return f"the hand reports fault 0x{self.fault:02X}; reset it"
         if not self.activated or self.readiness != _READY:

@@ -1,4 +1,4 @@
-"""The arm's motion for one push, and away from one that was broken off, checked whole before anything moves."""
+"""Motion of the arm for one push, and its retreat from an aborted push; the whole motion is checked before the arm moves."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from push_ident.types import Float64Array
 __all__ = ["ArmMotion", "ArmPlan", "MotionSettings", "plan_push", "plan_retreat"]
 
 _STEP = 0.004
-"""Distance between inverse kinematics along a straight line [m]."""
+"""Distance between the points of a straight line at which the inverse kinematics is solved [m]."""
 _POSTURE_RATE = 3.0
-"""Share of the way to the neutral posture per metre of tool travel [1/m]: slow beside the push itself."""
+"""Drift towards the neutral posture per metre of tool travel, as a fraction of the difference [1/m]: slow compared with the push."""
 _LEAD = 0.05
-"""How far ahead of the clock the arm may seem to be [s]: the clock itself arrives late when time is simulated."""
+"""How far the arm may appear to be ahead of the clock [s]: a simulated clock arrives late."""
 _AT_HOME = 1e-3
 """The arm is at home when every joint is within this [rad]."""
 _HEIGHT_NOISE = 5e-4
-"""By which a way that should be level may dip [m]."""
+"""Tolerance of the height of a level path [m]."""
 _LINE_TOLERANCE = 5e-4
-"""How far the tool may leave its straight line between two inverse kinematics [m]."""
+"""Largest distance of the tool from its straight line between two solved points [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,38 +34,38 @@ class MotionSettings:
     """Heights, speeds and pauses of the arm around a push."""
 
     home: tuple[float, ...]
-    """Posture between pushes, high and out of the camera's view [rad], one per joint."""
+    """Posture between pushes, high and outside the camera's view [rad], one value per joint."""
     clearance: float = 0.03
-    """Travel of the pusher before it touches [m]."""
+    """Travel of the pusher before contact [m]."""
     push_height: float = 0.012
-    """Tip above the table while pushing [m]."""
+    """Height of the tip above the table during the push [m]."""
     min_height: float = 0.006
-    """Lowest the tip may ever be commanded [m]."""
+    """Least commanded height of the tip [m]."""
     safe_height: float = 0.12
-    """Tip height from which free moves start and end [m]."""
+    """Height of the tip at start and end of free moves [m]."""
     free_height: float = 0.09
-    """Lowest the tip may dip during a free move [m]: above every object."""
+    """Least height of the tip during a free move [m]: above every object."""
     free_speed: float = 0.25
-    """Tool speed going up and down [m/s]."""
+    """Tool speed up and down [m/s]."""
     acceleration: float = PUSH_ACCELERATION
-    """Tool acceleration at both ends of the push, and most of all other straight moves [m/s^2]."""
+    """Tool acceleration at both ends of the push, and its limit on other straight moves [m/s^2]."""
     settle: float = 0.3
     """Pause with the tool lowered, before the push [s]."""
     rest: float = 0.6
-    """Pause after the push, for frames of the object at rest [s]."""
+    """Pause after the push, during which the camera observes the object at rest [s]."""
     back_off: float = 0.015
-    """Way back from the object before the tool rises [m]."""
+    """Travel away from the object before the tool rises [m]."""
     velocity_scale: float = 0.9
-    """Share of a joint's velocity limit that may be used."""
+    """Fraction of a joint's velocity limit that may be used."""
     link_height: float = 0.10
-    """Lowest that the axis of any moving joint may come, as the elbow's [m]: the tip is watched on its own."""
+    """Least height of the axis of any moving joint, such as the elbow [m]; the tip has its own limit."""
     max_joint_velocity: float = 1.3
-    """Cap on every joint's velocity [rad/s], whatever the description allows."""
+    """Limit of every joint's velocity [rad/s], beside that of the robot description."""
     joint_acceleration_limits: tuple[float, ...] = (10.0,)
-    """Of every joint on all of the way [rad/s^2], one per joint or one for all: a URDF has none, KUKA states none for the iiwa, and
+    """Limit of each joint on the whole motion [rad/s^2], one per joint or one for all. A URDF has none and KUKA states none for the iiwa;
     MoveIt configurations of arms of its size (Universal Robots) set 5 to 10 (`max_acceleration` in their joint_limits.yaml)."""
     max_joint_acceleration: float = 5.0
-    """Cap on every joint's acceleration on all moves but the push [rad/s^2]."""
+    """Limit of every joint's acceleration on all moves except the push [rad/s^2]."""
 
     def __post_init__(self) -> None:
         if not 0 < self.min_height <= self.push_height < self.free_height <= self.safe_height:
@@ -79,7 +79,7 @@ class MotionSettings:
 
 @dataclass(frozen=True, slots=True)
 class ArmMotion:
-    """Motion of the arm, checked. Times in seconds from its start."""
+    """A checked motion of the arm. Times are in seconds from its start."""
 
     joint_names: tuple[str, ...]
     trajectory: JointTrajectory
@@ -88,20 +88,20 @@ class ArmMotion:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration of the motion [s]."""
         return self.trajectory.duration
 
     def deviation(self, tip: Float64Array, time: float, lag: float) -> float:
-        """Distance [m] of a measured `tip` (3,) to the part of the way from `time - lag` to just after `time` [s].
+        """Distance [m] of a measured `tip` (3,) to the part of the path from `time - lag` to just after `time` [s].
 
-        An arm that follows late is not off its way, one that is later than `lag` is.
+        An arm that follows with a delay of up to `lag` has no deviation.
         """
         first, last = np.searchsorted(self.trajectory.time, [time - lag, time + _LEAD])
-        way = self.tip[max(int(first) - 1, 0) : int(last) + 1]
-        edge = np.diff(way, axis=0)
+        path = self.tip[max(int(first) - 1, 0) : int(last) + 1]
+        edge = np.diff(path, axis=0)
         if len(edge) == 0:
-            return float(np.linalg.norm(way[0] - tip))
-        from_start = tip - way[:-1]
+            return float(np.linalg.norm(path[0] - tip))
+        from_start = tip - path[:-1]
         share = np.clip(np.sum(from_start * edge, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
         return float(np.min(np.linalg.norm(from_start - share[:, None] * edge, axis=1)))
 
@@ -112,28 +112,28 @@ class ArmPlan(ArmMotion):
 
     push: PushPlan2D
     lowered: float
-    """Tool is down, object and tool at rest."""
+    """The tool is lowered, object and tool are at rest [s]."""
     departure: float
-    """The push line begins."""
+    """The push begins [s]."""
     contact: float
-    """First touch, by the plan."""
+    """Planned first contact [s]."""
     stop: float
-    """Tool stands still after the push."""
+    """The tool stands still after the push [s]."""
     rested: float
-    """Rest is over, the tool leaves."""
+    """The rest ends, the tool leaves [s]."""
 
     @property
     def tool_path(self) -> tuple[Float64Array, Float64Array]:
-        """Time from 0 [s], shape (n,), and tip [m], shape (n, 3), of the pushing part."""
+        """Time from 0 [s], shape (n,), and tip [m], shape (n, 3), of the push itself."""
         time = self.trajectory.time
         pushing = (time >= self.departure - 1e-9) & (time <= self.stop + 1e-9)
         return time[pushing] - self.departure, self.tip[pushing]
 
 
 def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings) -> ArmPlan:
-    """Up, home, above the start of the push, down, push, rest, back off, up, home.
+    """Plan up, home, above the start of the push, down, push, rest, back off, up, home.
 
-    `q_now` [rad] is the measured posture, at rest. Raises PlanningError: UNREACHABLE when the arm has no posture for a point of the way,
+    `q_now` [rad] is the measured posture, at rest. Raises PlanningError: UNREACHABLE when the arm has no posture for a point of the path,
     LIMIT for a joint, velocity, acceleration or height limit; the text names joint, value and limit.
     """
     q_now = kinematics.check_configuration(q_now)
@@ -152,7 +152,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     approach.append(_straight(kinematics, above, _point(start, settings.push_height), settings))
     settle = stand_still(approach[-1].position[-1], settings.settle)
 
-    # A spinning tool would drag the object along its face; a line with the spin held pushes as a sliding one does.
+    # A spinning tool would drag the object along its face, so the spin is held during the push.
     x_axis = kinematics.forward(settle.position[-1])[:3, 0]
     postures, length = _line(kinematics, settle.position[-1], _point(end, settings.push_height), TOOL_DOWN, x_axis)
     pushing = path_at_speed(postures, length, push.speed, settings.acceleration)
@@ -171,7 +171,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     plan = ArmPlan(
         kinematics.joint_names,
         trajectory,
-        _checked_way(kinematics, trajectory, max_velocity, settings),
+        _checked_tip(kinematics, trajectory, max_velocity, settings),
         push,
         lowered,
         departure,
@@ -179,14 +179,14 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
         stop,
         stop + rest.duration,
     )
-    # The way up from a start below the limit is the remedy, not a fault: heights count from where the tool comes down.
+    # Rising from a start below the limit is allowed: heights are checked from the lowered tool on.
     _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
     _check_line(plan, settings)
     return plan
 
 
 def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike, settings: MotionSettings) -> ArmMotion:
-    """Back off, up, home: from where a push was broken off, at rest at `q_now` [rad].
+    """Plan back off, up, home from an aborted push, at rest at `q_now` [rad].
 
     `heading`, shape (2,), is the unit vector of that push in the table frame. Raises PlanningError as `plan_push`.
     """
@@ -196,9 +196,9 @@ def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike
     if not parts:
         parts = [stand_still(q_now, 0.0)]
     trajectory = join(parts)
-    way = _checked_way(kinematics, trajectory, _max_velocity(kinematics, settings), settings)
-    _check_height(way, settings, float(way[0, 2]))
-    return ArmMotion(kinematics.joint_names, trajectory, way)
+    tip = _checked_tip(kinematics, trajectory, _max_velocity(kinematics, settings), settings)
+    _check_height(tip, settings, float(tip[0, 2]))
+    return ArmMotion(kinematics.joint_names, trajectory, tip)
 
 
 def _max_velocity(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
@@ -216,7 +216,7 @@ def _acceleration_limit(kinematics: ArmKinematics, settings: MotionSettings) -> 
 
 
 def _max_acceleration(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
-    """Of all moves but the push [rad/s^2], shape (n_joints,)."""
+    """Limits on all moves except the push [rad/s^2], shape (n_joints,)."""
     return np.minimum(_acceleration_limit(kinematics, settings), settings.max_joint_acceleration)
 
 
@@ -225,7 +225,7 @@ def _point(xy: Float64Array, height: float) -> Float64Array:
 
 
 def _up(kinematics: ArmKinematics, q: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
-    """Straight up to the height of free moves, keeping the tool's axis; nothing where the tip is up there."""
+    """Straight up to the height of free moves, with the tool's axis held; empty if the tip is that high."""
     pose = kinematics.forward(q)
     if pose[2, 3] >= settings.safe_height - 1e-3:
         return []
@@ -233,7 +233,7 @@ def _up(kinematics: ArmKinematics, q: Float64Array, settings: MotionSettings) ->
 
 
 def _away(kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
-    """Back off against `heading` and up, where the tip is low; then home, where the arm is not there."""
+    """Back off against `heading` and up if the tip is low; then home unless the arm is there."""
     parts: list[JointTrajectory] = []
     pose = kinematics.forward(q)
     if pose[2, 3] < settings.free_height:
@@ -265,8 +265,8 @@ def _line(
     n_steps = max(int(np.ceil(length / _STEP)), 2)
     postures = [q]
     for share in np.linspace(0.0, 1.0, n_steps + 1)[1:]:
-        # The drift to the neutral posture goes before the correction, which is of minimum norm: what is left of it is the part
-        # that does not move the tool, in proportion to the travel and so smooth in time.
+        # The drift towards the neutral posture precedes the correction of minimum norm, which keeps only the part of it that does
+        # not move the tool; it is proportional to the travel and thus smooth in time.
         drift = _POSTURE_RATE * length / n_steps * (kinematics.neutral - postures[-1])
         postures.append(_reach(kinematics, start + share * (target - start), postures[-1] + drift, axis, x_axis, posture_gain=0.0))
     return np.array(postures), length
@@ -291,7 +291,7 @@ def _reach(
         where = "(" + ", ".join(f"{v:.3f}" for v in position) + ")"
         raise PlanningError(
             PushCode.UNREACHABLE,
-            f"the tool cannot reach {where} m: the nearest posture is {1e3 * miss:.1f} mm off, {', '.join(at_limit) or 'arm stretched'}.",
+            f"the tool cannot reach {where} m: the nearest posture is {1e3 * miss:.1f} mm away, {', '.join(at_limit) or 'arm stretched'}.",
         )
     return q
 
@@ -302,7 +302,7 @@ def _free_move(kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Arr
     if lowest < settings.free_height:
         raise PlanningError(
             PushCode.LIMIT,
-            f"a free move would dip to tip height {lowest:.3f} m, limit {settings.free_height:.3f} m; bring the arm nearer to home.",
+            f"a free move would lower the tip to {lowest:.3f} m, limit {settings.free_height:.3f} m; move the arm closer to home.",
         )
     return move
 
@@ -318,7 +318,7 @@ def _check_positions(kinematics: ArmKinematics, postures: Float64Array) -> None:
         )
 
 
-def _checked_way(
+def _checked_tip(
     kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array, settings: MotionSettings
 ) -> Float64Array:
     """Tip at every sample [m], shape (n, 3), of a trajectory within the limits of the joints and above the table with every link."""
@@ -346,23 +346,23 @@ def _checked_way(
         if height < settings.link_height:
             raise PlanningError(
                 PushCode.LIMIT,
-                f"{name} would come {height:.3f} m near the table, limit {settings.link_height:.3f} m; bring the arm nearer to home.",
+                f"{name} would be {height:.3f} m above the table, limit {settings.link_height:.3f} m; move the arm closer to home.",
             )
     return tip
 
 
 def _check_height(tip: Float64Array, settings: MotionSettings, start: float = np.inf) -> None:
-    """The lowest of `tip` (n, 3) keeps the limit, or the height [m] of a start that is lower."""
+    """Check the lowest of `tip` (n, 3) against the limit, or against the height [m] of a lower start."""
     lowest, limit = float(np.min(tip[:, 2])), min(settings.min_height, start - _HEIGHT_NOISE)
     if lowest < limit:
-        raise PlanningError(PushCode.LIMIT, f"the tip would come {lowest:.4f} m near the table, limit {limit:.4f} m.")
+        raise PlanningError(PushCode.LIMIT, f"the tip would be {lowest:.4f} m above the table, limit {limit:.4f} m.")
 
 
 def _check_line(plan: ArmPlan, settings: MotionSettings) -> None:
     _, path = plan.tool_path
     across = np.array([-plan.push.heading[1], plan.push.heading[0]])
-    off = np.hypot((path[:, :2] - plan.push.tool_at_contact) @ across, path[:, 2] - settings.push_height)
-    if float(np.max(off)) > _LINE_TOLERANCE:
+    deviation = np.hypot((path[:, :2] - plan.push.tool_at_contact) @ across, path[:, 2] - settings.push_height)
+    if float(np.max(deviation)) > _LINE_TOLERANCE:
         raise PlanningError(
-            PushCode.UNREACHABLE, f"the tool would leave the push line by {1e3 * float(np.max(off)):.2f} mm; choose another push."
+            PushCode.UNREACHABLE, f"the tool would leave the push line by {1e3 * float(np.max(deviation)):.2f} mm; choose another push."
         )

@@ -1,4 +1,4 @@
-"""What a planar push is, and the limits it must keep."""
+"""A planar push, its limits, and the reasons for which one fails."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from push_ident.types import Float64Array
 __all__ = ["PUSH_ACCELERATION", "PushCode", "PushPlan2D", "PushSettings"]
 
 PUSH_ACCELERATION = 2.0
-"""Of the tool at both ends of a push, unless an arm is told otherwise [m/s^2]."""
+"""Default acceleration of the tool at both ends of a push [m/s^2]."""
 
 
 class PushCode(IntEnum):
-    """Why a push failed; the numbers are those of the result of action/ExecutePush."""
+    """Reasons for a failed push; the numbers are those of the result of action/ExecutePush."""
 
     NONE = 0
     UNKNOWN_OBJECT = -1
@@ -37,16 +37,16 @@ class PushCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class PushSettings:
-    """Limits of a planar push and the ranges random ones are drawn from."""
+    """Limits of a planar push, and the ranges of random pushes."""
 
     workspace: tuple[float, float, float, float] = (-0.20, 0.15, -0.25, 0.25)
-    """(x_min, x_max, y_min, y_max) that the axis of the lowered tool stays in [m], table frame."""
+    """(x_min, x_max, y_min, y_max) of the axis of the lowered tool [m], table frame."""
     pusher_radius: float = 0.018
     """Radius of the cylinder that touches the object [m]."""
     clearance: float = 0.03
-    """Travel of the pusher before it touches [m]."""
+    """Travel of the pusher before contact [m]."""
     lowering_gap: float = 0.005
-    """Least gap between the pusher and any object where the tool comes down [m]."""
+    """Least gap between the pusher and any object where the tool is lowered [m]."""
     distance_range: tuple[float, float] = (0.04, 0.10)
     """Travel after contact of random pushes [m]."""
     speed_range: tuple[float, float] = (0.1, 0.2)
@@ -54,9 +54,9 @@ class PushSettings:
     cone: float = np.pi / 4
     """Random directions lie within this angle of the inward normal [rad]."""
     max_distance: float = 0.25
-    """Longest travel after contact that a goal may ask for [m]."""
+    """Longest travel after contact that a goal may request [m]."""
     max_speed: float = 0.25
-    """Highest speed that a goal may ask for [m/s]."""
+    """Highest speed that a goal may request [m/s]."""
     edge_margin: float = 0.03
     """An object whose outline comes nearer to the edge of the workspace than this is pushed back to the middle [m]."""
 
@@ -65,9 +65,9 @@ class PushSettings:
         if not (x_min < x_max and y_min < y_max):
             raise InputError(f"workspace is {self.workspace}, expected x_min < x_max and y_min < y_max in metres.")
         for name in ("distance", "speed"):
-            (low, high), most = getattr(self, f"{name}_range"), getattr(self, f"max_{name}")
-            if not 0 < low <= high <= most:
-                raise InputError(f"{name}_range is ({low}, {high}), expected 0 < low <= high <= max_{name} = {most}.")
+            (low, high), largest = getattr(self, f"{name}_range"), getattr(self, f"max_{name}")
+            if not 0 < low <= high <= largest:
+                raise InputError(f"{name}_range is ({low}, {high}), expected 0 < low <= high <= max_{name} = {largest}.")
         if not 0 <= self.edge_margin < 0.5 * min(x_max - x_min, y_max - y_min):
             raise InputError(
                 f"edge_margin is {self.edge_margin} m, expected 0 up to less than half the width of workspace = {self.workspace}."
@@ -77,12 +77,12 @@ class PushSettings:
 
     @property
     def middle(self) -> Float64Array:
-        """Of the workspace [m], shape (2,)."""
+        """Middle of the workspace [m], shape (2,)."""
         x_min, x_max, y_min, y_max = self.workspace
         return np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max)])
 
     def excess(self, points: Float64Array, margin: float = 0.0) -> float:
-        """How far the outermost of `points`, shape (n, 2) [m], sticks out of the workspace less a `margin` [m]; 0 when none does."""
+        """Largest distance of `points`, shape (n, 2) [m], out of the workspace shrunk by `margin` [m]; 0 when all are inside."""
         x_min, x_max, y_min, y_max = self.workspace
         low, high = np.array([x_min, y_min]) + margin, np.array([x_max, y_max]) - margin
         return float(np.max(np.maximum(low - points, points - high), initial=0.0))
@@ -90,12 +90,12 @@ class PushSettings:
 
 @dataclass(frozen=True, slots=True)
 class PushPlan2D:
-    """A straight push, before it is known whether an arm can make it. All in the table frame."""
+    """A straight push, not yet checked against an arm. All in the table frame."""
 
     contact_point: Float64Array
-    """Where the pusher touches the outline first [m], shape (2,)."""
+    """First contact of the pusher with the outline [m], shape (2,)."""
     tool_at_contact: Float64Array
-    """Axis of the pusher at that moment [m], shape (2,): one radius off along the outward normal."""
+    """Axis of the pusher at that moment [m], shape (2,): one radius away along the outward normal."""
     direction: float
     """Heading of the push [rad]."""
     distance: float
@@ -110,9 +110,9 @@ class PushPlan2D:
 
     @property
     def tool_end(self) -> Float64Array:
-        """Axis of the pusher where the push ends [m], shape (2,)."""
+        """Axis of the pusher at the end of the push [m], shape (2,)."""
         return self.tool_at_contact + self.distance * self.heading
 
     def tool_start(self, clearance: float) -> Float64Array:
-        """Axis of the pusher where the tool comes down, `clearance` [m] before contact, shape (2,)."""
+        """Axis of the pusher where the tool is lowered, `clearance` [m] before contact, shape (2,)."""
         return self.tool_at_contact - clearance * self.heading

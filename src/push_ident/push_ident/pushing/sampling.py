@@ -1,4 +1,4 @@
-"""Choosing where and how to push: from a goal, at random over the whole outline as in the paper, or back to the middle."""
+"""Choice of a push: from a goal, at random over the whole outline as in the paper, or back to the middle."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from push_ident.types import Float64Array, ObjectShape
 __all__ = ["check_push", "is_near_edge", "push_from_goal", "recentring_pushes", "sample_push"]
 
 _MAX_DRAWS = 1000
+"""Random pushes that are tried."""
 _GRAZING = np.radians(80.0)
-"""A pusher that comes in flatter than this slides past rather than pushes."""
+"""Largest angle between a push and the inward normal [rad]: a flatter pusher slides along the outline."""
 _N_RECENTRING = 120
-"""Contacts along the outline that are tried for a push back to the middle."""
-_STRAY = np.radians(60.0)
-"""A push back to the middle is at most this far off the way there."""
+"""Number of contacts along the outline that are tried for a push back to the middle."""
+_MAX_DEVIATION = np.radians(60.0)
+"""Largest angle between a push back to the middle and the direction to the middle [rad]."""
 _EARLY_TOUCH = 1e-4
-"""Overlap [m] with the outline that still counts as the planned touch and not an earlier one."""
+"""Overlap with the outline that still counts as the planned contact [m]."""
 
 
 def push_from_goal(
@@ -37,7 +38,7 @@ def push_from_goal(
     settings: PushSettings,
     obstacles: Sequence[Float64Array] = (),
 ) -> PushPlan2D:
-    """Push asked for by a goal, with the contact point moved to the nearest point of the outline.
+    """Push that a goal requests, with the contact point moved to the nearest point of the outline.
 
     `direction` [rad] is in the table frame, `distance` [m], `speed` [m/s]; `obstacles` as in `check_push`.
     Raises PlanningError: INVALID_GOAL for numbers out of range or a direction away from the object, else as `check_push`.
@@ -46,9 +47,9 @@ def push_from_goal(
     for name, value in (("contact_point", point), ("direction", direction), ("distance", distance), ("speed", speed)):
         if not np.all(np.isfinite(value)):
             raise PlanningError(PushCode.INVALID_GOAL, f"{name} is {value}, expected finite numbers.")
-    for name, value, most in (("distance", distance, settings.max_distance), ("speed", speed, settings.max_speed)):
-        if not 0 < value <= most:
-            raise PlanningError(PushCode.INVALID_GOAL, f"{name} is {value:.3f}, expected more than 0 and at most {most:.3f}.")
+    for name, value, largest in (("distance", distance, settings.max_distance), ("speed", speed, settings.max_speed)):
+        if not 0 < value <= largest:
+            raise PlanningError(PushCode.INVALID_GOAL, f"{name} is {value:.3f}, expected more than 0 and at most {largest:.3f}.")
     outline = transform_points(pose_object_in_table, shape.outline)
     heading = np.array([np.cos(direction), np.sin(direction)])
     contact, normal = _nearest_on_outline(point, outline, heading)
@@ -73,8 +74,8 @@ def sample_push(
 ) -> PushPlan2D:
     """Random push: contact uniform over the outline's length, direction uniform in a cone about the inward normal.
 
-    Pushes that `check_push` refuses are drawn again, as are those that would carry an object near the edge of the workspace
-    further out. Raises PlanningError UNREACHABLE, with counts of the refusals, when none of many draws is good.
+    Pushes that `check_push` refuses are drawn again, as are those that would move an object near the edge of the workspace
+    further out. Raises PlanningError UNREACHABLE, with counts of the reasons, when no draw is accepted.
     """
     outline = transform_points(pose_object_in_table, shape.outline)
     refused: Counter[str] = Counter()
@@ -89,7 +90,7 @@ def sample_push(
         try:
             check_push(push, outline, settings, obstacles)
         except PlanningError as error:
-            refused["leave the workspace" if error.code == PushCode.LIMIT else "cannot touch there first"] += 1
+            refused["leave the workspace" if error.code == PushCode.LIMIT else "would touch an object elsewhere first"] += 1
             continue
         return push
     counts = ", ".join(f"{n} {why}" for why, n in refused.most_common())
@@ -97,9 +98,9 @@ def sample_push(
 
 
 def is_near_edge(shape: ObjectShape, pose_object_in_table: ArrayLike, settings: PushSettings) -> bool:
-    """Whether the outline comes nearer to the edge of the workspace than `settings.edge_margin`, or sticks out of it.
+    """Whether the outline is nearer to the edge of the workspace than `settings.edge_margin`, or outside, and a push can improve that.
 
-    Not so an object that is large rather than off the middle: no push would bring it further from the edge.
+    No push can move a large object in the middle of the workspace further from the edge.
     """
     to_middle = float(np.linalg.norm(settings.middle - np.asarray(pose_object_in_table, dtype=np.float64)[:2]))
     near = settings.excess(transform_points(pose_object_in_table, shape.outline), settings.edge_margin) > 0.0
@@ -109,34 +110,34 @@ def is_near_edge(shape: ObjectShape, pose_object_in_table: ArrayLike, settings: 
 def recentring_pushes(
     shape: ObjectShape, pose_object_in_table: ArrayLike, settings: PushSettings, obstacles: Sequence[Float64Array] = ()
 ) -> Iterator[PushPlan2D]:
-    """Pushes that carry the object towards the middle of the workspace, the best first; only those that `check_push` lets pass.
+    """Pushes that move the object towards the middle of the workspace, the best first; only those that pass `check_push`.
 
-    The best push goes straight to the middle through the centroid of the outline. A contact that faces another way is pushed as near to
-    that direction as `settings.cone` allows, and only as far as it comes nearer. All have the slowest speed of random pushes.
+    The best push goes straight to the middle through the centroid of the outline. At a contact with another normal the direction is as near
+    to that one as `settings.cone` allows, and the push ends where it is nearest to the middle. All have the lowest speed of random pushes.
     Yields nothing where no contact is within reach, or the object is in the middle.
     """
     outline = transform_points(pose_object_in_table, shape.outline)
     centroid = np.asarray(pose_object_in_table, dtype=np.float64)[:2]  # the origin of an object frame
-    way = settings.middle - centroid
-    to_middle = float(np.arctan2(way[1], way[0]))
+    offset = settings.middle - centroid
+    to_middle = float(np.arctan2(offset[1], offset[0]))
     size = float(np.max(np.linalg.norm(outline - centroid, axis=1)))
     candidates: list[tuple[float, PushPlan2D]] = []
     for share in (np.arange(_N_RECENTRING) + 0.5) / _N_RECENTRING:
         contact, normal = _point_on_outline(float(share), outline)
         inward = float(np.arctan2(-normal[1], -normal[0]))
         direction = inward + float(np.clip(wrap_angle(to_middle - inward), -settings.cone, settings.cone))
-        stray = abs(float(wrap_angle(direction - to_middle)))
-        if stray > _STRAY:
+        deviation = abs(float(wrap_angle(direction - to_middle)))
+        if deviation > _MAX_DEVIATION:
             continue
-        distance = min(float(np.linalg.norm(way) * np.cos(stray)), settings.max_distance)
+        distance = min(float(np.linalg.norm(offset) * np.cos(deviation)), settings.max_distance)
         if distance < 0.5 * settings.distance_range[0]:
             continue
         push = PushPlan2D(
             contact, contact + settings.pusher_radius * normal, float(wrap_angle(direction)), distance, settings.speed_range[0]
         )
-        # A push beside the centroid turns the object rather than carries it.
+        # A push beside the centroid turns the object instead of moving it.
         across = np.array([-push.heading[1], push.heading[0]])
-        candidates.append((stray + abs(float((contact - centroid) @ across)) / size, push))
+        candidates.append((deviation + abs(float((contact - centroid) @ across)) / size, push))
     for _, push in sorted(candidates, key=lambda candidate: candidate[0]):
         try:
             check_push(push, outline, settings, obstacles)
@@ -146,10 +147,10 @@ def recentring_pushes(
 
 
 def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, obstacles: Sequence[Float64Array] = ()) -> None:
-    """Raise PlanningError unless the lowered pusher stays in the workspace and touches the object first where planned.
+    """Raise PlanningError unless the lowered pusher stays in the workspace and its first contact is the planned one.
 
     `outline` and each of `obstacles` (outlines of the other objects) have shape (n_vertices, 2), table frame [m].
-    LIMIT: the pusher's path leaves the workspace. UNREACHABLE: something is in the way.
+    LIMIT: the pusher's path leaves the workspace. UNREACHABLE: it would touch an object earlier.
     """
     start, end = push.tool_start(settings.clearance), push.tool_end
     x_min, x_max, y_min, y_max = settings.workspace
@@ -165,7 +166,7 @@ def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, 
         if gap < settings.lowering_gap:
             raise PlanningError(
                 PushCode.UNREACHABLE,
-                f"the tool cannot come down at ({start[0]:.3f}, {start[1]:.3f}) m: {1e3 * gap:.1f} mm from an object, "
+                f"the tool cannot be lowered at ({start[0]:.3f}, {start[1]:.3f}) m: {1e3 * gap:.1f} mm from an object, "
                 f"needs {1e3 * settings.lowering_gap:.1f} mm; choose another contact or direction.",
             )
     approach = _line(start, push.tool_at_contact)
@@ -182,7 +183,7 @@ def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, 
 
 
 def _leaves_workspace(outline: Float64Array, push: PushPlan2D, settings: PushSettings) -> bool:
-    """Whether the object, carried along the whole push, would stick out of the workspace and further than before."""
+    """Whether the object, moved along the whole push, would be outside the workspace and further than before."""
     after = settings.excess(outline + push.distance * push.heading)
     return after > 0.0 and after >= settings.excess(outline)
 
@@ -210,7 +211,7 @@ def _point_on_outline(share: float, outline: Float64Array) -> tuple[Float64Array
 
 
 def _nearest_on_outline(point: Float64Array, outline: Float64Array, heading: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Nearest point of the outline and its outward normal; at a corner the normal of the edge that `heading` faces most."""
+    """Nearest point of the outline and its outward normal; at a corner that of the edge most opposed to `heading`."""
     length, along, normal = _edges(outline)
     travel = np.clip(np.sum((point - outline) * along, axis=1), 0.0, length)
     nearest = outline + travel[:, None] * along

@@ -17,9 +17,9 @@ __all__ = ["JointTrajectory", "join", "joint_move", "path_at_speed", "path_move"
 _PERIOD = 0.01
 """Time between samples [s]."""
 _MIN_JERK_SPEED = 1.875
-"""Highest speed of the minimum-jerk profile over unit way and time (Flash & Hogan 1985)."""
+"""Highest speed of the minimum-jerk profile over unit length and time (Flash & Hogan 1985)."""
 _MIN_JERK_ACCELERATION = 5.774
-"""Highest acceleration of the same."""
+"""Highest acceleration of the same profile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,23 +35,23 @@ class JointTrajectory:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration of the motion [s]."""
         return float(self.time[-1])
 
     @property
     def acceleration(self) -> Float64Array:
-        """Mean between neighbouring samples [rad/s^2], shape (n - 1, n_joints)."""
+        """Mean acceleration between neighbouring samples [rad/s^2], shape (n - 1, n_joints)."""
         return np.asarray(np.diff(self.velocity, axis=0) / np.diff(self.time)[:, None])
 
     def at(self, time: float) -> Float64Array:
-        """Posture at `time` [s], held at either end, shape (n_joints,)."""
+        """Posture at `time` [s], shape (n_joints,); before the start and after the end that of the first or last sample."""
         i = int(np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1))
         share = float(np.clip((time - self.time[i - 1]) / (self.time[i] - self.time[i - 1]), 0.0, 1.0))
         return np.asarray((1.0 - share) * self.position[i - 1] + share * self.position[i])
 
 
 def join(parts: Sequence[JointTrajectory]) -> JointTrajectory:
-    """One trajectory of `parts` in turn; each must begin where the one before ends."""
+    """One trajectory of consecutive `parts`; each must begin where the previous one ends."""
     starts = np.cumsum([0.0, *(part.duration for part in parts)])
     rest = [slice(0, None)] + [slice(1, None)] * (len(parts) - 1)
     return JointTrajectory(
@@ -72,9 +72,9 @@ def joint_move(q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Ar
 
     `max_velocity` [rad/s] and `max_acceleration` [rad/s^2] have shape (n_joints,).
     """
-    way = np.abs(q_to - q_from)
-    by_velocity = _MIN_JERK_SPEED * float(np.max(way / max_velocity))
-    time = _samples(max(by_velocity, float(np.sqrt(_MIN_JERK_ACCELERATION * np.max(way / max_acceleration)))))
+    travel = np.abs(q_to - q_from)
+    by_velocity = _MIN_JERK_SPEED * float(np.max(travel / max_velocity))
+    time = _samples(max(by_velocity, float(np.sqrt(_MIN_JERK_ACCELERATION * np.max(travel / max_acceleration)))))
     share, rate = _min_jerk(time / time[-1])
     return JointTrajectory(time, q_from + share[:, None] * (q_to - q_from), rate[:, None] / time[-1] * (q_to - q_from))
 
@@ -89,8 +89,8 @@ def path_move(
 ) -> JointTrajectory:
     """Minimum-jerk motion along a path, as fast as the limits allow.
 
-    `postures` (n, n_joints) are even steps along the `length` [m]; `max_speed` [m/s] and `acceleration` [m/s^2] hold for the tool,
-    `max_velocity` [rad/s] and `max_acceleration` [rad/s^2], shape (n_joints,), for the joints.
+    `postures` (n, n_joints) are equally spaced along the `length` [m]; `max_speed` [m/s] and `acceleration` [m/s^2] are limits of the tool,
+    `max_velocity` [rad/s] and `max_acceleration` [rad/s^2], shape (n_joints,), of the joints.
     """
     spline = _spline(postures, length)
     at = np.linspace(0.0, length, 4 * len(postures))
@@ -105,7 +105,7 @@ def path_move(
 
 
 def path_at_speed(postures: Float64Array, length: float, speed: float, acceleration: float) -> JointTrajectory:
-    """Motion along a path at constant tool `speed` [m/s], with ramps of constant `acceleration` [m/s^2] at either end.
+    """Motion along a path at constant tool `speed` [m/s], with ramps of constant `acceleration` [m/s^2] at both ends.
 
     Raises PlanningError LIMIT when the path is too short for the ramps.
     """
@@ -136,5 +136,5 @@ def _samples(duration: float) -> Float64Array:
 
 
 def _min_jerk(phase: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Share of the way and its rate, at `phase` from 0 to 1."""
+    """Fraction of the path and its rate, at `phase` from 0 to 1."""
     return phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2), 30.0 * phase**2 * (1.0 - phase) ** 2

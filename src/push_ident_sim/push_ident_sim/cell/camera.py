@@ -68,7 +68,7 @@ class DepthNoise:
     """[px], with focal length x baseline = 43.5 px m; 0 leaves it out, as does `scale` = 0. At 0.85 m a step is 2 mm of depth."""
 
     def apply(self, depth: DepthImage, rng: np.random.Generator) -> DepthImage:
-        """Noisy depth [m], whole millimetres, NaN where nothing was seen; `depth` has shape (height, width)."""
+        """Noisy depth [m], whole millimetres, NaN where there is no measurement; `depth` has shape (height, width)."""
         if self.scale > 0:
             sigma = self.scale * (np.float32(0.0012) + np.float32(0.0019) * (depth - np.float32(0.4)) ** 2)
             depth = depth + sigma * rng.standard_normal(depth.shape, dtype=np.float32)
@@ -110,6 +110,7 @@ class DepthCamera:
 
     @sim_object.setter
     def sim_object(self, thing: SimObject) -> None:
+        """Place another object before the camera."""
         self._sim_object = thing
         self._object = _object_mesh(thing)
 

@@ -82,7 +82,7 @@ def bullet_description(*, turning_finger: bool = False) -> str:
 
 
 def _massless(link: ET.Element) -> None:
-    """State that a fixed link weighs nothing; Bullet takes 1 kg for a link that says nothing."""
+    """Give a fixed link without inertia a mass of zero; Bullet assumes 1 kg where none is given."""
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value="0")
     ET.SubElement(inertial, "inertia", ixx="0", ixy="0", ixz="0", iyy="0", iyz="0", izz="0")

@@ -1,7 +1,7 @@
 """The simulated cell as a ROS node: the topics of the real cell, and the truth on private ones for tests and scoring.
 
 With `camera_rate` 0 there is no camera. With `truth_as_perception` the cell itself publishes the topics of perception for an object
-`truth`: its shape and its true poses with a little noise, for work on what comes after perception.
+`truth`: its shape and its true poses with a little noise, for work on the stages after perception.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise
 from push_ident_sim.cell.robot import robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
-from push_ident_sim.injected import EFFECTS, Effects
-from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
+from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
+from push_ident_sim.injected.sensing import PoseSensor, check_rendered, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import true_model
 
@@ -64,12 +64,18 @@ FloatArray = NDArray[np.float64]
 _EFFECT: Final = "effects."
 _SPAWNED: Final = "; takes effect with ~/spawn"
 
+
+def _described(effect: InjectedEffect) -> str:
+    """What an effect is and the meaning of its values."""
+    return f"{effect.what} " + "; ".join(f"{p.name} [{p.unit}]: {p.what}" for p in effect.parameters[: len(effect.defaults)])
+
+
 PARAMETERS: Final = (
-    Parameter("object", "hammer", "what lies on the table" + _SPAWNED, choices=OBJECT_NAMES),
-    Parameter("seed", 0, "which ground truth of the object's masses and frictions" + _SPAWNED, 0, 2**31 - 1),
+    Parameter("object", "hammer", "object on the table" + _SPAWNED, choices=OBJECT_NAMES),
+    Parameter("seed", 0, "seed of the ground truth of the object's masses and frictions" + _SPAWNED, 0, 2**31 - 1),
     Parameter("start_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the object frame at the start" + _SPAWNED, -3.2, 3.2),
     Parameter("pusher_friction", 0.3, "friction coefficient of the pusher on the object" + _SPAWNED, 0.0, 2.0),
-    Parameter("real_time_factor", 1.0, "simulated seconds per second at most; 0: as fast as it can", 0.0, 100.0),
+    Parameter("real_time_factor", 1.0, "largest number of simulated seconds per second; 0: no limit", 0.0, 100.0),
     Parameter("time_step", 1.0 / 240.0, "of the simulation [s]", 1e-3, 1e-2, read_only=True),
     Parameter("state_rate", 100.0, "of joint states, wrench and clock, in simulated time [Hz]", 10.0, 240.0, read_only=True),
     Parameter("camera_rate", 15.0, "of depth images, in simulated time [Hz]; 0: no camera", 0.0, 60.0, read_only=True),
@@ -85,38 +91,38 @@ PARAMETERS: Final = (
     Parameter("depth_noise", 1.0, "scale of the axial noise of the camera; 0: none, nor holes at edges", 0.0, 10.0, read_only=True),
     Parameter("wrench_noise", 0.05, "standard deviation of the measured force, each axis [N]", 0.0, 10.0, read_only=True),
     Parameter("noise_seed", 0, "of the noise of all sensors", 0, 2**31 - 1, read_only=True),
-    Parameter("truth_as_perception", False, "publish objects/truth/{pose,cells,outline} from the truth, without looking", read_only=True),
+    Parameter("truth_as_perception", False, "publish objects/truth/{pose,cells,outline} from the truth, without a camera", read_only=True),
     Parameter("truth_rate", 30.0, "of those poses, in simulated time [Hz]", 1.0, 240.0, read_only=True),
     Parameter("truth_noise", [0.0005, 0.005], "standard deviation of those poses: x and y [m], yaw [rad]", 1e-6, 0.1, read_only=True),
     *(
         Parameter(
             f"{_EFFECT}{effect.name}",
-            [p.default for p in effect.parameters],
-            f"injected effect: {effect.what}; " + ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters),
-            min(p.lowest for p in effect.parameters),
-            max(p.highest for p in effect.parameters),
+            list(effect.defaults),
+            "injected effect: " + _described(effect),
+            min(p.lowest for p in effect.parameters[: len(effect.defaults)]),
+            max(p.highest for p in effect.parameters[: len(effect.defaults)]),
             read_only=True,
         )
-        for effect in EFFECTS.values()
+        for effect in INJECTED.values()
     ),
 )
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STOP_WITHIN: Final = 1.0
 """Longest wait for a thread at the end [s]."""
 _LAG: Final = 0.1
-"""A simulation further behind its pace than this gives up catching up [s]."""
+"""A simulation that is further behind its pace than this does not try to catch up [s]."""
 _REPORT_PERIOD: Final = 1.0
 """Between two reports of health [s], wall clock."""
 _TRUTH_ID: Final = "truth"
-"""Object whose poses no camera saw."""
+"""Id of an object whose poses come from the truth."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot:
-    """What the camera needs to know of one moment."""
+    """State of the cell for one image."""
 
     stamp: float
-    """Of the image [s]; later than that moment where frames come late."""
+    """Of the image [s]; later than the state under a latency."""
     thing: SimObject
     pose_object: FloatArray
     robot_link_poses: dict[str, FloatArray]
@@ -129,7 +135,7 @@ class SimCellNode(Node):
         super().__init__("sim_cell_node", **kwargs)
         self._settings = Parameters(self, PARAMETERS)
         values = self._settings.as_dict()
-        effects = Effects.of({name: values[_EFFECT + name] for name in EFFECTS})
+        effects = InjectedEffects.of({name: values[_EFFECT + name] for name in INJECTED})
         thing = _object_of(values)
         self._world = CellWorld(thing, WorldConfig(time_step=values["time_step"], effects=effects), pose=values["start_pose"])
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
@@ -140,7 +146,7 @@ class SimCellNode(Node):
             check_rendered(effects)
             reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
             self._camera = DepthCamera(thing, *true_camera(effects, reported, INTRINSICS))
-        (self._latency,), (self._dropped,) = effects["pose_latency"], effects["dropped_frames"]
+        (self._dropped,) = effects["dropped_frames"]
         self._noise = DepthNoise(scale=values["depth_noise"])
         self._wrench_noise = float(values["wrench_noise"])
         self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
@@ -222,7 +228,7 @@ class SimCellNode(Node):
                 next_image += self._camera_period
                 if self._luck.random() >= self._dropped:
                     pose, links = self._world.object_pose(), self._world.robot_link_poses()
-                    late.append(_Snapshot(now + self._latency, self._world.object, pose, links))
+                    late.append(_Snapshot(now + stamp_delay(self._world.config.effects, now), self._world.object, pose, links))
             while late and late[0].stamp <= now + 0.5 * step:
                 self._hand_over(late.popleft())
             pace.wait(now, self._settings["real_time_factor"])
@@ -233,7 +239,7 @@ class SimCellNode(Node):
             try:
                 self._trajectory = self._started(msg)
             except InputError as error:
-                self.get_logger().error(f"joint_trajectory refused, the last one goes on: {error}")
+                self.get_logger().error(f"joint_trajectory refused, the previous one continues: {error}")
         while not self._requests.empty():
             request = self._requests.get()
             try:
@@ -279,11 +285,11 @@ class SimCellNode(Node):
 
     def _publish_as_perception(self, now: float) -> None:
         assert self._as_perception is not None
-        for stamp, pose in self._as_perception.see(now, self._world.object_pose()):
+        for stamp, pose in self._as_perception.measure(now, self._world.object_pose()):
             self._pose_pub.publish(planar_pose_to_msg(stamp_to_msg(stamp), pose, np.diag(self._truth_std**2)))
 
     def _hand_over(self, snapshot: _Snapshot) -> None:
-        """Give a moment to the camera; while it is busy with the last one simulated time stands still, so that no image is left out."""
+        """Hand a state to the camera. Simulated time waits while the camera is busy, so that no image is dropped."""
         while not self._stop.is_set():
             try:
                 return self._snapshots.put(snapshot, timeout=0.1)
@@ -315,7 +321,7 @@ class SimCellNode(Node):
     # --- callbacks -----------------------------------------------------------------------------------------------------
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._asked(response, self._world.reset_object, "object at its start pose")
+        return self._run_between_steps(response, self._world.reset_object, "object at its start pose")
 
     def _on_spawn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         values = self._settings.as_dict()
@@ -324,10 +330,10 @@ class SimCellNode(Node):
             self._world.replace_object(_object_of(values), values["start_pose"])
             self._publish_object(values["seed"])
 
-        return self._asked(response, spawn, f"{values['object']} of seed {values['seed']} at {values['start_pose']}")
+        return self._run_between_steps(response, spawn, f"{values['object']} of seed {values['seed']} at {values['start_pose']}")
 
-    def _asked(self, response: Trigger.Response, work: Callable[[], None], done: str) -> Trigger.Response:
-        """Have the thread of the simulation do `work` between two time steps."""
+    def _run_between_steps(self, response: Trigger.Response, work: Callable[[], None], done: str) -> Trigger.Response:
+        """Run `work` in the thread of the simulation, between two time steps."""
         request = _Request(work)
         self._requests.put(request)
         try:
@@ -348,7 +354,7 @@ class SimCellNode(Node):
         if effects:
             text += f"; injected: {', '.join(effects)}"
         if self._as_perception is not None:
-            text += f"; objects/{_TRUTH_ID} is the truth, not seen"
+            text += f"; objects/{_TRUTH_ID} comes from the truth, not from a camera"
         status = DiagnosticStatus(level=DiagnosticStatus.OK, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
         values |= {f"effect {name}": str(size) for name, size in effects.items()}
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
@@ -366,7 +372,7 @@ class _Request:
 
 
 class _Meter:
-    """How fast the simulation runs, and which part of it takes how much of the processor."""
+    """Speed of the simulation and processor time of its parts."""
 
     def __init__(self) -> None:
         self.simulated = 0.0
@@ -377,7 +383,7 @@ class _Meter:
 
     @contextmanager
     def measure(self, part: str) -> Iterator[None]:
-        """Count the time of the processor that this thread spends inside; of each part by one thread alone."""
+        """Count the processor time that this thread spends inside; only one thread may measure each part."""
         begin = time.thread_time()
         yield
         self._used[part] += time.thread_time() - begin
@@ -435,7 +441,7 @@ def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) 
 
 
 def _object_of(values: dict[str, Any]) -> SimObject:
-    """The object that the parameters name."""
+    """The object of the parameters."""
     return make_object(values["object"], values["seed"], values["pusher_friction"])
 
 

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
-    """Points joined by straight lines, or by cubics where velocities are given; before the first and after the last it stands still."""
+    """Points joined by straight lines, or by cubics where velocities are given; at rest before the first and after the last."""
 
     time: FloatArray
     """[s], shape (n_points,), strictly increasing."""
@@ -39,11 +39,11 @@ class JointTrajectory:
 
     @classmethod
     def hold(cls, position: FloatArray) -> JointTrajectory:
-        """Stand still at `position` [rad], shape (n_joints,)."""
+        """Stay at `position` [rad], shape (n_joints,)."""
         return cls(np.zeros(1), np.array(position, dtype=np.float64)[None, :])
 
     def from_state(self, start: float, position: FloatArray, velocity: FloatArray) -> JointTrajectory:
-        """The same delayed by `start` [s], led in from where the arm is then commanded to be; points not after `start` are left out."""
+        """The same delayed by `start` [s], starting from the position commanded then; points not after `start` are dropped."""
         time = self.time + start
         ahead = time > start
         velocities = None if self.velocity is None else np.vstack([velocity, self.velocity[ahead]])

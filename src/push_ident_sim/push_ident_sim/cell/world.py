@@ -24,8 +24,9 @@ from push_ident_sim.engines.bullet.bullet_object import (
     checked_pose,
     connect,
 )
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.actuation import ToolErrors, bearing_torque
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.actuation import ToolErrors
+from push_ident_sim.injected.contact import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
 __all__ = ["CellWorld", "WorldConfig"]
@@ -43,15 +44,15 @@ class WorldConfig:
     gravity: float = 9.81
     """[m/s^2]"""
     position_gain: float = 0.3
-    """Share of the joint position error that the arm takes back in one time step."""
+    """Share of the joint position error that the arm corrects in one time step."""
     joint_effort: float = 300.0
     """[N m], largest motor torque."""
-    effects: Effects = field(default_factory=Effects)
-    """Injected; those that act on what is seen are the camera's business."""
+    effects: InjectedEffects = field(default_factory=InjectedEffects)
+    """Injected effects; those on the camera act in `camera.py`."""
 
 
 _LOWERED = 0.06
-"""Below this the tool is beside its reported place in full [m], under effects that put it there, ..."""
+"""Below this height the effects on the tool's place act in full [m], ..."""
 _RAISED = 0.10
 """... and above this not at all."""
 _PAUSE = 0.5
@@ -107,8 +108,8 @@ class CellWorld:
             if name.startswith("hand_") or name in {"lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7"}:
                 self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, TABLE_GROUP)
         self._client.setCollisionFilterGroupMask(self._robot, self._contact_link, PUSHER_GROUP, OUTLINE_GROUP)
-        restitution = 1.0 if "restitution" in self.config.effects else 0.0
-        self._client.changeDynamics(self._robot, self._contact_link, lateralFriction=1.0, restitution=restitution)
+        bounce = 1.0 if restitution(self.config.effects) > 0.0 else 0.0
+        self._client.changeDynamics(self._robot, self._contact_link, lateralFriction=1.0, restitution=bounce)
         if "rolling_finger" in self.config.effects:
             torque = bearing_torque(self.config.effects)
             self._client.setJointMotorControl2(self._robot, self._contact_link, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
@@ -201,33 +202,33 @@ class CellWorld:
     def place_object(self, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate).
 
-        Raises InputError where the pusher is in the way, and leaves the object where it was.
+        Raises InputError where the pusher occupies the place, and then does not move the object.
         """
         before = self.object_pose(), self.object_velocity()
         self._thing.place(checked_pose(pose), velocity)
         if self._thing.touches(self._robot, self._contact_link):
             self._thing.place(*before)
-            raise InputError(f"The pusher stands where the object should go, {np.round(np.asarray(pose), 4)}; lift or move the tool first.")
+            raise InputError(f"The pusher occupies the place of the object, {np.round(np.asarray(pose), 4)}; lift or move the tool first.")
         self._thing.start_push()
 
     def replace_object(self, thing: SimObject, pose: ArrayLike) -> None:
-        """Take the object away and put another one at `pose`, at rest; that is then its start pose.
+        """Replace the object by another one at `pose`, at rest; `pose` becomes its start pose.
 
-        Raises InputError where the pusher is in the way, and then leaves the old one where it is.
+        Raises InputError where the pusher occupies the place, and then keeps the old object.
         """
         pose = checked_pose(pose)
         new = BulletObject(self._client, thing, self.config.gravity, self.config.effects)
         new.place(pose)
         if new.touches(self._robot, self._contact_link):
             self._client.removeBody(new.body)
-            raise InputError(f"The pusher stands where the object should go, {np.round(pose, 4)}; lift or move the tool first.")
+            raise InputError(f"The pusher occupies the place of the object, {np.round(pose, 4)}; lift or move the tool first.")
         self._client.removeBody(self._thing.body)
         self.object, self._thing, self._start_pose = thing, new, pose
         self._thing.start_push()
         self._thing.set_pushes_done(self._n_pushes)
 
     def reset_object(self) -> None:
-        """Put the object back to its start pose, at rest; raises InputError where the pusher is in the way."""
+        """Put the object back to its start pose, at rest; raises InputError where the pusher occupies the place."""
         self.place_object(self._start_pose)
 
     # --- forces --------------------------------------------------------------------------------------------------------
@@ -245,17 +246,17 @@ class CellWorld:
 
 
 class _DrivenTool:
-    """Leads the arm so that the tool is beside the place that the arm reports, once it is lowered."""
+    """Moves the arm so that the lowered tool is where the effects on it place it, not where the arm reports it."""
 
-    def __init__(self, effects: Effects, time_step: float) -> None:
+    def __init__(self, effects: InjectedEffects, time_step: float) -> None:
         self._errors = ToolErrors(effects, time_step)
         self._time_step = time_step
         self._kinematics = ArmKinematics(robot_description(), neutral=HOME)
         self._bend = self._bend_rate = np.zeros(len(HOME))
-        """What the true joint positions are beyond the reported ones [rad], and how fast it changes [rad/s]."""
+        """True minus reported joint positions [rad], and its rate of change [rad/s]."""
 
     def driven(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Targets [rad], [rad/s] that the motors get when the arm believes in those given; once a time step."""
+        """Targets [rad], [rad/s] of the motors where the arm commands those given; called once per time step."""
         tip = self._kinematics.forward(position)[:3, 3]
         if tip[2] > _RAISED:
             self._errors.start(tip[:2])
@@ -267,5 +268,5 @@ class _DrivenTool:
         return position + bend, velocity + self._bend_rate
 
     def reported(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the arm reports [rad], [rad/s] while its joints truly are and move as given."""
+        """Reported positions [rad] and velocities [rad/s] of joints whose true ones are given."""
         return position - self._bend, velocity - self._bend_rate

@@ -1,4 +1,4 @@
-"""What an engine says of one push: the truth behind a record."""
+"""The result of an engine for one push: the truth behind a record."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """What really happened in one push, without noise; one row a time step."""
+    """The true motion in one push, without noise; one row per time step."""
 
     time: FloatArray
     """[s], shape (n_steps + 1,), from 0."""
@@ -23,12 +23,12 @@ class TrueMotion:
     pusher: FloatArray
     """Axis of the pusher in `table` [m], shape (n_steps + 1, 2)."""
     reported: FloatArray
-    """The same as the arm reports it, as `pusher`; another place only under effects that act on the pusher."""
+    """The same as the arm reports it; it differs from `pusher` only under effects that act on the pusher."""
     force: FloatArray
     """Of the pusher on the object in `table` [N], mean over the step that ends at `time`, shape (n_steps + 1, 2)."""
 
     def pose_at(self, time: float) -> FloatArray:
-        """Pose at a time [s], shape (3,); before and after the push everything stands still."""
+        """Pose at a time [s], shape (3,); before and after the push everything is at rest."""
         return self._at(time, self.pose)
 
     def pusher_at(self, time: float) -> FloatArray:

@@ -1,7 +1,9 @@
-"""Effects that the planar model does not have, injected into the simulated cell one by one; each is off unless it is asked for."""
+"""Effects that a simulated world has and that the model does not know of, in the names and parameters of the core's catalogue."""
 
 from __future__ import annotations
 
-from push_ident_sim.injected.catalogue import EFFECTS, Effect, EffectParameter, Effects
+from push_ident_sim.injected.catalogue import INJECTED
+from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter
+from push_ident_sim.injected.values import InjectedEffects
 
-__all__ = ["EFFECTS", "Effect", "EffectParameter", "Effects"]
+__all__ = ["INJECTED", "InjectedEffect", "InjectedEffects", "InjectedParameter"]

@@ -1,29 +1,25 @@
-"""Effects between the place where the arm says that its tool is and the place where the tool is."""
+"""Effects on the path of the tool: where it is, while the arm reports another place."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from push_ident_sim.injected.catalogue import Effects
+from push_ident.physics.effect import OnPusherPath
+from push_ident_sim.injected.equations import acts_by_equation, driven_place
+from push_ident_sim.injected.values import InjectedEffects
 
-__all__ = ["ToolErrors", "bearing_torque"]
+__all__ = ["ToolErrors"]
 
 FloatArray = NDArray[np.float64]
 
 _ACTING = ("pusher_lag", "pusher_speed_scale", "tool_offset", "pusher_wobble")
 
 
-def bearing_torque(effects: Effects) -> float:
-    """Friction torque of the finger about its own axis [N m], if it turns at all."""
-    (ease,) = effects["rolling_finger"]
-    return 0.02 * (1.0 - ease)
-
-
 class ToolErrors:
-    """Where the tool really is, step by step; positions (x, y) in `table` [m]."""
+    """The true place of the tool, step by step; positions (x, y) in `table` [m]."""
 
-    def __init__(self, effects: Effects, time_step: float) -> None:
+    def __init__(self, effects: InjectedEffects, time_step: float) -> None:
         """`time_step` [s] between two calls of `true_position`."""
         (lag,), (self._scale,) = effects["pusher_lag"], effects["pusher_speed_scale"]
         self._offset = np.array(effects["tool_offset"])
@@ -31,21 +27,27 @@ class ToolErrors:
         self._turn = 2.0 * np.pi * frequency * time_step
         self._follow = 1.0 - np.exp(-time_step / lag) if lag > 0 else 1.0
         self._n_steps = 0
+        self._effects, self._time_step = effects, time_step
+        self._by_equation = acts_by_equation(effects, OnPusherPath)
         self.start(np.zeros(2))
 
     @staticmethod
-    def needed(effects: Effects) -> bool:
+    def needed(effects: InjectedEffects) -> bool:
         """Whether any effect acts on the tool's place."""
-        return any(name in effects for name in _ACTING)
+        return any(name in effects for name in _ACTING) or acts_by_equation(effects, OnPusherPath)
 
     def start(self, reported: ArrayLike) -> None:
         """A motion begins where the arm reports `reported`."""
         self._anchor = np.array(reported, dtype=np.float64)
         self._followed = self._anchor.copy()
+        self._places = [self._anchor.copy()]
 
     def true_position(self, reported: FloatArray) -> FloatArray:
         """Where the tool is at the end of a time step at whose end the arm reports `reported`."""
         self._n_steps += 1
+        if self._by_equation:
+            self._places.append(np.array(reported))
+            reported = driven_place(self._effects, self._time_step, np.array(self._places))
         ahead = reported + self._scale * (reported - self._anchor)
         self._followed = self._followed + self._follow * (ahead - self._followed)
         angle = self._turn * self._n_steps

@@ -1,336 +1,200 @@
-"""Every effect that can be injected: its parameters, what it does, and how the simulation brings it about.
+"""Every effect that can be injected.
 
-Signs and units are those in which a diagnosis states an effect. `table` axes unless said otherwise; lengths in metres, angles in radians,
-forces in newtons.
+Effects of the core's catalogue come first, each with a law of its own in the engines, which does not share a line with the core and so
+checks it. Then those that no diagnosis can name. Effects of the core without an entry here are injected through their own equation
+(`equations.py`): a new file in `push_ident/physics/effects/` needs nothing else.
+
+Axes are those of `table` unless said otherwise.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import NamedTuple
 
-from push_ident.errors import InputError
+import numpy as np
 
-__all__ = ["EFFECTS", "Effect", "EffectParameter", "Effects"]
+from push_ident.physics.effect import Effect, OnContact, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
+from push_ident.physics.effects import CAUSES, EFFECTS
+from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter, Part
+
+__all__ = ["INJECTED"]
+
+_PARTS: dict[type, Part] = {
+    OnTable: "table",
+    OnContact: "pusher",
+    OnPusherPath: "pusher",
+    OnPusherFriction: "pusher",
+    OnTimes: "camera",
+    OnPoses: "poses",
+}
+"""What an effect acts on that is injected through its equation."""
+_WIDEST = 10.0
+"""Range of a parameter for which the core's catalogue has no limit, in its typical sizes."""
 
 
-@dataclass(frozen=True, slots=True)
-class EffectParameter:
-    """One number of an effect."""
+class _Size(NamedTuple):
+    """Sizes of one parameter of an effect of the core's catalogue, in the unit that it has there."""
 
-    name: str
-    unit: str
     typical: float
-    """Of a cell that was set up with ordinary care."""
     lowest: float
     highest: float
-    default: float = 0.0
-    """Value when it is not given. A parameter whose default is not 0 only shapes the effect and does not switch it on."""
-    smallest: float = 0.0
-    """Between 0 and this the simulation cannot bring it about."""
+    times_friction: bool = False
+    chosen_by_world: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """One entry of the catalogue."""
-
-    name: str
-    acts_on: Literal["table", "object", "pusher", "camera", "poses"]
-    """`poses`: it works on poses that are reported, not on a rendered camera."""
-    parameters: tuple[EffectParameter, ...]
-    what: str
-    how: str
-    """How it is brought about in the simulation."""
-    named: bool = True
-    """Whether the diagnosis has a name for it; the others are there to see whether it says so."""
-
-    def typical(self) -> dict[str, tuple[float, ...]]:
-        """The effect in its typical size, for `Effects`; along the first axis where it has a direction."""
-        values = [p.default for p in self.parameters]
-        values[0] = self.parameters[0].typical
-        return {self.name: tuple(values)}
-
-
-def _two(names: Sequence[str], unit: str, typical: float, most: float) -> tuple[EffectParameter, ...]:
-    return tuple(EffectParameter(name, unit, typical, -most, most) for name in names)
+def _catalogued(name: str, acts_on: Part, how: str, *sizes: _Size) -> InjectedEffect:
+    """An effect of the core's catalogue that the engines have a law of their own for."""
+    effect = EFFECTS[name]
+    parameters = tuple(
+        InjectedParameter(
+            p.name,
+            p.unit or "1",
+            size.typical,
+            size.lowest,
+            size.highest,
+            p.what,
+            None if size.chosen_by_world else p.nominal,
+            p.shape,
+            times_friction=size.times_friction,
+        )
+        for p, size in zip(effect.parameters, sizes, strict=True)
+    )
+    return InjectedEffect(name, acts_on, parameters, effect.what, how)
 
 
-_TRACELESS = "-mu N (I + E) v/|v| with E = [[e1, e2], [e2, -e1]]"
-_CELL_FRICTION = "the friction coefficient of each cell is set anew at each time step"
+def _through_its_equation(effect: Effect) -> InjectedEffect:
+    """An effect of the core's catalogue for which the engines have no law of their own."""
+
+    def bounded(limit: float, sign: float, typical: float) -> float:
+        return limit if np.isfinite(limit) else sign * _WIDEST * typical
+
+    parameters = tuple(
+        InjectedParameter(
+            p.name,
+            p.unit or "1",
+            p.typical,
+            bounded(p.low, -1.0, p.typical),
+            bounded(p.high, 1.0, p.typical),
+            p.what,
+            p.nominal,
+            p.shape,
+        )
+        for p in effect.parameters
+    )
+    how = f"the engines evaluate its equation: {effect.equation}"
+    return InjectedEffect(effect.name, _PARTS[type(effect.acts)], parameters, effect.what, how, has_own_law=False)
+
+
+_GRAIN = "a force on each sliding cell makes up the difference to friction without direction"
+_CELL_FRICTION = "the friction coefficient of each cell is set at each time step"
+_TOOL_PATH = "the tool is led along the changed path; joint states report the other one"
 
 _ENTRIES = (
-    Effect(
-        "table_tilt",
-        "table",
-        _two(("x", "y"), "rad", 0.02, 0.1),
-        "the table falls towards +x, +y by this angle: a force m g (x, y)",
-        "gravity has these components along the table",
-    ),
-    Effect(
-        "table_anisotropy",
-        "table",
-        _two(("e1", "e2"), "1", 0.15, 0.5),
-        f"grain of the table: friction {_TRACELESS} in table axes",
-        "a force on each sliding cell makes up the difference to even friction",
-    ),
-    Effect(
-        "base_anisotropy",
-        "object",
-        _two(("e1", "e2"), "1", 0.15, 0.5),
-        f"grain of the object's base: friction {_TRACELESS} in object axes",
-        "a force on each sliding cell makes up the difference to even friction",
-    ),
-    Effect(
-        "position_dependent_friction",
-        "table",
-        _two(("x", "y"), "1/m", 1.0, 3.0),
-        "friction grows across the table: mu (1 + x X + y Y) for a cell at (X, Y)",
-        _CELL_FRICTION,
-    ),
-    Effect(
-        "speed_dependent_friction",
-        "table",
-        (EffectParameter("b", "1", 0.1, -0.3, 0.3),),
-        "mu (1 + b ln((v + 0.01 m/s) / (0.1 m/s + 0.01 m/s))) at the speed v of the cell",
-        _CELL_FRICTION,
-    ),
-    Effect(
-        "stribeck_friction",
-        "table",
-        (EffectParameter("s", "1", 0.3, -0.9, 2.0), EffectParameter("speed", "m/s", 0.02, 1e-3, 0.2, default=0.02)),
-        "mu (1 + s exp(-(v / speed)^2)): more friction when slow",
-        _CELL_FRICTION,
-    ),
-    Effect(
-        "wear",
-        "table",
-        (EffectParameter("w", "1/push", 0.01, -0.05, 0.1),),
-        "mu (1 + w n) after n pushes",
-        _CELL_FRICTION,
-    ),
-    Effect(
-        "pusher_friction",
-        "pusher",
-        (EffectParameter("change", "1", 0.1, -2.0, 2.0),),
-        "the friction coefficient of pusher on object is higher by this",
-        "friction coefficient of the outline",
-    ),
-    Effect(
+    _catalogued("table_tilt", "table", "gravity has these components along the table", _Size(0.02, -0.1, 0.1), _Size(0.02, -0.1, 0.1)),
+    _catalogued("table_anisotropy", "table", _GRAIN, _Size(0.15, -0.5, 0.5), _Size(0.15, -0.5, 0.5)),
+    _catalogued("base_anisotropy", "object", _GRAIN, _Size(0.15, -0.5, 0.5), _Size(0.15, -0.5, 0.5)),
+    _catalogued("position_dependent_friction", "table", _CELL_FRICTION, _Size(1.0, -3.0, 3.0), _Size(1.0, -3.0, 3.0)),
+    _catalogued("speed_dependent_friction", "table", _CELL_FRICTION, _Size(0.1, -0.3, 0.3)),
+    _catalogued("stribeck_friction", "table", _CELL_FRICTION, _Size(0.3, -0.9, 2.0), _Size(0.02, 1e-3, 0.2)),
+    _catalogued("wear", "table", _CELL_FRICTION, _Size(0.01, -0.05, 0.1)),
+    _catalogued("pusher_friction", "pusher", "friction coefficient of the outline", _Size(0.1, -2.0, 2.0)),
+    _catalogued(
         "push_height",
         "pusher",
-        (EffectParameter("height", "m", 0.02, 0.0, 0.1),),
-        "the object is pushed at this height above the table: it leans on its far side",
-        "the moment of the measured contact force shifts the load of the cells, in proportion to their weight and place",
+        "the moment of the measured contact force, at the height lever / friction coefficient, shifts the load of the cells",
+        _Size(0.02, 0.0, 0.1, times_friction=True),
     ),
-    Effect(
+    _catalogued(
         "tether",
         "object",
-        (EffectParameter("stiffness", "N/m", 5.0, 0.0, 100.0),),
-        "a spring between the object's centre of mass and the place where that was put down",
-        "a force on the object",
+        "a force on the object; without pull_x and pull_y the spring is relaxed where the object was put down",
+        _Size(5.0, 0.0, 100.0),
+        _Size(0.0, -50.0, 50.0, chosen_by_world=True),
+        _Size(0.0, -50.0, 50.0, chosen_by_world=True),
     ),
-    Effect(
+    _catalogued(
         "moving_contents",
         "object",
-        (EffectParameter("distance", "m", 0.01, 0.0, 0.05), EffectParameter("time", "s", 0.1, 0.01, 5.0, default=0.1)),
-        "what is loose inside slides back: the centre of mass lags by distance (1 - exp(-t / time)) and stays when the object stops",
-        "mass moves from cell to cell",
+        "mass moves from cell to cell; it stays where it is when the object stops",
+        _Size(0.01, 0.0, 0.05),
+        _Size(0.1, 0.01, 5.0),
     ),
-    Effect(
-        "restitution",
-        "pusher",
-        (EffectParameter("e", "1", 0.3, 0.0, 1.0),),
-        "the object bounces off the pusher with this share of the speed of approach",
-        "restitution of both bodies",
+    _catalogued("restitution", "pusher", "restitution of both bodies", _Size(0.3, 0.0, 1.0)),
+    _catalogued("outline_error", "object", "the collision shape grows; the reported outline does not", _Size(1e-3, -4e-3, 5e-3)),
+    _catalogued("pusher_lag", "pusher", _TOOL_PATH, _Size(0.02, 0.0, 0.5)),
+    _catalogued("pusher_speed_scale", "pusher", f"{_TOOL_PATH}; it starts where the tool came down", _Size(0.02, -0.2, 0.2)),
+    _catalogued("tool_offset", "pusher", _TOOL_PATH, _Size(2e-3, -0.01, 0.01), _Size(2e-3, -0.01, 0.01)),
+    _catalogued(
+        "camera_rotation", "camera", "the camera turns about the origin of the table; its reported pose does not", _Size(0.01, -0.2, 0.2)
     ),
-    Effect(
-        "outline_error",
-        "object",
-        (EffectParameter("offset", "m", 1e-3, -4e-3, 5e-3),),
-        "the object is larger than its outline by this, along the normal",
-        "the collision shape is made larger; what is reported is not",
-    ),
-    Effect(
-        "pusher_lag",
-        "pusher",
-        (EffectParameter("time", "s", 0.02, 0.0, 0.5),),
-        "the tool follows the reported one as a first-order system",
-        "the arm is led along the delayed path; joint states tell the other",
-    ),
-    Effect(
-        "pusher_speed_scale",
-        "pusher",
-        (EffectParameter("s", "1", 0.02, -0.2, 0.2),),
-        "the tool moves (1 + s) times as far as reported, from where it came down",
-        "the arm is led along the longer path; joint states tell the other",
-    ),
-    Effect(
-        "tool_offset",
-        "pusher",
-        _two(("x", "y"), "m", 2e-3, 0.01),
-        "the tool is beside its reported place",
-        "the arm is led along the shifted path; joint states tell the other",
-    ),
-    Effect(
-        "camera_rotation",
-        "camera",
-        (EffectParameter("angle", "rad", 0.01, -0.2, 0.2),),
-        "everything is seen turned about the middle of the table",
-        "the camera is turned about it the other way; its reported pose is not",
-    ),
-    Effect(
+    _catalogued(
         "camera_translation",
         "camera",
-        _two(("x", "y"), "m", 2e-3, 0.05),
-        "everything is seen shifted",
-        "the camera is shifted the other way; its reported pose is not",
+        "the camera is shifted; its reported pose is not",
+        _Size(2e-3, -0.05, 0.05),
+        _Size(2e-3, -0.05, 0.05),
     ),
-    Effect(
+    _catalogued(
         "camera_scale",
         "camera",
-        (EffectParameter("scale", "1", 0.01, -0.1, 0.1),),
-        "everything is seen (1 + scale) times as far from the middle of the table",
-        "poses are scaled; a rendered camera has a focal length (1 + scale) times the reported one, and on a slant sees the table tilted",
+        "poses are scaled; a rendered camera has a focal length (1 + kappa) times the reported one, and on a slant the table looks tilted",
+        _Size(0.01, -0.1, 0.1),
     ),
-    Effect(
-        "pose_latency",
-        "camera",
-        (EffectParameter("delay", "s", 0.01, 0.0, 0.5),),
-        "what is stamped t was seen at t - delay",
-        "frames are stamped late",
-    ),
-    Effect(
+    _catalogued("pose_latency", "camera", "frames are stamped late", _Size(0.01, 0.0, 0.5)),
+    InjectedEffect(
         "dropped_frames",
         "camera",
-        (EffectParameter("share", "1", 0.3, 0.0, 0.95),),
-        "frames are lost at random",
-        "frames are left out",
+        (InjectedParameter("share", "1", 0.3, 0.0, 0.95, "of all frames"),),
+        "Frames are lost at random.",
+        "frames are dropped",
     ),
-    Effect(
+    InjectedEffect(
         "noise_correlation",
         "poses",
-        (EffectParameter("rho", "1", 0.6, 0.0, 0.99),),
-        "pose noise of consecutive frames is correlated, with the same deviation",
+        (InjectedParameter("rho", "1", 0.6, 0.0, 0.99, "correlation of neighbouring frames"),),
+        "Pose noise of consecutive frames is correlated, with the same standard deviation.",
         "first-order autoregressive noise",
-        named=False,
     ),
-    Effect(
+    InjectedEffect(
         "pose_flips",
         "poses",
-        (EffectParameter("share", "1", 0.05, 0.0, 0.5),),
-        "single poses are turned by 180 degrees",
+        (InjectedParameter("share", "1", 0.05, 0.0, 0.5, "of all frames"),),
+        "Single poses are turned by 180 degrees.",
         "half a turn is added to the yaw of frames drawn at random",
-        named=False,
     ),
-    Effect(
+    InjectedEffect(
         "compliant_table",
         "table",
-        (EffectParameter("travel", "m", 2e-3, 0.0, 0.02, smallest=2e-4),),
-        "the table's skin shears by this before a cell slides, and springs back",
-        "cells hang on springs that let go at their friction force; Bullet's own friction is off",
-        named=False,
+        (InjectedParameter("travel", "m", 2e-3, 0.0, 0.02, "shear at which a cell starts to slide", smallest=2e-4),),
+        "The surface of the table shears before a cell slides, and springs back.",
+        "cells hang on springs that give way at their friction force; Bullet's own friction is switched off",
     ),
-    Effect(
+    InjectedEffect(
         "viscous_film",
         "table",
-        (EffectParameter("damping", "N s/m", 3.0, 0.0, 30.0),),
-        "a film of oil: a force against the velocity, spread over all cells, beside dry friction",
+        (InjectedParameter("damping", "N s/m", 3.0, 0.0, 30.0, "of the whole object, spread over its cells"),),
+        "A film of oil: a force against the velocity, beside dry friction.",
         "a force on each cell",
-        named=False,
     ),
-    Effect(
+    InjectedEffect(
         "rolling_finger",
         "pusher",
-        (EffectParameter("ease", "1", 1.0, 0.0, 1.0, smallest=0.5),),
-        "the finger turns about its own axis: 1 freely, below that held by a bearing of (1 - ease) 0.02 N m",
+        (InjectedParameter("ease", "1", 1.0, 0.0, 1.0, "1: free; below that a bearing holds with (1 - ease) 0.02 N m", smallest=0.5),),
+        "The finger turns about its own axis.",
         "the pusher hangs on a turning joint with that friction",
-        named=False,
     ),
-    Effect(
+    InjectedEffect(
         "pusher_wobble",
         "pusher",
-        (EffectParameter("radius", "m", 1e-3, 0.0, 0.01), EffectParameter("frequency", "Hz", 4.0, 0.1, 30.0, default=4.0)),
-        "the tool goes round its reported place in a circle",
-        "the arm is led along the wobbling path; joint states tell the other",
-        named=False,
+        (
+            InjectedParameter("radius", "m", 1e-3, 0.0, 0.01, "of the circle"),
+            InjectedParameter("frequency", "Hz", 4.0, 0.1, 30.0, "of the motion", default=4.0, is_shape=True),
+        ),
+        "The tool moves in a circle about its reported place.",
+        _TOOL_PATH,
     ),
 )
 
-EFFECTS: dict[str, Effect] = {effect.name: effect for effect in _ENTRIES}
-"""By name."""
-
-
-@dataclass(frozen=True, slots=True)
-class Effects:
-    """The effects injected into one simulation; none by default."""
-
-    values: tuple[tuple[str, tuple[float, ...]], ...] = ()
-    """Names and parameters, sorted by name; effects of size zero are left out, so that they are off to the last bit."""
-
-    def __post_init__(self) -> None:
-        chosen = {}
-        for name, given in self.values:
-            if name not in EFFECTS:
-                raise InputError(f"Effect {name!r} is not known, expected some of {', '.join(EFFECTS)}.")
-            if name in chosen:
-                raise InputError(f"Effect {name} is given twice; give it once with all its parameters.")
-            chosen[name] = _checked(EFFECTS[name], given)
-        switched_on = {
-            name: values
-            for name, values in chosen.items()
-            if any(value != 0.0 for value, p in zip(values, EFFECTS[name].parameters, strict=True) if p.default == 0.0)
-        }
-        object.__setattr__(self, "values", tuple(sorted(switched_on.items())))
-
-    @classmethod
-    def of(cls, values: Mapping[str, float | Sequence[float]]) -> Effects:
-        """From names and parameters: a number, or as many of them as the effect has; those left out at the end take their default."""
-        return cls(tuple((name, tuple(v) if isinstance(v, Sequence) else (float(v),)) for name, v in values.items()))
-
-    @classmethod
-    def parse(cls, texts: Iterable[str]) -> Effects:
-        """From texts such as `table_tilt=0.02` or `table_tilt=0.02,-0.01`. Raises InputError for what is not of that form."""
-        found = []
-        for text in texts:
-            name, equals, numbers = text.partition("=")
-            try:
-                values = tuple(float(number) for number in numbers.split(","))
-            except ValueError:
-                values = ()
-            if not (equals and values):
-                raise InputError(f"Effect {text!r} has no size, expected NAME=VALUE or NAME=VALUE,VALUE such as table_tilt=0.02.")
-            found.append((name.strip(), values))
-        return cls(tuple(found))
-
-    def __bool__(self) -> bool:
-        return bool(self.values)
-
-    def __contains__(self, name: str) -> bool:
-        return any(own == name for own, _ in self.values)
-
-    def __getitem__(self, name: str) -> tuple[float, ...]:
-        """Parameters of an effect; their defaults, at which it does nothing, when it is not injected."""
-        return self.as_dict().get(name) or tuple(p.default for p in EFFECTS[name].parameters)
-
-    def as_dict(self) -> dict[str, tuple[float, ...]]:
-        """Parameters of the injected effects by name."""
-        return dict(self.values)
-
-    def acting_on(self, *parts: str) -> tuple[str, ...]:
-        """Names of the injected effects that act on one of `parts`."""
-        return tuple(name for name, _ in self.values if EFFECTS[name].acts_on in parts)
-
-
-def _checked(effect: Effect, given: Sequence[float]) -> tuple[float, ...]:
-    named = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
-    if not 0 < len(given) <= len(effect.parameters):
-        raise InputError(f"Effect {effect.name} has {len(given)} values, expected 1 to {len(effect.parameters)}: {named}.")
-    values = (*map(float, given), *(p.default for p in effect.parameters[len(given) :]))
-    for value, p in zip(values, effect.parameters, strict=True):
-        if not (math.isfinite(value) and p.lowest <= value <= p.highest):
-            raise InputError(f"{p.name} of effect {effect.name} is {value:g} {p.unit}, expected {p.lowest:g} to {p.highest:g}.")
-        if 0.0 < abs(value) < p.smallest:
-            raise InputError(f"{p.name} of effect {effect.name} is {value:g} {p.unit}, expected 0 or at least {p.smallest:g}.")
-    return values
+INJECTED: dict[str, InjectedEffect] = {effect.name: effect for effect in _ENTRIES}
+"""By name. An effect that names no cause has nothing to inject."""
+INJECTED |= {name: _through_its_equation(EFFECTS[name]) for name in CAUSES if name not in INJECTED}

@@ -1,4 +1,4 @@
-"""Effects between the object and what is seen of it: on poses, or on the camera that is rendered."""
+"""Effects between the object and its reported poses: on the poses, or on the camera that is rendered."""
 
 from __future__ import annotations
 
@@ -10,33 +10,58 @@ from numpy.typing import NDArray
 
 from push_ident.errors import InputError
 from push_ident.types import CameraIntrinsics
-from push_ident_sim.injected.catalogue import EFFECTS, Effects
+from push_ident_sim.injected.catalogue import INJECTED
+from push_ident_sim.injected.equations import reported_poses, times_of_poses
+from push_ident_sim.injected.values import InjectedEffects
 
-__all__ = ["PoseSensor", "check_rendered", "correlated", "flipped", "kept_frames", "seen_poses", "true_camera"]
+__all__ = [
+    "PoseSensor",
+    "check_rendered",
+    "correlated",
+    "flipped",
+    "kept_frames",
+    "measured_at",
+    "observed_poses",
+    "stamp_delay",
+    "true_camera",
+]
 
 FloatArray = NDArray[np.float64]
 
 
-def seen_poses(effects: Effects, pose: FloatArray) -> FloatArray:
-    """Poses (x, y, yaw) in `table`, shape (n, 3), as a camera with the wrong extrinsics or scale sees them."""
-    (angle,), shift, (scale,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
-    seen = pose.copy()
-    seen[:, :2] = (1.0 + scale) * pose[:, :2] @ _rotation(angle).T + shift
-    seen[:, 2] += angle
-    return seen
+def measured_at(effects: InjectedEffects, stamp: FloatArray) -> FloatArray:
+    """When the poses stamped `stamp` [s], shape (n,), were measured."""
+    (delta,) = effects["pose_latency"]
+    return times_of_poses(effects, stamp - delta)
 
 
-def true_camera(effects: Effects, reported: FloatArray, intrinsics: CameraIntrinsics) -> tuple[FloatArray, CameraIntrinsics]:
-    """Pose in `table`, shape (4, 4), and intrinsics that the camera really has, if it reports `reported` and `intrinsics`."""
-    (angle,), shift, (scale,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
-    seen_in_table = np.eye(4)
-    seen_in_table[:2, :2] = _rotation(angle)
-    seen_in_table[:2, 3] = shift
-    camera = replace(intrinsics, fx=(1.0 + scale) * intrinsics.fx, fy=(1.0 + scale) * intrinsics.fy)
-    return np.linalg.inv(seen_in_table) @ reported, camera
+def stamp_delay(effects: InjectedEffects, time: float) -> float:
+    """How much later than `time` [s] a frame of that moment is stamped [s]; exact for a delay that does not change."""
+    (delta,) = effects["pose_latency"]
+    return delta + (time - float(times_of_poses(effects, np.array([time]))[0]))
 
 
-def kept_frames(effects: Effects, n_frames: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+def observed_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
+    """Poses (x, y, yaw) in `table`, shape (n, 3), as a camera with wrong extrinsics or a wrong scale reports them."""
+    (angle,), shift, (kappa,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
+    observed = pose.copy()
+    if angle or any(shift) or kappa:
+        observed[:, :2] = (1.0 + kappa) * pose[:, :2] @ _rotation(angle).T + shift
+        observed[:, 2] += angle
+    return reported_poses(effects, observed)
+
+
+def true_camera(effects: InjectedEffects, reported: FloatArray, intrinsics: CameraIntrinsics) -> tuple[FloatArray, CameraIntrinsics]:
+    """True pose in `table`, shape (4, 4), and true intrinsics of a camera that reports `reported` and `intrinsics`."""
+    (angle,), shift, (kappa,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
+    error = np.eye(4)
+    error[:2, :2] = _rotation(angle)
+    error[:2, 3] = shift
+    camera = replace(intrinsics, fx=(1.0 + kappa) * intrinsics.fx, fy=(1.0 + kappa) * intrinsics.fy)
+    return np.linalg.inv(error) @ reported, camera
+
+
+def kept_frames(effects: InjectedEffects, n_frames: int, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Which frames arrive, shape (n_frames,); the first and the last always do."""
     (share,) = effects["dropped_frames"]
     kept = np.asarray(rng.random(n_frames) >= share)
@@ -44,16 +69,16 @@ def kept_frames(effects: Effects, n_frames: int, rng: np.random.Generator) -> ND
     return kept
 
 
-def flipped(effects: Effects, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Poses of which some are turned by half a turn, shape (n, 3)."""
+def flipped(effects: InjectedEffects, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Poses, shape (n, 3), some of them turned by half a turn."""
     (share,) = effects["pose_flips"]
     turned = pose.copy()
     turned[rng.random(len(pose)) < share, 2] += np.pi
     return turned
 
 
-def correlated(effects: Effects, noise: FloatArray) -> FloatArray:
-    """Independent standard noise, one row a frame, made to depend on the frame before, with the same deviation."""
+def correlated(effects: InjectedEffects, noise: FloatArray) -> FloatArray:
+    """Standard noise, one row a frame, made to correlate with the frame before at the same standard deviation."""
     (rho,) = effects["noise_correlation"]
     if rho == 0.0:
         return noise
@@ -64,37 +89,37 @@ def correlated(effects: Effects, noise: FloatArray) -> FloatArray:
 
 
 class PoseSensor:
-    """Poses as they come in, one after another."""
+    """Reports poses one after another, as a camera does."""
 
-    def __init__(self, effects: Effects, std: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(self, effects: InjectedEffects, std: FloatArray, rng: np.random.Generator) -> None:
         """`std` of x, y [m] and yaw [rad], shape (3,)."""
         self._effects = effects
         self._std = std
         self._rng, self._luck = rng, rng.spawn(1)[0]
         self._noise: FloatArray | None = None
-        self._on_the_way: deque[tuple[float, FloatArray]] = deque()
-        (self._delay,), (self._dropped,), (self._rho,) = effects["pose_latency"], effects["dropped_frames"], effects["noise_correlation"]
+        self._delayed: deque[tuple[float, FloatArray]] = deque()
+        (self._dropped,), (self._rho,) = effects["dropped_frames"], effects["noise_correlation"]
 
-    def see(self, time: float, pose: FloatArray) -> list[tuple[float, FloatArray]]:
-        """Take in `pose` (x, y, yaw) at `time` [s]; stamps [s] and poses (x, y, yaw) of what arrives until then."""
+    def measure(self, time: float, pose: FloatArray) -> list[tuple[float, FloatArray]]:
+        """Take in `pose` (x, y, yaw) at `time` [s]; returns stamps [s] and poses (x, y, yaw) of the frames that arrive until then."""
         fresh = self._rng.standard_normal(3)
         before, self._noise = self._noise, fresh
         if before is not None:
             self._noise = self._rho * before + np.sqrt(1.0 - self._rho**2) * fresh
-        seen = flipped(self._effects, seen_poses(self._effects, pose[None]) + self._std * self._noise, self._luck)[0]
+        observed = flipped(self._effects, observed_poses(self._effects, pose[None]) + self._std * self._noise, self._luck)[0]
         if self._luck.random() >= self._dropped:
-            self._on_the_way.append((time + self._delay, seen))
+            self._delayed.append((time + stamp_delay(self._effects, time), observed))
         arrived = []
-        while self._on_the_way and self._on_the_way[0][0] <= time + 1e-9:
-            arrived.append(self._on_the_way.popleft())
+        while self._delayed and self._delayed[0][0] <= time + 1e-9:
+            arrived.append(self._delayed.popleft())
         return arrived
 
 
-def check_rendered(effects: Effects) -> None:
+def check_rendered(effects: InjectedEffects) -> None:
     """Raise InputError for effects that a rendered camera cannot have."""
     if on_poses := effects.acting_on("poses"):
-        known = ", ".join(name for name, effect in EFFECTS.items() if effect.acts_on == "camera")
-        raise InputError(f"Effect {on_poses[0]} changes poses and needs a cell without camera; a rendered camera can have {known}.")
+        known = ", ".join(name for name, effect in INJECTED.items() if effect.acts_on == "camera")
+        raise InputError(f"Effect {on_poses[0]} acts on poses and needs a cell without camera; a rendered camera can have {known}.")
 
 
 def _rotation(angle: float) -> FloatArray:

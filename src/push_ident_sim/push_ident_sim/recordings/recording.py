@@ -1,4 +1,4 @@
-"""Simulated pushes, with or without injected effects, as a bag of the contract: with poses, or as a depth camera sees them."""
+"""Simulated pushes, with or without injected effects, as a bag of the contract: with poses, or with depth images."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from push_ident.types import PushRecord
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
 from push_ident_sim.cell.robot import PUSHER_LENGTH, PUSHER_RADIUS
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.sensing import check_rendered, kept_frames, true_camera
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.sensing import check_rendered, kept_frames, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
 
@@ -31,15 +31,15 @@ FloatArray = NDArray[np.float64]
 _PAUSE = 3.0
 """Between two pushes [s]."""
 _LOOK = 2.0
-"""The camera looks for so long before the first push [s]."""
+"""The camera films the object for this long before the first push [s]."""
 _TIP_HEIGHT = 0.012
-"""Of the filmed tool above the table [m]."""
+"""Height of the filmed tool above the table [m]."""
 _CAMERA_POSE = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingSettings:
-    """What is recorded."""
+    """What a bag contains."""
 
     object_name: str = "hammer"
     model: int = 0
@@ -47,12 +47,12 @@ class RecordingSettings:
     n_pushes: int = 14
     seed: int = 0
     """Of the pushes and of all noise."""
-    effects: Effects = field(default_factory=Effects)
+    effects: InjectedEffects = field(default_factory=InjectedEffects)
     speed_range: tuple[float, float] = (0.1, 0.2)
     """Of the pushes [m/s]."""
     noise: CameraNoise = field(default_factory=lambda: CameraNoise(force_std=0.05))
     camera: bool = False
-    """Depth images in place of poses; the object is then pushed on from where it lies, and the tool is a bare rod."""
+    """Depth images in place of poses; each push then starts where the last one ended, and the tool is a bare rod."""
 
     def __post_init__(self) -> None:
         if self.object_name not in OBJECT_NAMES:
@@ -68,7 +68,7 @@ def record_pushes(out: Path, settings: RecordingSettings) -> dict[str, Any]:
     """Write a new bag. Raises BagError where it exists already or cannot be written.
 
     Returns:
-        The truth, which is not in the bag: object, masses, frictions, effects.
+        The truth, which the bag does not contain: object, masses, frictions, effects.
     """
     if out.exists():
         raise InputError(f"{out}: exists already and is not overwritten; give another name.")
@@ -76,7 +76,7 @@ def record_pushes(out: Path, settings: RecordingSettings) -> dict[str, Any]:
     drawn = TruthSettings(n_train=settings.n_pushes, n_test=0, effects=settings.effects)
     pushes = replace(drawn.pushes, speed_range=settings.speed_range)
     if settings.camera:
-        # Within sight, and with the tool that the camera knows.
+        # In the field of view, and with the tool that the camera renders.
         pushes = PushSettings(speed_range=settings.speed_range, pusher_radius=PUSHER_RADIUS)
     drawn = replace(drawn, pushes=pushes)
     own = [settings.model, OBJECT_NAMES.index(settings.object_name), settings.seed]
@@ -95,7 +95,7 @@ def record_pushes(out: Path, settings: RecordingSettings) -> dict[str, Any]:
 
 
 def seal(truth: dict[str, Any]) -> str:
-    """SHA-256 of a truth: to be stated before anything is scored against it."""
+    """SHA-256 of a truth, to be published before anything is scored against it."""
     return hashlib.sha256(json.dumps(truth, sort_keys=True).encode()).hexdigest()
 
 
@@ -122,7 +122,7 @@ def _film(
 ) -> None:
     noise, effects = settings.noise, settings.effects
     camera = DepthCamera(thing, *true_camera(effects, _CAMERA_POSE, INTRINSICS))
-    sensor, (delay,) = DepthNoise(), effects["pose_latency"]
+    sensor = DepthNoise()
     with BagWriter(out) as writer:
         start = 1.0
         writer.write_extrinsics(start, _CAMERA_POSE)
@@ -138,7 +138,7 @@ def _film(
                 pose, tool = motion.pose_at(time - begin), motion.pusher_at(time - begin)
                 links = {"hand_pusher": standing_tool(tool)} if begin <= time <= end else {}
                 depth = sensor.apply(camera.render(pose, links), rng)
-                stamp = start + time + delay
+                stamp = start + time + stamp_delay(effects, float(time))
                 writer.write_camera_info(stamp, INTRINSICS)
                 writer.write_depth(stamp, np.nan_to_num(np.rint(1e3 * depth), nan=0.0).astype(np.uint16))
             inside = (path.time >= begin) & (path.time <= end)

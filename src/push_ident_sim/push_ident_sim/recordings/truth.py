@@ -1,6 +1,6 @@
-"""Ground truth for experiments: random pushes of known objects in Bullet, kept in files, and what a camera would see of them.
+"""Ground truth for experiments: random pushes of known objects in Bullet, stored in files, and their observation by a camera.
 
-What happened is simulated once and stored without noise; noise comes with reading, from a seed.
+Motions are simulated once and stored without noise; noise is added from a seed when they are read.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, seen_poses
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, measured_at, observed_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 
 __all__ = [
@@ -45,7 +45,7 @@ FloatArray = NDArray[np.float64]
 _LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)
 _ARRAYS = ("time", "pose", "pusher", "force")
 _REPORTED = "reported"
-"""One more array, in files of pushes whose pusher is not where it is reported."""
+"""One more array, in files of pushes whose pusher is not at its reported place."""
 
 
 def _paper_pushes() -> PushSettings:
@@ -70,19 +70,19 @@ class TruthSettings:
     time_step: float = 1.0 / 240.0
     """Of the engine [s]."""
     placing: float = 0.15
-    """First positions of the object lie within this of the middle of the table along x and y [m]; its yaw is any."""
+    """First positions of the object lie within this distance of the middle of the table along x and y [m]; its yaw is uniform."""
     acceleration: float = 2.0
     """Of the pusher at the start and at the end of a push [m/s^2]."""
-    least_way: float = 0.010
+    least_travel: float = 0.010
     least_turn: float = 0.1
     """A push that moves the object's frame by less than this [m] and turns it by less than this [rad] is drawn again."""
-    effects: Effects = field(default_factory=Effects)
-    """Injected into the simulation and into what is seen of it."""
+    effects: InjectedEffects = field(default_factory=InjectedEffects)
+    """Injected into the simulation and into its observation."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """What a camera and a force sensor make of a true motion."""
+    """Noise and rates of a camera and of a force sensor."""
 
     position_std: float = 1e-3
     """Of x and y, independent from frame to frame [m]."""
@@ -91,9 +91,9 @@ class CameraNoise:
     rate: float = 30.0
     """[Hz]"""
     rest: float = 0.4
-    """Frames are taken this long before and after the motion [s]."""
+    """Frames are recorded for this long before and after the motion [s]."""
     force_std: float | None = None
-    """Of the measured force [N]; None: there is no force sensor."""
+    """Standard deviation of the measured force [N]; None: there is no force sensor."""
     force_rate: float = 120.0
     """[Hz]"""
 
@@ -107,7 +107,7 @@ class Engine(Protocol):
 
 
 def true_model(thing: SimObject) -> ObjectModel:
-    """An object of the simulation as the model that identification should find."""
+    """The true model of a simulated object, which identification should find."""
     shape = ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline)
     return ObjectModel(shape, thing.mass, thing.friction, thing.pusher_friction)
 
@@ -123,10 +123,10 @@ def make_pushes(
     """Random pushes as in the paper: any pose on the table, contact uniform over the outline, direction in a cone about its normal.
 
     Args:
-        thing: what is pushed; it is put down anew for each push.
-        seed: integers >= 0; push number i depends on them and on i alone.
+        thing: what is pushed; it is placed anew for each push.
+        seed: integers >= 0; push number i depends only on them and on i.
         settings: of the pushes.
-        in_a_row: the object is put down once, at (0, 0, 0), and each push starts from where the one before left it.
+        in_a_row: the object is placed once, at (0, 0, 0), and each push starts where the last one ended.
         engine: that pushes `thing`, with the effects of the settings; Bullet by default.
 
     Returns:
@@ -135,7 +135,7 @@ def make_pushes(
     settings = settings or TruthSettings()
     if engine is not None:
         return _in_turn(engine, thing, seed, settings, in_a_row)
-    # Here, so that reading pushes and drawing results does without Bullet.
+    # Imported here, so that reading pushes and drawing results does not need Bullet.
     from push_ident_sim.engines.bullet.push_world import PushWorld
 
     world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
@@ -164,8 +164,8 @@ def _one_push(
             start = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
         plan = sample_push(shape, start, rng, settings.pushes)
         motion = world.push(start, path_of_plan(plan, settings), pushes_done=number)
-        way = np.abs(motion.pose[-1] - motion.pose[0])
-        if np.hypot(way[0], way[1]) >= settings.least_way or way[2] >= settings.least_turn:
+        moved = np.abs(motion.pose[-1] - motion.pose[0])
+        if np.hypot(moved[0], moved[1]) >= settings.least_travel or moved[2] >= settings.least_turn:
             return motion
 
 
@@ -176,18 +176,18 @@ def path_of_plan(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
     ramp = speed / settings.acceleration
     total = length / speed + ramp
     time = np.append(np.arange(0.0, total, settings.time_step), total)
-    gone = 0.5 * settings.acceleration * np.minimum(time, ramp) ** 2
+    speeding_up = 0.5 * settings.acceleration * np.minimum(time, ramp) ** 2
     cruise = speed * np.clip(time - ramp, 0.0, total - 2 * ramp)
-    left = np.clip(time - (total - ramp), 0.0, ramp)
-    way = gone + cruise + speed * left - 0.5 * settings.acceleration * left**2
-    return PusherPath(time, plan.tool_start(settings.pushes.clearance) + way[:, None] * plan.heading, settings.pushes.pusher_radius)
+    slowing = np.clip(time - (total - ramp), 0.0, ramp)
+    travel = speeding_up + cruise + speed * slowing - 0.5 * settings.acceleration * slowing**2
+    return PusherPath(time, plan.tool_start(settings.pushes.clearance) + travel[:, None] * plan.heading, settings.pushes.pusher_radius)
 
 
 # --- files ---------------------------------------------------------------------------------------------------------------
 
 
 def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
-    """Where the pushes of `make_object(name, seed)` are kept; another name for other settings, another object or other code."""
+    """File of the pushes of `make_object(name, seed)`; its name differs for other settings, another object or other code."""
     thing = make_object(name, seed)
     values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
     code = code_digest(files_behind(Path(__file__)))
@@ -196,9 +196,9 @@ def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | Non
 
 
 def generate_truth(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
-    """Simulate the pushes of `make_object(name, seed)` into `folder`, unless they are there already.
+    """Simulate the pushes of `make_object(name, seed)` into `folder`, unless they exist.
 
-    The file appears whole or not at all. Raises PushIdentError where it cannot be written.
+    The file appears complete or not at all. Raises PushIdentError where it cannot be written.
     """
     path = truth_file(folder, name, seed, settings)
     if path.exists():
@@ -231,14 +231,14 @@ def _read_motions(path: Path) -> list[TrueMotion]:
 def load_truth(
     folder: Path, name: str, seed: int, settings: TruthSettings | None = None, noise: CameraNoise | None = None
 ) -> tuple[list[PushRecord], list[PushRecord], SimObject]:
-    """Pushes to learn from, pushes to test on, and the truth, of `make_object(name, seed)`; simulated first where the folder has none.
+    """Training pushes, test pushes and the truth of `make_object(name, seed)`; they are simulated first where the folder has none.
 
     Args:
         folder: of the files.
         name: one of `OBJECT_NAMES`.
         seed: of the object, its pushes and their noise.
         settings: of the pushes.
-        noise: of what is seen of them.
+        noise: of their observation.
     """
     settings, noise = settings or TruthSettings(), noise or CameraNoise()
     thing = make_object(name, seed)
@@ -247,25 +247,25 @@ def load_truth(
     radius, own = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
     records = []
     for i, motion in enumerate(motions):
-        seen = observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1]), settings.effects)
-        records.append(PushRecord(name, shape, *seen, f"{name} {seed}, push {i}"))
+        observed = observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1]), settings.effects)
+        records.append(PushRecord(name, shape, *observed, f"{name} {seed}, push {i}"))
     return records[: settings.n_train], records[settings.n_train :], thing
 
 
 def observe_motion(
-    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: Effects | None = None
+    motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: InjectedEffects | None = None
 ) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
-    """What is seen of a motion; before and after it everything stands still.
+    """The sensors' record of a motion; before and after it everything is at rest.
 
     Args:
-        motion: what happened.
+        motion: the true motion.
         radius: of the pusher [m].
         noise: of camera and force sensor.
         rng: of the noise.
-        effects: of which those are taken that act on what is seen.
+        effects: of the world; those on poses and camera act here.
     """
-    effects = effects or Effects()
-    # Of its own, so that the noise is the same whatever is lost.
+    effects = effects or InjectedEffects()
+    # A generator of its own, so that lost frames do not change the noise.
     luck = rng.spawn(1)[0]
     rest, end = noise.rest, float(motion.time[-1])
     clock = np.concatenate([[0.0], rest + motion.time, [2 * rest + end]])
@@ -276,14 +276,11 @@ def observe_motion(
 
     frames = np.arange(0.0, clock[-1], 1.0 / noise.rate)
     std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
-    (delay,) = effects["pose_latency"]
-    seen = at(frames - delay, motion.pose)
-    if effects.acting_on("camera"):
-        seen = seen_poses(effects, seen)
-    seen = seen + std * correlated(effects, rng.normal(size=(len(frames), 3)))
-    seen = flipped(effects, seen, luck)
+    observed = observed_poses(effects, at(measured_at(effects, frames), motion.pose))
+    observed = observed + std * correlated(effects, rng.normal(size=(len(frames), 3)))
+    observed = flipped(effects, observed, luck)
     kept = kept_frames(effects, len(frames), luck)
-    poses = PoseTrack(frames[kept], seen[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
+    poses = PoseTrack(frames[kept], observed[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
     wrench = None
     if noise.force_std is not None:
         # The sensor averages over its sampling time: a difference of the impulse so far.

@@ -1,4 +1,4 @@
-"""A diagnosis on one page: what an engineer does not know of statistics, the first sentence and the last section say without."""
+"""A diagnosis on one page: the first sentence and the last section need no statistics."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 from push_ident import __version__
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
-from push_ident.diagnosis.settings import Thresholds
-from push_ident.diagnosis.verdict import Diagnosis, Verdict
+from push_ident.diagnosis.result import Diagnosis, Verdict
 from push_ident.diagnosis.wording import size_of
 from push_ident.pages.page import svg, write_page
 from push_ident.physics.effects import EFFECTS
@@ -32,58 +31,63 @@ _TITLES = {
 
 def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: Sequence[str], notes: Sequence[str] = ()) -> None:
     """Write the page. Raises InputError where the file cannot be written."""
-    thresholds = Thresholds()
+    policy = diagnosis.policy.selection
     context: dict[str, Any] = {
         "title": f"Simulation against reality, object {object_id}: {_TITLES[diagnosis.verdict]}",
         "sentence": diagnosis.sentence,
         "failed": [g for g in diagnosis.gates if not g.passed],
         "gates": diagnosis.gates,
         "trusted": diagnosis.selection is not None,
-        "seen": thresholds.seen,
-        "apart": thresholds.apart,
+        "min_log_bayes_factor": policy.min_log_bayes_factor,
+        "tie_margin": policy.tie_margin,
         "check": diagnosis.check,
         "provenance": [
             *(("push", source) for source in sources),
             *(("note", note) for note in notes),
             ("version", f"push_ident {__version__}, Python {platform.python_version()}"),
         ],
+        **_findings(diagnosis),
     }
-    selection, gap = diagnosis.selection, diagnosis.gap
-    if selection is not None and gap is not None and diagnosis.frames is not None:
-        is_wrench = diagnosis.verdict is Verdict.UNKNOWN and diagnosis.unknown is not None
-        added = ("a smooth wrench",) if is_wrench else selection.found
-        context |= {
-            "where": svg(draw_where(diagnosis.frames, diagnosis.where)),
-            "ranking": svg(draw_ranking(selection, thresholds.seen)),
-            "shrink": svg(draw_shrink(gap, added)),
-            "shrink_text": _shrink_text(gap, added),
-            "effects": [
-                {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "evidence": e.evidence} for e in diagnosis.effects
-            ],
-            "doubts": diagnosis.doubts,
-            "what": {name: EFFECTS[name].what for name in diagnosis.confusable},
-            "special_cases": selection.special_cases(thresholds.apart),
-            "apart_text": "No other effect of the catalogue explains these pushes nearly as well."
-            if diagnosis.effects
-            else "Nothing was found that would have to be told from something else.",
-            "next_push": _proposal(diagnosis),
-        }
     write_page(path, __package__ or "", "report.html.j2", context)
+
+
+def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Figures and texts of all sections; nothing where the diagnosis abstains."""
+    selection, gap, frames = diagnosis.selection, diagnosis.gap, diagnosis.base_residuals
+    if selection is None or gap is None or frames is None:
+        return {}
+    policy = diagnosis.policy.selection
+    is_wrench = diagnosis.verdict is Verdict.UNKNOWN and diagnosis.wrench is not None
+    added = ("a smooth wrench",) if is_wrench else selection.found
+    no_rival = "No other effect of the catalogue explains these pushes nearly as well."
+    return {
+        "where": svg(draw_where(frames, diagnosis.where)),
+        "ranking": svg(draw_ranking(selection, policy.min_log_bayes_factor)),
+        "shrink": svg(draw_shrink(gap, added)),
+        "shrink_text": _shrink_text(gap, added),
+        "effects": [
+            {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "log_bayes_factor": e.log_bayes_factor}
+            for e in diagnosis.effects
+        ],
+        "confusion_sets": diagnosis.confusion_sets,
+        "what": {name: EFFECTS[name].what for name in diagnosis.confusion_set},
+        "special_cases": selection.special_cases(policy.tie_margin),
+        "no_rival_text": no_rival if diagnosis.effects else "No effect was found, so that there is nothing to distinguish it from.",
+        "next_push": _proposal(diagnosis),
+    }
 
 
 def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:
     before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
+    error = f"The mean error on held-out pushes is {before:.1f} mm"
     if not gap.is_above_noise:
-        return (
-            f"Pushes held out are predicted to {before:.1f} mm. As far as these pushes can tell, that is what the noise of the poses makes "
-            f"({noise:.1f} mm)."
-        )
+        return f"{error}. It does not differ significantly from the {noise:.1f} mm that the noise of the poses causes."
     if not found:
-        return f"Pushes held out are predicted to {before:.1f} mm; noise is {noise:.1f} mm. No effect of the catalogue explains the rest."
+        return f"{error}; the noise of the poses causes {noise:.1f} mm. No effect of the catalogue explains the difference."
     low, high = gap.shrink_interval
     return (
-        f"Pushes held out: {before:.1f} mm without, {after:.1f} mm with {', '.join(found)}; noise is {noise:.1f} mm. "
-        f"Of the gap above the noise, {100 * gap.shrink:.0f} % are gone (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
+        f"{error} without and {after:.1f} mm with {', '.join(found)}; the noise of the poses causes {noise:.1f} mm. Of the gap above the "
+        f"noise, {100 * gap.shrink:.0f} % is closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
     )
 
 
@@ -98,13 +102,15 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         f"distance: {plan.distance:.4f}, speed: {plan.speed:.3f}}}"
     )
     return {
-        "figure": svg(draw_proposal(proposal, diagnosis.selection.base.parameters.shape)),
+        "figure": svg(draw_proposal(proposal, diagnosis.selection.base.unknowns.shape)),
         "aim": proposal.aim,
         "x": x,
         "y": y,
         "heading": float(np.degrees(plan.direction)),
         "distance": plan.distance,
         "speed": plan.speed,
-        "verdict": "It is expected to settle it." if proposal.settles else "It will hardly settle it alone; make several.",
+        "expectation": "One such push is expected to be enough."
+        if proposal.resolves
+        else "One such push will hardly be enough; make several.",
         "command": f'ros2 action send_goal execute_push push_ident_msgs/action/ExecutePush "{goal}"',
     }

@@ -77,6 +77,7 @@ class ObjectDescription:
 
     @property
     def cell_names(self) -> list[str]:
+        """Names of the links of the cells, in their order."""
         return [f"{self.name}_cell_{i}" for i in range(len(self.mass))]
 
     @property

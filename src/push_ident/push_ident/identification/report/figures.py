@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_errors", "draw_maps", "draw_push", "draw_record"]
 
-_NINETY_2D = 4.605
-"""90 % of chi squared with 2 degrees of freedom lie below it."""
+_CHI2_90_2D = 4.605
+"""Chi squared with 2 degrees of freedom is below it with probability 0.9."""
 
 
 def draw_maps(posterior: ModelPosterior) -> Figure:
-    """Mass, friction, their product and its relative deviation, with the centre of friction."""
+    """Mass, friction, their product and its relative standard deviation, with the centre of friction."""
     from matplotlib.figure import Figure
 
     model = posterior.model
@@ -34,7 +34,7 @@ def draw_maps(posterior: ModelPosterior) -> Figure:
         ("mass [g]", 1e3 * model.mass),
         ("friction", model.friction),
         ("mass × friction [g]", 1e3 * product),
-        ("deviation of the product [%]", 100 * posterior.mass_friction_std / product),
+        ("standard deviation of the product [%]", 100 * posterior.mass_friction_std / product),
     )
     figure = Figure(figsize=(12.5, 3.3), layout="constrained")
     ellipse = _centre_ellipse(posterior)
@@ -49,14 +49,14 @@ def draw_maps(posterior: ModelPosterior) -> Figure:
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
     """Edge of the 90 % region of the centre of friction [m], shape (n, 2), object frame."""
-    parameters = posterior.parameters
+    parameters = posterior.unknowns
     mechanics = parameters.mechanics(posterior.z)
     centre = posterior.model.centre_of_friction
     rows = (parameters.shape.cells.centres - centre).T @ mechanics.limit_derivative / float(mechanics.body.limit.sum())
     value, vector = np.linalg.eigh(rows @ posterior.covariance @ rows.T)
     angle = np.linspace(0, 2 * np.pi, 61)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(centre + circle * np.sqrt(_NINETY_2D * np.maximum(value, 0.0)) @ vector.T)
+    return np.asarray(centre + circle * np.sqrt(_CHI2_90_2D * np.maximum(value, 0.0)) @ vector.T)
 
 
 def draw_errors(train: PushErrors, test: PushErrors) -> Figure:
@@ -65,7 +65,7 @@ def draw_errors(train: PushErrors, test: PushErrors) -> Figure:
 
     figure = Figure(figsize=(9.0, 2.8), layout="constrained")
     ax = figure.subplots()
-    for errors, name, colour in ((train, "learned from", "#9fb8d6"), (test, "held out", "#1f5fa8")):
+    for errors, name, colour in ((train, "in the fit", "#9fb8d6"), (test, "held out", "#1f5fa8")):
         if errors.pushes:
             ax.bar(errors.pushes, 1e3 * errors.identified, color=colour, label=f"identified, {name}")
     pushes = [*train.pushes, *test.pushes]
@@ -84,16 +84,16 @@ def draw_errors(train: PushErrors, test: PushErrors) -> Figure:
 
 
 def draw_record(scores: Sequence[PushScore]) -> Figure:
-    """Error of the prediction made before each push, what it expected of itself, and equal cells."""
+    """Error of the prediction made before each push, its expected error, and the error of equal cells."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 2.8), layout="constrained")
     ax = figure.subplots()
     numbers = [score.number for score in scores]
     for name, colour, style, values in (
-        ("predicted before the push", "#1f5fa8", "o-", [s.error for s in scores]),
-        ("expected by the prediction", "#9fb8d6", "--", [s.expected for s in scores]),
-        ("equal cells, nominal", "#444444", "_", [s.uniform for s in scores]),
+        ("predicted before the push", "#1f5fa8", "o-", [s.cell_error for s in scores]),
+        ("expected by the prediction", "#9fb8d6", "--", [s.expected_cell_error for s in scores]),
+        ("equal cells, nominal", "#444444", "_", [s.uniform_cell_error for s in scores]),
     ):
         ax.plot(numbers, 1e3 * np.array(values), style, color=colour, label=name)
     ax.set_xticks(numbers)
@@ -106,7 +106,7 @@ def draw_record(scores: Sequence[PushScore]) -> Figure:
 
 
 def draw_push(posterior: ModelPosterior, plan: PushPlan2D, pusher_radius: float) -> Figure:
-    """The push on the object, over how uncertain each cell is."""
+    """The push on the object, with the uncertainty of each cell."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
@@ -115,7 +115,7 @@ def draw_push(posterior: ModelPosterior, plan: PushPlan2D, pusher_radius: float)
     figure = Figure(figsize=(4.6, 3.4), layout="constrained")
     ax = figure.subplots()
     patches = draw_cells(ax, model.shape, relative, "Greys", (0.0, float(relative.max())))
-    figure.colorbar(patches, ax=ax, shrink=0.8, label="deviation of mass × friction [%]")
+    figure.colorbar(patches, ax=ax, shrink=0.8, label="standard deviation of mass × friction [%]")
     start = plan.tool_start(0.0)
     ax.add_patch(Circle(tuple(start), pusher_radius, fill=False, edgecolor="#1f5fa8", linewidth=1.5))
     ax.annotate(

@@ -1,4 +1,4 @@
-"""What was identified, on one page that an engineer can read from the top and stop at any line."""
+"""The identification report: one page, the most important results first."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ from push_ident.types import Float64Array, SolveStatus
 __all__ = ["Provenance", "PushErrors", "write_report"]
 
 _CANDIDATES = 40
+"""Candidates for the next push."""
 _REFERENCES = 20
-_FEWEST_SCORES = 2
+"""Reference pushes for its choice."""
+_MIN_SCORES = 2
+"""Number of scores from which the report shows them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +47,13 @@ class PushErrors:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where the data come from."""
+    """Sources of the data."""
 
     object_id: str
     sources: tuple[str, ...]
-    """A line each push learned from."""
+    """One line per push of the fit."""
     notes: tuple[str, ...] = ()
-    """What was missing, dropped or assumed."""
+    """Missing, dropped or assumed data."""
 
 
 def write_report(
@@ -67,9 +70,9 @@ def write_report(
     Args:
         path: HTML file to write.
         result: of the identification.
-        train: errors of the pushes learned from.
-        test: errors of the others; may be empty.
-        provenance: where the data come from.
+        train: errors of the pushes of the fit.
+        test: errors of the held-out pushes; may be empty.
+        provenance: sources of the data.
         pusher_radius: of the pusher that would make the next push [m].
         record: predictions made before each push, in order.
 
@@ -81,10 +84,10 @@ def write_report(
     context = {
         "title": f"Object {provenance.object_id}: mass and friction",
         "headline": _headline(result, train, test, known),
-        "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not trust these maps as they are: {result.status.value}.",
+        "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not use these maps without a check: {result.status.value}.",
         "maps": svg(draw_maps(posterior)),
         "errors": svg(draw_errors(train, test)),
-        "error_rows": [_error_row("pushes learned from", train), _error_row("pushes held out", test)],
+        "error_rows": [_error_row("pushes of the fit", train), _error_row("held-out pushes", test)],
         "held_out": bool(test.pushes),
         "record": _record(record),
         "quantities": [_quantity(q.name, q.unit, q.value, q.std, q.prior_std, q.knowledge.value) for q in known.quantities],
@@ -102,21 +105,21 @@ def _headline(result: Identification, train: PushErrors, test: PushErrors, known
     centre = posterior.model.centre_of_friction
     spread = {q.name: q.std for q in known.quantities}
     place = (
-        f"its friction is centred at ({1e3 * centre[0]:.0f} ± {1e3 * spread['centre of friction x']:.0f}, "
-        f"{1e3 * centre[1]:.0f} ± {1e3 * spread['centre of friction y']:.0f}) mm of its frame"
+        f"the centre of friction is at ({1e3 * centre[0]:.0f} ± {1e3 * spread['centre of friction x']:.0f}, "
+        f"{1e3 * centre[1]:.0f} ± {1e3 * spread['centre of friction y']:.0f}) mm of the object frame"
     )
     mass = posterior.total_mass
     weight = (
-        f"it weighs {mass.value:.2f} ± {mass.std:.2f} kg"
+        f"the total mass is {mass.value:.2f} ± {mass.std:.2f} kg"
         if posterior.total_mass_identifiable
-        else "its weight cannot be told from poses alone (a wrench, or a scale, would)"
+        else "poses do not determine the total mass (measure forces, or weigh the object)"
     )
     n = len(train.pushes)
     learned = f"From {n} push{'es' if n != 1 else ''}: {place}; {weight}."
     if not test.pushes:
         return learned
     pushes = "one push" if len(test.pushes) == 1 else f"{len(test.pushes)} pushes"
-    better = f"The maps predict {pushes} that they never saw to {1e3 * np.nanmean(test.identified):.1f} mm"
+    better = f"The maps predict {pushes} not used in the fit to {1e3 * np.nanmean(test.identified):.1f} mm"
     return f"{learned} {better}, equal cells with nominal values to {1e3 * np.nanmean(test.uniform):.1f} mm."
 
 
@@ -127,17 +130,17 @@ def _error_row(name: str, errors: PushErrors) -> dict[str, Any]:
 
 
 def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
-    """Predictions before each push; None where there are too few to show."""
-    if len(scores) < _FEWEST_SCORES:
+    """Predictions before each push; None where there are too few."""
+    if len(scores) < _MIN_SCORES:
         return None
     summary = summarise_scores(scores)
     return {
         "figure": svg(draw_record(scores)),
         "n": summary.n,
-        "mean": summary.mean_error,
-        "expected": summary.mean_expected,
-        "uniform": summary.mean_uniform,
-        "share": f"{summary.share_within_ninety:.0%}",
+        "mean": summary.mean_cell_error,
+        "expected": summary.mean_expected_cell_error,
+        "uniform": summary.mean_uniform_cell_error,
+        "share": f"{summary.share_within_90:.0%}",
     }
 
 
@@ -153,9 +156,9 @@ def _quantity(name: str, unit: str, value: float, std: float, before: float, ver
 
 def _next_push(posterior: ModelPosterior, pusher_radius: float) -> dict[str, Any] | None:
     rng = np.random.default_rng(0)
-    # Where the object will lie is not known here: pushes are chosen in its own frame, with room around it.
+    # The next pose of the object is not known here: pushes are chosen in the object frame, with free space around it.
     settings = PushSettings(pusher_radius=pusher_radius, workspace=(-10.0, 10.0, -10.0, 10.0))
-    shape = posterior.parameters.shape
+    shape = posterior.unknowns.shape
     try:
         candidates = candidate_pushes(shape, np.zeros(3), rng, _CANDIDATES, settings)
         ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, _REFERENCES, settings), rng=rng)
@@ -185,7 +188,7 @@ def _provenance(result: Identification, provenance: Provenance) -> list[tuple[st
     return [
         *rows,
         ("solver", f"{result.method}: {result.status.name.lower()}, {result.n_simulations} simulations, {result.time_s:.2f} s"),
-        ("squared residual per degree of freedom", f"{result.misfit:.2f} (1: as the noise that the poses state)"),
+        ("squared residual per degree of freedom", f"{result.reduced_chi2:.2f} (1: residuals as large as the stated noise)"),
         ("prior", prior),
         ("version", f"push_ident {__version__}, Python {platform.python_version()}"),
     ]

@@ -1,33 +1,35 @@
-"""One file for each way to fit the maps, one registry. All solve the same `FitProblem` on the same meter.
-
-A solver takes the problem, a start and a random generator, and returns its best point and how it ended.
-"""
+"""The catalogue of solvers: every module of this folder holds one as `SOLVER`. To add a solver, add a file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Final
 
-import numpy as np
+from push_ident.errors import InputError
+from push_ident.identification.solver import Solver
 
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.solvers.autograd import autograd
-from push_ident.identification.solvers.fast_gradient import fast_gradient
-from push_ident.identification.solvers.finite_differences import finite_differences
-from push_ident.identification.solvers.gauss_newton import gauss_newton
-from push_ident.identification.solvers.random_search import random_search
-from push_ident.identification.solvers.weighted_sampling import weighted_sampling
-from push_ident.types import Float64Array, SolveStatus
+__all__ = ["DEFAULT_SOLVER", "SOLVERS", "solver_of"]
 
-__all__ = ["SOLVERS", "Solver"]
 
-Solver = Callable[[FitProblem, Float64Array, np.random.Generator], tuple[Float64Array, SolveStatus]]
+def _discover() -> dict[str, Solver]:
+    found: dict[str, Solver] = {}
+    for name in sorted(module.name for module in iter_modules(__path__)):
+        solver: Solver = import_module(f"{__name__}.{name}").SOLVER
+        if solver.name != name:
+            raise ImportError(f"The solver in {name}.py is called {solver.name!r}; give file and solver the same name.")
+        found[name] = solver
+    return dict(sorted(found.items(), key=lambda item: not item[1].capabilities.gives_posterior))
 
-SOLVERS: dict[str, Solver] = {
-    "gauss_newton": gauss_newton,
-    "fast_gradient": fast_gradient,
-    "autograd": autograd,
-    "finite_differences": finite_differences,
-    "random_search": random_search,
-    "weighted_sampling": weighted_sampling,
-}
-"""By name. `gauss_newton` works on smooth maps and yields a posterior; the others are the paper's, cell by cell, and yield none."""
+
+SOLVERS: Final = _discover()
+"""All solvers by their name, those with a posterior first."""
+DEFAULT_SOLVER: Final = next(iter(SOLVERS))
+"""Name of the solver that is used where none is named."""
+
+
+def solver_of(method: str) -> Solver:
+    """The solver of a name. Raises InputError for a name that is not in `SOLVERS`."""
+    if method not in SOLVERS:
+        raise InputError(f"There is no method `{method}`; choose one of {', '.join(SOLVERS)}.")
+    return SOLVERS[method]

@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
+from push_ident.identification.descent import descend
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.solvers.descent import descend
+from push_ident.identification.solver import CellByCellSolver
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["finite_differences"]
+__all__ = ["SOLVER", "FiniteDifferences"]
 
 _STEP = 1e-3
-"""In prior deviations."""
+"""Of the finite differences, in prior standard deviations."""
 
 
-def finite_differences(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
-    """Gradient descent; each gradient simulates all pushes once for every unknown of the object (Song & Boularias 2020, Baselines)."""
+class FiniteDifferences(CellByCellSolver):
+    """Gradient descent; each gradient simulates all pushes once per unknown of the object (Song & Boularias 2020, Baselines)."""
 
-    def gradient(x: Float64Array, cost: float) -> Float64Array | None:
-        slope = np.zeros(problem.size)
-        for i in range(problem.parameters.size):
-            if problem.meter.spent:
-                return None
-            moved = x.copy()
-            moved[i] += _STEP
-            slope[i] = (problem.cost(moved) - cost) / _STEP
-        return slope
+    name: ClassVar[str] = "finite_differences"
 
-    return descend(problem, x0, problem.cost, gradient)
+    def solve(self, problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
+        """As `CellByCellSolver.solve`; nothing is random."""
+
+        def gradient(x: Float64Array, cost: float) -> Float64Array | None:
+            slope = np.zeros(problem.size)
+            for i in range(problem.unknowns.size):
+                if problem.meter.spent:
+                    return None
+                moved = x.copy()
+                moved[i] += _STEP
+                slope[i] = (problem.cost(moved) - cost) / _STEP
+            return slope
+
+        return descend(problem, x0, problem.cost, gradient)
+
+
+SOLVER = FiniteDifferences()

@@ -1,88 +1,91 @@
-"""Gauss-Newton with a trust region (Levenberg-Marquardt), the default solver."""
+"""Gauss-Newton on smooth maps, averaged over the amplitudes of their prior: the default solver, and the one with a posterior."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar, Final
+
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from push_ident.identification.problem import Evaluation, FitProblem
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
+from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.problem import FitProblem
+from push_ident.identification.quadratic import Quadratic
+from push_ident.identification.result import ModelPosterior
+from push_ident.identification.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver
+from push_ident.identification.unknowns import Unknowns
+from push_ident.types import SolveStatus
 
-__all__ = ["MAX_ITERATIONS", "gauss_newton", "minimise"]
+__all__ = ["SOLVER", "GaussNewton"]
 
-_DAMPING = (1e-4, 1e8)
-"""Least and most; below the least a step is Newton's anyway, and a failure would have to climb from there."""
-_FAILED_DAMPING = 1e-2
-"""At least so much after a step that failed: less would only shorten it by a hair."""
-_TOLERANCE = 5e-3
-"""Converged when a full step is expected to lower the cost by less (in units of 1/2 chi^2)."""
-_CREEP = 10.0
-_CREEP_STEPS = 6
-"""Converged, too, when so many steps together lowered the cost by less than so many tolerances: the cost has kinks (stick and slip),
-along which a solve could creep for long without the data being able to tell one point from the next."""
-_HOPE = 5.0
-"""A solve that has to lower the cost by more than so many times what its next full step is expected to, to be worth its while, ends."""
-_FIRST_STEPS = 3
-"""Steps that are made before that is asked."""
-MAX_ITERATIONS = 60
+_POOR_FIT: Final = 4.0
+"""Reduced chi-square above which the pushes contradict each other or the model: residuals are then twice the stated noise."""
+_FRAME_ITERATIONS: Final = 2
+"""Steps in an update at a frame: it starts from the estimate of the frame before."""
 
 
-def gauss_newton(problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
-    """Solver interface of `minimise`; nothing is random."""
-    x, _, status = minimise(problem, x0)
-    return x, status
+class GaussNewton(Solver):
+    """Fits under several amplitudes of the prior; the posterior is the Gaussian with the mean and the covariance of their mixture."""
+
+    name: ClassVar[str] = "gauss_newton"
+    capabilities: ClassVar[Capabilities] = Capabilities(
+        gives_posterior=True, takes_effects=True, takes_past=True, resumes=True, cell_by_cell=False
+    )
+
+    def fit(self, task: FitTask) -> MapFit:
+        """As `Solver.fit`."""
+        task.meter.count(task.scalar.problem.meter.n_simulations)
+        unknowns = Unknowns(task.shape, task.prior, modes=task.past.modes if task.past else None, effects=task.effects)
+
+        def problem_at(amplitude: float) -> FitProblem:
+            past = task.past.cost.scaled(unknowns.amplitude_unit(amplitude)) if task.past else None
+            own, options = unknowns.at_amplitude(amplitude), task.options
+            return FitProblem(task.records, own, noise=options.noise, settings=options.numerics, meter=task.meter, past=past)
+
+        # The maps start flat, at the scales and first poses that fit best without them.
+        start = task.scalar.problem.layout.moved(task.scalar.x, problem_at(1.0).layout)
+        fits = fit_amplitudes(problem_at, start, AmplitudePolicy(task.options.max_iterations, warm_starts=task.warm_starts))
+        best = max(fits, key=lambda f: f.log_evidence)
+        status = best.status
+        if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and best.reduced_chi2 > _POOR_FIT:
+            status = SolveStatus.POOR_FIT
+        return MapFit(
+            posterior=_average(fits, unknowns),
+            status=status,
+            problem=best.problem,
+            x=best.x,
+            cost=best.end.cost,
+            reduced_chi2=best.reduced_chi2,
+            warm_starts=tuple(f.x for f in fits),
+        )
+
+    def fit_frame(self, task: FrameTask) -> FrameFit | None:
+        """As `Solver.fit_frame`: the posterior of the finished pushes is the prior, and only the push under way is simulated."""
+        before, options = task.before, task.options
+        past = Quadratic.beyond_unit_normal(before.z, before.covariance)
+        problem = FitProblem([task.partial], before.unknowns, noise=options.noise, settings=options.numerics, past=past)
+        if not problem.observations[0].touched:
+            return None
+        start = np.r_[before.z, np.zeros(3)] if task.latest is None else task.latest
+        fit = Fit(problem, *minimise(problem, start, _FRAME_ITERATIONS))
+        return FrameFit(fit.x, replace(before, z=fit.z, covariance=fit.covariance), fit.status)
 
 
-def minimise(
-    problem: FitProblem,
-    x0: Float64Array,
-    max_iterations: int = MAX_ITERATIONS,
-    *,
-    tolerance: float = _TOLERANCE,
-    start: Evaluation | None = None,
-    worth: float = np.inf,
-) -> tuple[Float64Array, Evaluation, SolveStatus]:
-    """Minimise the cost of `problem` from `x0`, shape (problem.size,).
+SOLVER = GaussNewton()
 
-    Args:
-        problem: to solve.
-        x0: where to begin.
-        max_iterations: evaluations at most, beside the first.
-        tolerance: a full step that is expected to lower the cost by less is not worth its while (in units of 1/2 chi^2).
-        start: evaluation at `x0`, where it is known already.
-        worth: cost from which the result matters; a solve that has no hope to get there ends early.
 
-    Returns:
-        The best point, its evaluation, and how the solve ended.
-    """
-    x = np.array(x0, dtype=np.float64)
-    best = problem.evaluate(x) if start is None else start
-    if not np.isfinite(best.cost):
-        return x, best, SolveStatus.SIMULATION_FAILED
-    problem.meter.offer(x, best.cost)
-    damping = 1e-3
-    costs = [best.cost]
-    for _ in range(max_iterations):
-        scale = np.diag(best.hessian)
-        step = -cho_solve(cho_factor(best.hessian + damping * np.diag(scale)), best.gradient)
-        expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
-        if expected < tolerance and damping <= 1e-2:
-            return x, best, SolveStatus.CONVERGED
-        if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance:
-            return x, best, SolveStatus.CONVERGED
-        if len(costs) > _FIRST_STEPS and damping <= _FAILED_DAMPING and best.cost - _HOPE * expected > worth:
-            return x, best, SolveStatus.BUDGET_SPENT
-        if problem.meter.spent:
-            return x, best, SolveStatus.BUDGET_SPENT
-        trial = problem.evaluate(x + step)
-        gained = best.cost - trial.cost
-        if gained > 0:
-            x, best = x + step, trial
-            problem.meter.offer(x, best.cost)
-            damping = max(damping * (0.1 if gained > 0.5 * expected else 1.0), _DAMPING[0])
-        else:
-            damping = max(10.0 * damping, _FAILED_DAMPING)
-            if damping > _DAMPING[1]:
-                return x, best, SolveStatus.STALLED
-        costs.append(best.cost)
-    return x, best, SolveStatus.MAX_ITERATIONS
+def _average(fits: Sequence[Fit], unknowns: Unknowns) -> ModelPosterior:
+    """Gaussian with the mean and the covariance of the mixture of the fits, in the units of the full amplitude."""
+    evidence = np.array([f.log_evidence for f in fits])
+    weights = np.exp(evidence - evidence.max())
+    weights /= weights.sum()
+    means, covariances = [], []
+    for fit in fits:
+        unit = unknowns.amplitude_unit(fit.amplitude)
+        means.append(unit * fit.z)
+        covariances.append(unit[:, None] * fit.inflated_covariance * unit)
+    mean = weights @ np.array(means)
+    zero = np.zeros((unknowns.size, unknowns.size))
+    covariance = sum((w * (c + np.outer(m - mean, m - mean)) for w, m, c in zip(weights, means, covariances, strict=True)), zero)
+    return replace(ModelPosterior.of_prior(unknowns), z=mean, covariance=0.5 * (covariance + covariance.T))

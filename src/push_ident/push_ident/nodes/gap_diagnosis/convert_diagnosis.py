@@ -1,4 +1,4 @@
-"""Between diagnoses and messages."""
+"""From diagnoses to messages."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["report_to_msg"]
 
 
 def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushes: int) -> GapReport:
-    """A diagnosis, given as the JSON of the command-line contract, as a message.
+    """A diagnosis as a message.
 
     Args:
-        content: see `push_ident.diagnosis.diagnose.to_json`.
-        object_id: that was diagnosed.
+        content: JSON of the command-line contract, see `push_ident.diagnosis.diagnosis_json.to_json`.
+        object_id: of the object.
         stamp: of its newest push [s].
-        n_pushes: that the diagnosis rests on.
+        n_pushes: that were diagnosed.
     """
     gap, proposal = content["gap"], content["next_push"]
     low, high = (_number(value) for value in gap["shrink_interval"])
@@ -45,26 +45,31 @@ def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushe
     )
     msg.header.stamp = stamp_to_msg(stamp)
     msg.header.frame_id = TABLE_FRAME
-    for effect in content["effects"]:
-        names = list(effect["parameters"])
-        msg.effects.append(
-            GapEffect(
-                name=effect["name"],
-                parameters=names,
-                values=[_number(effect["parameters"][name]) for name in names],
-                std=[_number(effect["std"][name]) for name in names],
-                evidence=_number(effect["evidence"]),
-            )
-        )
+    msg.effects = [_effect_to_msg(effect) for effect in content["effects"]]
     if proposal is not None:
-        x, y = proposal["contact_point_m"]
-        msg.has_next_push = True
-        msg.next_push_between = list(proposal["between"])
-        msg.next_push_distance2 = _number(proposal["distance2"])
-        msg.contact_point = Point(x=float(x), y=float(y), z=0.0)
-        msg.direction, msg.distance = float(proposal["direction_rad"]), float(proposal["distance_m"])
-        msg.speed = float(proposal["speed_mps"])
+        _add_next_push(msg, proposal)
     return msg
+
+
+def _effect_to_msg(effect: dict[str, Any]) -> GapEffect:
+    names = list(effect["parameters"])
+    return GapEffect(
+        name=effect["name"],
+        parameters=names,
+        values=[_number(effect["parameters"][name]) for name in names],
+        std=[_number(effect["std"][name]) for name in names],
+        evidence=_number(effect["evidence"]),
+    )
+
+
+def _add_next_push(msg: GapReport, proposal: dict[str, Any]) -> None:
+    x, y = proposal["contact_point_m"]
+    msg.has_next_push = True
+    msg.next_push_between = list(proposal["between"])
+    msg.next_push_mahalanobis2 = _number(proposal["distance2"])
+    msg.contact_point = Point(x=float(x), y=float(y), z=0.0)
+    msg.direction, msg.distance = float(proposal["direction_rad"]), float(proposal["distance_m"])
+    msg.speed = float(proposal["speed_mps"])
 
 
 def _number(value: float | None) -> float:

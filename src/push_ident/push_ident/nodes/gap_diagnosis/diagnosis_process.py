@@ -1,4 +1,4 @@
-"""A diagnosis in a process of its own: it takes seconds, and a node that computes hears nothing meanwhile."""
+"""A diagnosis in a process of its own: it takes seconds, and a node that computes receives nothing meanwhile."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from push_ident.types import PushRecord
 __all__ = ["DiagnosisProcess"]
 
 _STAGE, _DONE, _FAILED = "stage", "done", "failed"
-_LOOK: Final = 0.1
-"""Between two questions whether it should go on [s]."""
+_POLL_INTERVAL: Final = 0.1
+"""Between two checks whether it should continue [s]."""
 
 
 class DiagnosisProcess:
-    """Runs one diagnosis; `wait` gives its JSON, `stop` ends it at once."""
+    """Runs one diagnosis; `wait` returns its JSON, `stop` ends it at once."""
 
     def __init__(self, records: Sequence[PushRecord], settings: DiagnosisSettings, push_settings: PushSettings) -> None:
-        # A fork would take over the locks of the middleware's threads.
+        # A fork would copy the locks of the middleware's threads.
         context = multiprocessing.get_context("spawn")
         self._receive, send = context.Pipe(duplex=False)
         self._process = context.Process(target=_run, args=(send, list(records), settings, push_settings), daemon=True)
         self._process.start()
         send.close()
 
-    def wait(self, on_stage: Callable[[str], None], go_on: Callable[[], bool]) -> dict[str, Any] | None:
-        """The outcome as JSON; None when `go_on` said no.
+    def wait(self, on_stage: Callable[[str], None], should_continue: Callable[[], bool]) -> dict[str, Any] | None:
+        """The outcome as JSON; None where it was ended because `should_continue` returned False.
 
         Raises:
             PushIdentError: the diagnosis failed.
         """
         try:
-            while go_on():
-                if not self._receive.poll(_LOOK):
+            while should_continue():
+                if not self._receive.poll(_POLL_INTERVAL):
                     continue
                 kind, content = self._receive.recv()
                 if kind == _STAGE:
@@ -57,7 +57,7 @@ class DiagnosisProcess:
         return None
 
     def stop(self) -> None:
-        """End it, whatever it is doing."""
+        """End it at once."""
         self._process.kill()
         self._process.join()
         self._receive.close()

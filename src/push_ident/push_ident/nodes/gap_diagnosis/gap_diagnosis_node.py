@@ -1,4 +1,4 @@
-"""Node `gap_diagnosis`: says, on request, where and why the simulation parts from the pushes that were seen."""
+"""Node `gap_diagnosis`: reports, on request, where and why the simulation differs from observed pushes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.observation import observe_push
-from push_ident.identification.parameters import Prior
+from push_ident.identification.prior import Prior
 from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
 from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
 from push_ident.nodes.parameters import Parameter, Parameters
@@ -37,16 +37,16 @@ _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCA
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
     Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),
-    Parameter("pusher_friction", 0.3, "Nominal friction of the pusher [-]; another one is an effect", 0.001, 10.0, read_only=True),
+    Parameter("pusher_friction", 0.3, "Nominal friction of the pusher [-]; another value is an effect", 0.001, 10.0, read_only=True),
     Parameter("push_gap", 0.5, "Pause of the pusher that ends a push [s]", 0.05, 10.0, read_only=True),
     Parameter("keep", 40, "Latest pushes of each object that are kept for a diagnosis", 3, 1000, read_only=True),
-    Parameter("outline_is_seen", True, "Whether a camera traces the outlines: their error is then no effect, but fitted with the maps"),
+    Parameter("outline_from_camera", True, "Whether poses and outlines come from a camera: its errors then belong to the base model"),
     Parameter("workspace", [-0.20, 0.20, -0.25, 0.25], "x_min, x_max, y_min, y_max of the tool of a proposed push [m]", -10.0, 10.0),
 )
 
 
 class GapDiagnosisNode(Node):
-    """Keeps the latest pushes of every object; action `diagnose_gap` diagnoses them, `gap_report` is what came out last."""
+    """Keeps the latest pushes of every object; action `diagnose_gap` diagnoses them, topic `gap_report` has the latest outcome."""
 
     def __init__(self) -> None:
         super().__init__("gap_diagnosis_node")
@@ -78,17 +78,17 @@ class GapDiagnosisNode(Node):
         self._closing = False
 
     def close(self) -> None:
-        """Give up a diagnosis under way."""
+        """End the node, and a diagnosis that is running."""
         self._closing = True
         self._collector.close()
         self._action.destroy()
 
-    # ---- what comes in
+    # ---- input
 
     def _on_shape(self, object_id: str, shape: ObjectShape) -> None:
         known = self._shapes.get(object_id)
         if known is not None and not known.is_same_object(shape):
-            self.get_logger().warning(f"object {object_id} is another one now: its pushes so far are dropped")
+            self.get_logger().warning(f"object {object_id} has another shape now: its earlier pushes are dropped")
             self._records.pop(object_id, None)
         self._shapes[object_id] = shape
 
@@ -113,16 +113,16 @@ class GapDiagnosisNode(Node):
         result = DiagnoseGap.Result()
         if not self._busy.acquire(blocking=False):
             goal.abort()
-            result.message = "A diagnosis is under way; wait for it or cancel it."
+            result.message = "A diagnosis is running; wait for it or cancel it."
             return result
         try:
             object_id, records = self._chosen(goal.request)
             process = DiagnosisProcess(records, self._diagnosis_settings(goal.request), self._push_settings(records))
 
-            def tell(stage: str) -> None:
+            def publish_stage(stage: str) -> None:
                 goal.publish_feedback(DiagnoseGap.Feedback(stage=stage))
 
-            content = process.wait(tell, lambda: not goal.is_cancel_requested and not self._closing)
+            content = process.wait(publish_stage, lambda: not goal.is_cancel_requested and not self._closing)
             if content is None:
                 goal.canceled()
                 result.message = "Canceled."
@@ -155,7 +155,7 @@ class GapDiagnosisNode(Node):
             raise InputError(f"There is no effect `{unknown[0]}`; choose from {', '.join(EFFECTS)}.")
         values = self._settings
         prior = Prior(total_mass=values["total_mass"], friction=values["friction"], pusher_friction=values["pusher_friction"])
-        return DiagnosisSettings(prior=prior, base_effects=tuple(request.base_effects), outline_is_seen=values["outline_is_seen"])
+        return DiagnosisSettings(prior=prior, base_effects=tuple(request.base_effects), outline_from_camera=values["outline_from_camera"])
 
     def _push_settings(self, records: list[PushRecord]) -> PushSettings:
         x_min, x_max, y_min, y_max = self._settings["workspace"]

@@ -18,10 +18,10 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.parameters import Prior
 from push_ident.identification.prediction import predict
+from push_ident.identification.prior import Prior
 from push_ident.identification.session import ObjectSession, SessionOptions
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.nodes.convert import planar_pose_of, position_from_msg
 from push_ident.nodes.convert_model import pusher_path_from_msg
 from push_ident.nodes.identification.latest_jobs import LatestJobs
@@ -29,6 +29,7 @@ from push_ident.nodes.identification.output import ObjectOutput
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node, settle_memory
+from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.push import PushSettings
 from push_ident.types import ObjectShape, PushRecord
@@ -48,10 +49,17 @@ PARAMETERS: Final = (
     Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),
     Parameter("pusher_friction", 0.3, "Nominal friction coefficient of the pusher [-]", 0.001, 10.0, read_only=True),
     Parameter("push_gap", 0.5, "Pause of the pusher that ends a push [s]", 0.05, 10.0, read_only=True),
-    Parameter("method", "gauss_newton", "Solver of the maps", read_only=True, choices=tuple(SOLVERS)),
+    Parameter("method", DEFAULT_SOLVER, "Solver of the maps", read_only=True, choices=tuple(SOLVERS)),
     Parameter("window", 8, "Latest pushes that are simulated again at every solve; older ones are summed up", 1, 100, read_only=True),
     Parameter("max_solve_time", 10.0, "Of the solve after a push [s]", 0.05, 600.0, read_only=True),
-    Parameter("max_frame_time", 0.02, "Of the update at a frame, for methods other than gauss_newton [s]", 0.001, 1.0, read_only=True),
+    Parameter(
+        "max_frame_time",
+        0.02,
+        "Longest update at a frame, for methods without a bound [s]",
+        0.001,
+        1.0,
+        read_only=True,
+    ),
     Parameter("update_period", 0.0, "Shortest time between two updates during a push [s]; 0: at every frame", 0.0, 10.0),
     Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
     Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
@@ -270,7 +278,8 @@ class _Identification:
             self._outputs[record.object_id].publish_score(score, session.record.summary, stamp)
             self._node.get_logger().info(
                 f"object {record.object_id}: push {session.n_pushes}, {session.status.name.lower() if session.status else ''}, "
-                f"{1e3 * self._solve_time:.0f} ms; predicted to {1e3 * score.error:.1f} mm, expected {1e3 * score.expected:.1f} mm"
+                f"{1e3 * self._solve_time:.0f} ms; "
+                f"predicted to {1e3 * score.cell_error:.1f} mm, expected {1e3 * score.expected_cell_error:.1f} mm"
             )
             if self._settings["suggest_candidates"]:
                 object_id = record.object_id
@@ -340,7 +349,7 @@ class _Identification:
             else:
                 raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
             path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
-            prediction = predict(session.posterior, path, pose, path.time, first_covariance=covariance)
+            prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
         except PushIdentError as error:
             response.success, response.message = False, str(error)
             return response
@@ -386,8 +395,8 @@ class _Identification:
         for object_id, session in list(self._sessions.items()):
             record = session.record.summary
             if record.n:
-                values[f"{object_id}: predicted before, mean error [m]"] = f"{record.mean_error:.5f}"
-                values[f"{object_id}: within the 90 % region"] = f"{record.share_within_ninety:.2f} of {record.n}"
+                values[f"{object_id}: predicted before, mean error [m]"] = f"{record.mean_cell_error:.5f}"
+                values[f"{object_id}: within the 90 % region"] = f"{record.share_within_90:.2f} of {record.n}"
         if self._latencies:
             median, late = np.quantile(list(self._latencies), [0.5, 0.99])
             values["update latency, median [s]"], values["update latency, 99 % [s]"] = f"{median:.4f}", f"{late:.4f}"

@@ -1,4 +1,4 @@
-"""Work that may wait, beside work that may not."""
+"""Background jobs of which only the latest of each name is done."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["LatestJobs"]
 
 
 class LatestJobs:
-    """A thread that does one job after another; a job that has not begun when a newer one of its name comes is dropped for it.
+    """A thread that does one job after another; a newer job replaces a waiting one of the same name.
 
     Args:
-        name: of the thread.
-        on_error: told of an exception that a job raised and that is one of `errors`.
-        errors: what a job may raise.
+        name: name of the thread.
+        on_error: called with an exception of a job that is one of `errors`.
+        errors: exceptions that a job may raise.
     """
 
     def __init__(self, name: str, on_error: Callable[[Exception], None], errors: tuple[type[Exception], ...]) -> None:
@@ -26,13 +26,13 @@ class LatestJobs:
         self._thread.start()
 
     def put(self, name: str, job: Callable[[], None]) -> None:
-        """Do `job` as soon as those before it are done."""
+        """Do `job` after the waiting ones."""
         with self._wake:
             self._jobs[name] = job
             self._wake.notify()
 
     def close(self, timeout: float = 1.0) -> None:
-        """Begin no more jobs; wait for the one under way, at most `timeout` [s]."""
+        """Start no more jobs; wait for the running one, at most `timeout` [s]."""
         with self._wake:
             self._closing = True
             self._wake.notify()

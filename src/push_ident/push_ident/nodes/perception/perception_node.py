@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -41,8 +41,9 @@ from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.perception.depth_input import DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.run import run_node
-from push_ident.perception.labels import Cylinder, RobotPart
+from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
+from push_ident.perception.robot_history import RobotHistory
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame, Float64Array
 
@@ -105,12 +106,8 @@ PARAMETERS: Final = (
 )
 
 _LATCHED: Final = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_TOOL_MEMORY: Final = 200
-"""Tool poses kept to look up where the tool was when an image was taken."""
-_TOOL_OLD: Final = 0.5
-"""A tool pose that much older than the image is reported [s]."""
-_ARM_MEMORY: Final = 400
-"""Joint states kept to look up where the arm was when an image was taken."""
+_STALE: Final = 0.5
+"""Tool poses and joint states that much older than the image are reported [s]."""
 _LOG_PERIOD: Final = 5.0
 """Between two log lines of the same kind [s]."""
 _SILENT: Final = 2.0
@@ -159,10 +156,7 @@ class PerceptionNode(Node):
         )
         self._perception: Perception | None = None
         self._calibrated: list[str] = []
-        self._tool_radius, self._tool_length = float(self._configured["tool_radius"]), float(self._configured["tool_length"])
-        self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=_TOOL_MEMORY)
-        self._arm: ArmShape | None = None
-        self._joints: deque[tuple[float, tuple[str, ...], Float64Array]] = deque(maxlen=_ARM_MEMORY)
+        self._robot = RobotHistory(float(self._configured["tool_radius"]), float(self._configured["tool_length"]))
         self._counter: Counter[str] = Counter()
         self._last_error = ""
         self._logged: dict[str, float] = {}
@@ -194,41 +188,33 @@ class PerceptionNode(Node):
     def _on_parameters(self, changed: dict[str, Any]) -> None:
         if self._perception is not None:
             self._perception.settings = _settings(self._configured.as_dict())
-        self._tool_radius = float(changed.get("tool_radius", self._tool_radius))
-        self._tool_length = float(changed.get("tool_length", self._tool_length))
+        self._robot.tool_radius = float(changed.get("tool_radius", self._robot.tool_radius))
+        self._robot.tool_length = float(changed.get("tool_length", self._robot.tool_length))
 
     def _on_tool(self, msg: PoseStamped) -> None:
         try:
-            sample = position_from_msg(msg)
+            self._robot.add_tool(*position_from_msg(msg))
         except InputError as error:
             self._refuse("tool_pose_refused", f"tool/pose: {error}")
-            return
-        if self._tool and sample[0] < self._tool[-1][0]:
-            self._tool.clear()
-        self._tool.append(sample)
 
     def _on_tool_shape(self, msg: SolidPrimitive) -> None:
         try:
-            self._tool_radius = cylinder_radius_from_msg(msg)
-            self._tool_length = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
+            self._robot.tool_radius = cylinder_radius_from_msg(msg)
+            self._robot.tool_length = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
         except InputError as error:
             self._refuse("tool_shape_refused", f"pusher/shape: {error}")
 
     def _on_description(self, msg: String) -> None:
         try:
-            self._arm = ArmShape(msg.data, self._configured["link_radius"])
+            self._robot.arm_shape = ArmShape(msg.data, self._configured["link_radius"])
         except InputError as error:
             self._refuse("description_refused", f"{self.resolve_topic_name('robot_description')}: {error}")
 
     def _on_joints(self, msg: JointState) -> None:
-        stamp, position = stamp_from_msg(msg.header.stamp), np.array(msg.position, dtype=np.float64)
-        if len(position) != len(msg.name) or not np.isfinite(position).all():
-            topic = self.resolve_topic_name("joint_states")
-            self._refuse("joint_states_refused", f"{topic}: {len(position)} positions for {len(msg.name)} joints, or not finite")
-            return
-        if self._joints and (stamp < self._joints[-1][0] or tuple(msg.name) != self._joints[-1][1]):
-            self._joints.clear()
-        self._joints.append((stamp, tuple(msg.name), position))
+        try:
+            self._robot.add_joints(stamp_from_msg(msg.header.stamp), msg.name, np.array(msg.position, dtype=np.float64))
+        except InputError as error:
+            self._refuse("joint_states_refused", f"{self.resolve_topic_name('joint_states')}: {error}")
 
     def _on_incompatible(self, topic: str, info: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(info.last_policy_kind)
@@ -327,41 +313,20 @@ class PerceptionNode(Node):
                 self._refuse("calibration_not_written", f"cannot write {self._configured['calibration_file']}: {error.strerror}")
 
     def _robot_at(self, stamp: float) -> tuple[RobotPart, ...]:
-        """Tool, hand and arm where they were at `stamp`, between the states before and after."""
-        return self._tool_at(stamp) + self._arm_at(stamp)
-
-    def _tool_at(self, stamp: float) -> tuple[RobotPart, ...]:
-        if not self._tool:
+        """Tool, hand and arm where they were at `stamp`; notes say what is missing or stale."""
+        tool_age, joints_age = self._robot.tool_age(stamp), self._robot.joints_age(stamp)
+        if tool_age is None:
             self._notes["tool"] = f"nothing on {self.resolve_topic_name('tool/pose')}: the tool is not masked by its pose"
-            return ()
-        times = np.array([time for time, _ in self._tool])
-        positions = np.array([position for _, position in self._tool])
-        x, y, z = (float(np.interp(stamp, times, positions[:, axis])) for axis in range(3))
-        late = stamp - times[-1]
-        self._notes["tool"] = f"tool pose is {late:.2f} s older than the image" if late > _TOOL_OLD else ""
-        return Cylinder(x, y, self._tool_radius, z), Cylinder(x, y, self._configured["hand_radius"], z + self._tool_length)
-
-    def _arm_at(self, stamp: float) -> tuple[RobotPart, ...]:
-        missing = [
-            self.resolve_topic_name(topic)
-            for topic, there in (("robot_description", self._arm is not None), ("joint_states", bool(self._joints)))
-            if not there
-        ]
-        if self._arm is None or missing:
+        else:
+            self._notes["tool"] = f"tool pose is {tool_age:.2f} s older than the image" if tool_age > _STALE else ""
+        present = {"robot_description": self._robot.arm_shape is not None, "joint_states": joints_age is not None}
+        missing = [self.resolve_topic_name(topic) for topic, there in present.items() if not there]
+        if missing or joints_age is None:
             self._notes["arm"] = f"nothing on {' and '.join(missing)}: the links of the arm are not masked"
-            return ()
-        times = np.array([time for time, _, _ in self._joints])
-        late = stamp - times[-1]
-        self._notes["arm"] = f"joint states are {late:.2f} s older than the image" if late > _TOOL_OLD else ""
-        after = int(np.searchsorted(times, stamp).clip(1, len(times) - 1)) if len(times) > 1 else 0
-        position = self._joints[after][2]
-        if after:
-            share = float(np.clip((stamp - times[after - 1]) / max(times[after] - times[after - 1], 1e-9), 0.0, 1.0))
-            position = (1.0 - share) * self._joints[after - 1][2] + share * position
-        rods = self._arm.at(dict(zip(self._joints[0][1], position.tolist(), strict=True)))
-        # What is higher than every object is robot anyway.
+        else:
+            self._notes["arm"] = f"joint states are {joints_age:.2f} s older than the image" if joints_age > _STALE else ""
         reach = self._configured["max_object_height"] + self._configured["mask_margin"]
-        return tuple(rod for rod in rods if rod.lowest < reach)
+        return self._robot.tool_at(stamp, self._configured["hand_radius"]) + self._robot.arm_at(stamp, reach)
 
     def _publish_poses(self, objects: Iterable[ObservedObject], stamp: Time) -> list[str]:
         """Publish what has a pose; the ids of those."""

@@ -1,4 +1,4 @@
-"""The arm as the executor sees it: joint states in, joint trajectories out."""
+"""The arm on ROS: joint states in, joint trajectories out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import time
 from array import array
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -20,11 +19,13 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.nodes.convert import stamp_from_msg
 from push_ident.pushing.motion import ArmMotion
+from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
-__all__ = ["ArmPort", "ArmState"]
+__all__ = ["ArmPort"]
 
 _HOLD_WITHIN = 0.1
 """Time the arm is given to come to a halt [s]."""
@@ -34,19 +35,6 @@ _GRACE = 0.03
 """[s] for states that have arrived but were not taken in yet."""
 _PATIENCE = 1.0
 """How long an arm at rest may stay silent before a push is refused [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class ArmState:
-    """One joint state, with the tip from forward kinematics."""
-
-    stamp: Time
-    q: Float64Array
-    """[rad], shape (n_joints,), in the order of the kinematics."""
-    pose_tip_in_table: Float64Array
-    """Homogeneous, shape (4, 4)."""
-    received: float
-    """`time.monotonic` on receipt [s]: what a watchdog must look at, whatever the stamps say."""
 
 
 class ArmPort:
@@ -60,13 +48,17 @@ class ArmPort:
         tip_frame: str,
         neutral: list[float],
         callback_group: CallbackGroup,
-        on_state: Callable[[ArmState], None],
+        on_state: Callable[[ArmState, Time], None],
     ) -> None:
-        """Without `description_file` the URDF is taken from the topic. Raises InputError when the file cannot be used."""
+        """Without `description_file` the URDF is taken from the topic. `on_state` gets each state and its stamp.
+
+        Raises InputError when the file cannot be used.
+        """
         self._node, self._tip_frame, self._neutral, self._on_state = node, tip_frame, neutral, on_state
         self._kinematics: ArmKinematics | None = None
         self._planner: ArmKinematics | None = None
-        self.state: ArmState | None = None
+        self._state: ArmState | None = None
+        self._stamp = Time()
         self.n_received = 0
         self.n_dropped = 0
         self._publisher = node.create_publisher(JointTrajectoryMsg, "joint_trajectory", 10)
@@ -80,6 +72,11 @@ class ArmPort:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             node.create_subscription(String, "robot_description", self._on_description, latched, callback_group=callback_group)
         node.create_subscription(JointState, "joint_states", self._on_joint_states, qos_profile_sensor_data, callback_group=callback_group)
+
+    @property
+    def state(self) -> ArmState | None:
+        """Latest state; None before the first."""
+        return self._state
 
     @property
     def planner(self) -> ArmKinematics:
@@ -176,7 +173,7 @@ class ArmPort:
         received = time.monotonic()
         if self._kinematics is None:
             return
-        if self.state is not None and msg.header.stamp == self.state.stamp != Time():
+        if self._state is not None and msg.header.stamp == self._stamp != Time():
             # A driver that repeats itself has lost its arm: it counts as silent.
             self.n_dropped += 1
             return
@@ -191,5 +188,6 @@ class ArmPort:
             return
         q = np.array([position[name] for name in self._kinematics.joint_names])
         self.n_received += 1
-        self.state = ArmState(msg.header.stamp, q, self._kinematics.forward(q), received)
-        self._on_state(self.state)
+        self._stamp = msg.header.stamp
+        self._state = ArmState(stamp_from_msg(msg.header.stamp), q, self._kinematics.forward(q), received)
+        self._on_state(self._state, msg.header.stamp)

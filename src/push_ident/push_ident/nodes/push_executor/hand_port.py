@@ -1,4 +1,4 @@
-"""The hand as the executor sees it: is it a closed fist, and close it. A Robotiq 3-finger hand, or none where the tool is fixed."""
+"""The hand on ROS: whether it is a closed fist, and closing it. A Robotiq 3-finger hand, or none where the tool is fixed."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import importlib
 import math
 import time
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 from push_ident.errors import InputError
 from push_ident.pushing.hand import BASIC_MODE, CLOSED, HandState
+from push_ident.pushing.ports import Hand
 
-__all__ = ["HAND_KINDS", "FixedTool", "HandPort", "RobotiqHand", "make_hand"]
+__all__ = ["HAND_KINDS", "FixedTool", "RobotiqHand", "make_hand"]
 
 _STATUS_TOPIC: Final = "Robotiq3FGripper/InputRegisters"
 _COMMAND_TOPIC: Final = "Robotiq3FGripper/OutputRegisters"
@@ -27,21 +28,6 @@ HAND_KINDS: Final = ("none", *_MESSAGES)
 _REPEAT: Final = 0.2
 """[s] between two commands while the hand closes: a driver may miss one, and activation comes before closing."""
 _SPEED: Final = 128
-
-
-class HandPort(Protocol):
-    """What the executor needs of a hand."""
-
-    def why_no_fist(self) -> str:
-        """Why the hand is no closed fist now; empty when it is one."""
-        ...
-
-    def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
-        """Activate and close the hand; blocks until it is a fist, `timeout` [s] has passed or `is_over` says so.
-
-        Answers as `why_no_fist`.
-        """
-        ...
 
 
 class FixedTool:
@@ -78,7 +64,7 @@ class RobotiqHand:
         node.create_subscription(getattr(messages, status), _STATUS_TOPIC, self._on_status, 1, callback_group=callback_group)
 
     def why_no_fist(self) -> str:
-        """As `HandPort`; a silent driver is a reason as well."""
+        """As `Hand`; a silent driver is a reason as well."""
         if self._state is None:
             return f"no status of the hand on {self._topic}; is its driver running?"
         silence = time.monotonic() - self._received
@@ -87,7 +73,7 @@ class RobotiqHand:
         return self._state.why_no_fist
 
     def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
-        """As `HandPort`."""
+        """As `Hand`."""
         deadline = time.monotonic() + timeout
         while (reason := self.why_no_fist()) and time.monotonic() < deadline and not is_over():
             is_active = self._state is not None and self._state.activated
@@ -112,6 +98,6 @@ class RobotiqHand:
         )
 
 
-def make_hand(node: Node, kind: str, *, timeout: float, callback_group: CallbackGroup) -> HandPort:
+def make_hand(node: Node, kind: str, *, timeout: float, callback_group: CallbackGroup) -> Hand:
     """The hand of a kind, one of `HAND_KINDS`; arguments and errors as those of `RobotiqHand`."""
     return FixedTool() if kind == "none" else RobotiqHand(node, kind, timeout=timeout, callback_group=callback_group)

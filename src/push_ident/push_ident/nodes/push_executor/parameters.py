@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
+from push_ident.pushing.execution import ExecutionSettings
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
+from push_ident.pushing.watch import WatchLimits
 
-__all__ = ["PARAMETERS", "motion_settings", "push_settings"]
+__all__ = ["PARAMETERS", "execution_settings"]
 
+T = TypeVar("T")
+
+_OTHER_NAMES: Final = {
+    "distance_range": "random_distance",
+    "speed_range": "random_speed",
+    "cone": "random_cone",
+    "max_distance": "max_push_distance",
+    "max_speed": "max_push_speed",
+}
+"""Fields of PushSettings whose parameter has another name."""
 _NEUTRAL: Final = [0.0, 1.0, 0.0, -1.92, 0.0, 0.22, 0.0]
 _HOME: Final = [1.4, *_NEUTRAL[1:]]
 
@@ -77,24 +89,17 @@ PARAMETERS: Final = (
 )
 
 
-def push_settings(values: dict[str, Any]) -> PushSettings:
-    """Limits of the push itself; raises InputError when the values contradict each other."""
-    return PushSettings(
-        workspace=tuple(values["workspace"]),
-        pusher_radius=values["pusher_radius"],
-        clearance=values["clearance"],
-        lowering_gap=values["lowering_gap"],
-        distance_range=tuple(values["random_distance"]),
-        speed_range=tuple(values["random_speed"]),
-        cone=values["random_cone"],
-        max_distance=values["max_push_distance"],
-        max_speed=values["max_push_speed"],
-        edge_margin=values["edge_margin"],
-    )
+def execution_settings(values: dict[str, Any]) -> ExecutionSettings:
+    """The settings that parameters give: fields have the names of parameters; raises InputError when the values contradict each other."""
+    push = _chosen(PushSettings, {**values, **{name: values[parameter] for name, parameter in _OTHER_NAMES.items()}})
+    motion = _chosen(MotionSettings, {**values, "home": values["home_posture"]})
+    return ExecutionSettings(push=push, motion=motion, limits=_chosen(WatchLimits, values), **_arguments(ExecutionSettings, values))
 
 
-def motion_settings(values: dict[str, Any]) -> MotionSettings:
-    """Numbers of the arm's motion; raises InputError when the values contradict each other."""
-    own = {field.name for field in fields(MotionSettings)} & values.keys()
-    chosen: dict[str, Any] = {name: tuple(value) if isinstance(value := values[name], list) else value for name in own}
-    return MotionSettings(home=tuple(values["home_posture"]), **chosen)
+def _chosen(kind: type[T], values: dict[str, Any]) -> T:
+    return kind(**_arguments(kind, values))
+
+
+def _arguments(kind: type[Any], values: dict[str, Any]) -> dict[str, Any]:
+    names = {field.name for field in fields(kind)} & values.keys()
+    return {name: tuple(value) if isinstance(value := values[name], list) else value for name in names}

@@ -30,7 +30,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
-from push_ident.nodes.seen_objects import SeenObjects
+from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import points_in_table
 from push_ident.types import DepthFrame, Float64Array
@@ -76,7 +76,7 @@ class ViewerNode(Node):
             raise InputError(f"Rerun is not installed ({error}); run `pip install -r requirements/viewer.txt`.") from None
         self._start()
         group = MutuallyExclusiveCallbackGroup()
-        self._objects = SeenObjects(self, group)
+        self._objects = TrackedObjects(self, group)
         self._topics = ObjectTopics(self, self._on_new_object)
         self._info: CameraInfo | None = None
         self._camera: Float64Array | None = None
@@ -255,10 +255,11 @@ class ViewerNode(Node):
             self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_score(self, msg: PushScore) -> None:
-        self._scene.score(msg.error, msg.expected, msg.uniform)
+        self._scene.score(msg.cell_error, msg.expected_cell_error, msg.uniform_cell_error)
         words = self._words.setdefault(msg.object_id, {})
-        words["predicted before pushing"] = f"{1e3 * msg.mean_error:.1f} mm mean of {msg.n} (equal cells {1e3 * msg.mean_uniform:.1f} mm)"
-        words["in the 90 % region"] = f"{msg.share_within_ninety:.0%}"
+        mean, uniform = 1e3 * msg.mean_cell_error, 1e3 * msg.mean_uniform_cell_error
+        words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (uniform model {uniform:.1f} mm)"
+        words["within the 90 % region"] = f"{msg.share_within_90:.0%}"
         self._show_words()
 
     # ---- words

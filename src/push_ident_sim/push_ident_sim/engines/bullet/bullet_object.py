@@ -1,8 +1,8 @@
 """One object in Bullet whose cells each rest on their own weight, and the engine and table that it needs.
 
-Cells that are fixed links of one body would share its load in a way that contacts leave open, and differently at each step. So the
+With fixed links of one body the contacts do not determine how the cells share its load; it would change from step to step. So the
 object is a chain: two sliding joints and a turning one carry a frame that moves in the plane, and below that frame every cell
-hangs on a vertical sliding joint of its own. Cells touch the table alone; the pusher touches the outline alone, which is a
+hangs on a vertical sliding joint of its own. Cells touch only the table; the pusher touches only the outline, which is a
 body of its own in that frame, so that it never catches on the edge between two cells.
 """
 
@@ -16,7 +16,8 @@ from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-unt
 from push_ident.errors import InputError
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.engines.bullet.support import SupportEffects
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.contact import friction_of_pusher, outline_growth, restitution
 from push_ident_sim.objects import SimObject, outline_rectangles
 
 __all__ = [
@@ -36,7 +37,7 @@ FloatArray = NDArray[np.float64]
 
 TABLE_GROUP, CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, ARM_GROUP = (1 << bit for bit in range(8, 13))
 OUTLINE_LINK = 3
-"""Held up by little more than its weight: friction along z, which cannot push the object, then takes no share of the friction cone."""
+"""A force little larger than its weight holds it up: friction along z, which cannot push the object, takes no share of the cone then."""
 _N_PLANE_JOINTS = 3
 _FRAME_LINK = 2
 """Link that moves in the plane (x, y, yaw); outline and cells hang below it."""
@@ -44,12 +45,12 @@ _FIRST_CELL_LINK = 4
 _FRAME_MASS = 1e-4
 """Of each link that is no cell [kg]: small against any cell."""
 _CORNER_RADIUS = 1e-4
-_NONE = Effects()
+_NONE = InjectedEffects()
 _FOOT_RADIUS = 0.004
-"""A cell stands on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
+"""A cell rests on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
 
 
-def connect(time_step: float, solver_iterations: int, gravity: float, effects: Effects = _NONE) -> BulletClient:
+def connect(time_step: float, solver_iterations: int, gravity: float, effects: InjectedEffects = _NONE) -> BulletClient:
     """A new engine of its own, with the settings that Coulomb friction needs; `disconnect()` frees it."""
     client = BulletClient(connection_mode=bullet.DIRECT)
     along = np.sin(effects["table_tilt"])
@@ -69,7 +70,7 @@ def connect(time_step: float, solver_iterations: int, gravity: float, effects: E
     return client
 
 
-def _normal_gravity(gravity: float, effects: Effects) -> float:
+def _normal_gravity(gravity: float, effects: InjectedEffects) -> float:
     """Component along the table's normal."""
     along = np.sin(effects["table_tilt"])
     return float(gravity * np.sqrt(1.0 - along @ along))
@@ -97,7 +98,7 @@ def checked_pose(pose: ArrayLike) -> FloatArray:
 class BulletObject:
     """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
 
-    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: Effects = _NONE) -> None:
+    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: InjectedEffects = _NONE) -> None:
         """Put the object at (0, 0, 0), at rest. `gravity` [m/s^2], `client` from `connect` with the same gravity and effects."""
         self.body: int
         """The engine's number of the chain."""
@@ -108,8 +109,7 @@ class BulletObject:
         self._support = SupportEffects(thing, effects, gravity) if SupportEffects.needed(effects) else None
         self._friction, self._mass = thing.friction, thing.mass
         n_cells = len(thing)
-        (growth,) = effects["outline_error"]
-        outline = self._outline_shape(growth)
+        outline = self._outline_shape(outline_growth(effects))
         foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
         n_links = _FIRST_CELL_LINK + n_cells
         self.body = client.createMultiBody(
@@ -134,8 +134,8 @@ class BulletObject:
             client.changeDynamics(self.body, link, localInertiaDiagonal=[1e-8] * 3)
         for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
             client.changeDynamics(self.body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3)
-        pusher_friction = max(0.0, thing.pusher_friction + effects["pusher_friction"][0])
-        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=effects["restitution"][0])
+        pusher_friction = friction_of_pusher(effects, thing.pusher_friction)
+        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=restitution(effects))
         client.setJointMotorControl2(
             self.body, OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
         )
@@ -144,7 +144,7 @@ class BulletObject:
     def _outline_shape(self, growth: float) -> int:
         """Collision shape of the outline, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
 
-        Bullet rounds the edges of a box by its collision margin of 1 mm, which would put a pusher at a corner up to 0.4 mm off.
+        Bullet rounds the edges of a box by its collision margin of 1 mm, which would displace a pusher at a corner by up to 0.4 mm.
         """
         thing = self._thing
         height = float(thing.height.max())
@@ -173,22 +173,22 @@ class BulletObject:
         return np.array([s[1] for s in self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))])
 
     def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate), whatever stands there."""
+        """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate), even where something is in its place."""
         for joint, speed in enumerate(np.asarray(velocity, dtype=np.float64)):
             self._client.resetJointState(self.body, joint, pose[joint], speed)
 
     def start_push(self) -> None:
-        """What remembers a push, under some effects, begins anew where the object is."""
+        """Reset what effects remember of a push; the object stays where it is."""
         if self._support is not None:
             self._support.start(self.pose())
 
     def set_pushes_done(self, n_pushes: int) -> None:
-        """How many pushes are over; some effects grow with them."""
+        """Set the number of finished pushes; some effects grow with it."""
         if self._support is not None:
             self._support.n_pushes = n_pushes
 
     def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
-        """Apply, for the next time step, what Bullet's cone friction lacks of Coulomb's law, and the effects on table and object.
+        """Apply, for the next time step, the correction of Bullet's cone friction to Coulomb's law, and the effects on table and object.
 
         `push_force` is that of the pusher on the object in the last step [N], shape (2,); `time_step` [s].
         """

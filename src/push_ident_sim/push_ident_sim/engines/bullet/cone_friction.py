@@ -1,9 +1,9 @@
-"""What is missing of Coulomb's law in Bullet's cone friction, as a wrench that puts it right.
+"""The difference between Coulomb's law and Bullet's cone friction, as a wrench that corrects it.
 
-For each contact Bullet projects on the friction cone after dividing the slip velocity, axis by axis, by the inverse mass D that
-the contact sees along the two axes of the table. A sliding contact so gets the friction -L (v_x/D_x, v_y/D_y)/|...| in place of
--L v/|v|. Where D_x = D_y, in the middle of the object, both are the same; at the ends of a long one the direction is off by up
-to 30 degrees.
+For each contact Bullet projects on the friction cone after dividing the slip velocity, axis by axis, by the effective inverse mass D of
+the contact along the two axes of the table. A sliding contact so gets the friction -L (v_x/D_x, v_y/D_y)/|...| in place of -L v/|v|.
+Where D_x = D_y, in the middle of the object, both are the same; at the ends of a long object the direction has an error of up to
+30 degrees.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def cone_friction_correction(
         limit: friction force of each cell when it slides [N], shape (n_cells,).
         velocity: (vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s], shape (3,), axes of the table.
         anisotropy: E of a table with grain, where friction is -L (I + E) v/|v|, shape (2, 2), axes of the table; None is 0.
-        lowest_speed: a cell slower than this [m/s] is left to Bullet, which holds it.
+        lowest_speed: slower cells [m/s] are not corrected: Bullet holds them.
     """
     slip = velocity[:2] + velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
     speed = np.hypot(slip[:, 0], slip[:, 1])
@@ -45,7 +45,7 @@ def cone_friction_correction(
     inverse_mass = 1.0 / total + from_centre[:, ::-1] ** 2 / inertia
     weighted = slip / inverse_mass
     sliding = speed > lowest_speed
-    # Both speeds are zero together, and then the cell is not counted.
+    # Both speeds are zero together; such a cell does not count.
     bullet = weighted / np.maximum(np.hypot(weighted[:, 0], weighted[:, 1]), 1e-12)[:, None]
     coulomb = slip / np.maximum(speed, lowest_speed)[:, None]
     if anisotropy is not None:

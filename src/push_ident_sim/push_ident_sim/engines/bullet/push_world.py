@@ -12,8 +12,9 @@ from push_ident.physics.support import GRAVITY
 from push_ident.types import PusherPath
 from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
-from push_ident_sim.injected.actuation import ToolErrors, bearing_torque
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.actuation import ToolErrors
+from push_ident_sim.injected.contact import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
 __all__ = ["PushWorld"]
@@ -26,7 +27,7 @@ _FINGER_MASS = 0.02
 _PUSHER_EFFORT = 1e4
 """[N]: the object cannot hold the pusher back."""
 _SWINGING_STEPS = 30
-"""Time steps for which an object on springs must stand still to count as at rest: it may only be turning back."""
+"""Time steps for which an object on springs must be at rest: it may only be reversing."""
 _SETTLING_STEPS = 10
 """After the object was put down, so that every foot bears its load."""
 _ASIDE = np.array([10.0, 10.0])
@@ -34,7 +35,7 @@ _ASIDE = np.array([10.0, 10.0])
 
 
 class PushWorld:
-    """An object on a table, and a disc that follows a path whatever the object does. Not safe to share between threads."""
+    """An object on a table, and a disc that follows a path whatever force the object exerts. Not safe to share between threads."""
 
     def __init__(
         self,
@@ -43,10 +44,10 @@ class PushWorld:
         *,
         time_step: float = 1.0 / 240.0,
         solver_iterations: int = 50,
-        effects: Effects | None = None,
+        effects: InjectedEffects | None = None,
     ) -> None:
-        """`pusher_radius` [m] > 0, `time_step` [s]. Of the effects, those that act on what is seen are not this world's business."""
-        effects = effects or Effects()
+        """`pusher_radius` [m] > 0, `time_step` [s]. Effects on poses and camera do not act here."""
+        effects = effects or InjectedEffects()
         self.pusher_radius = pusher_radius
         self.time_step = time_step
         self._client = connect(time_step, solver_iterations, GRAVITY, effects)
@@ -57,7 +58,7 @@ class PushWorld:
         self._still_steps = _SWINGING_STEPS if "compliant_table" in effects or "tether" in effects else 1
         self._force = np.zeros(2)
 
-    def _add_pusher(self, height: float, effects: Effects) -> None:
+    def _add_pusher(self, height: float, effects: InjectedEffects) -> None:
         """A ball with its centre at `height` [m], on two sliding joints.
 
         Upright walls touch it where they would touch a disc, and at one point: of the contacts along a cylinder Bullet keeps some with the
@@ -88,7 +89,7 @@ class PushWorld:
         for link in range(n_links):
             client.changeDynamics(self._pusher, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
         client.changeDynamics(self._pusher, self._pusher_link, lateralFriction=1.0)
-        if "restitution" in effects:
+        if restitution(effects) > 0.0:
             client.changeDynamics(self._pusher, self._pusher_link, restitution=1.0)
         if "rolling_finger" in effects:
             torque = bearing_torque(effects)
@@ -106,14 +107,14 @@ class PushWorld:
         rest_speed: float = 1e-4,
         longest_rest: float = 1.0,
     ) -> TrueMotion:
-        """Put the object down and lead the pusher along `path`, then wait until the object rests.
+        """Place the object and move the pusher along `path`, then wait until the object rests.
 
         Args:
             pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
-            path: of the pusher, as its arm reports it; its clock starts at the first sample. Beyond the last sample the pusher stands.
+            path: of the pusher, as its arm reports it; its clock starts at the first sample. After the last sample the pusher is at rest.
             velocity: first velocity of its frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
-            pushes_done: how many went before this one; some effects grow with them.
-            watch: called after each time step, for what the motion does not tell.
+            pushes_done: number of earlier pushes; some effects grow with it.
+            watch: called after each time step, for quantities that the motion does not contain.
             rest_speed: the object rests when its frame is slower than this [m/s] and turns at less than ten times it [rad/s].
             longest_rest: wait no longer than this after the path [s].
         """
@@ -174,7 +175,7 @@ class PushWorld:
         self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
 
     def _begin(self, reported: FloatArray) -> FloatArray:
-        """Where the tool really is when a path begins at `reported`."""
+        """True place of the tool when a path begins at `reported`."""
         self._force = np.zeros(2)
         if self._tool is None:
             return reported

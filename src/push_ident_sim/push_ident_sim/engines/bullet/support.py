@@ -1,6 +1,6 @@
 """Effects between table and object: what the friction, load and mass of each cell become, and which forces come on top.
 
-Everything is read off the engine at the start of a time step and holds during that step.
+Everything is computed from the state at the start of a time step and holds during that step.
 """
 
 from __future__ import annotations
@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.physics.effect import OnTable
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
-from push_ident_sim.injected.catalogue import Effects
+from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.equations import TableEquations, acts_by_equation
+from push_ident_sim.injected.table import push_height, tether_anchor
 from push_ident_sim.objects import SimObject
 
 __all__ = ["SupportAction", "SupportEffects"]
@@ -20,13 +23,13 @@ __all__ = ["SupportAction", "SupportEffects"]
 FloatArray = NDArray[np.float64]
 
 _LEAST = 0.05
-"""Share of its friction, load or mass that a cell keeps whatever the effects."""
+"""Share of its friction, load or mass that a cell keeps under any effect."""
 _MOVING = 5e-3
 """Loose contents slide while the object is faster than this [m/s]."""
 _LEANING_TIME = 0.02
-"""In which the object leans over when it is pushed [s]: a contact force may last for one time step, a lean may not."""
+"""Time constant in which the object leans over when it is pushed [s]: a contact force may last for one time step, a lean does not."""
 _BRISTLE_DAMPING = 0.5
-"""Of the table's skin, as a share of critical damping."""
+"""Of the table's surface, as a share of critical damping."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +71,14 @@ _ACTING = (
 
 @dataclass(frozen=True, slots=True)
 class SupportAction:
-    """What the engine is to be told before a time step."""
+    """What the engine needs before a time step."""
 
     friction: FloatArray
     """Friction coefficient of each cell, shape (n_cells,)."""
     mass: FloatArray
     """Of each cell [kg], shape (n_cells,)."""
     load: FloatArray
-    """Downward force on each cell beside its weight [N], shape (n_cells,)."""
+    """Downward force on each cell in addition to its weight [N], shape (n_cells,)."""
     wrench: FloatArray
     """(fx, fy) [N] and torque about the frame origin [N m] on the object, shape (3,), axes of the table."""
 
@@ -83,7 +86,7 @@ class SupportAction:
 class SupportEffects:
     """The support of one object under `effects`, step by step."""
 
-    def __init__(self, thing: SimObject, effects: Effects, gravity: float) -> None:
+    def __init__(self, thing: SimObject, effects: InjectedEffects, gravity: float) -> None:
         """`gravity` is its component along the table's normal [m/s^2]."""
         self.n_pushes = 0
         """Pushes that are over."""
@@ -93,16 +96,19 @@ class SupportEffects:
         self._centre = thing.mass @ thing.cells / thing.mass.sum()
         self._factors = [(law, np.array(effects[name])) for name, law in _FRICTION_FACTORS.items() if name in effects]
         self._grain = [_traceless(*effects[name]) for name in ("table_anisotropy", "base_anisotropy")]
+        self._height = push_height(effects, thing)
+        self._equations = TableEquations(thing, effects)
         self.start(np.zeros(3))
 
     @staticmethod
-    def needed(effects: Effects) -> bool:
+    def needed(effects: InjectedEffects) -> bool:
         """Whether any effect acts between table and object."""
-        return any(name in effects for name in _ACTING)
+        return any(name in effects for name in _ACTING) or acts_by_equation(effects, OnTable)
 
     def start(self, pose: FloatArray) -> None:
-        """The object was put down at `pose` (x, y, yaw)."""
-        self._anchor = pose[:2] + _rotation(pose[2]) @ self._centre
+        """The object was placed at `pose` (x, y, yaw)."""
+        self._anchor = tether_anchor(self._effects, pose[:2] + _rotation(pose[2]) @ self._centre)
+        self._equations.start()
         self._contents = np.zeros(2)
         self._push_force = np.zeros(2)
         self._shear = np.zeros((len(self._thing), 2))
@@ -129,6 +135,15 @@ class SupportEffects:
         load = self._lean(arms, mass, push_force, time_step)
         limit = friction * (mass * self._gravity + load)
         anisotropy = self._grain[0] + turn @ self._grain[1] @ turn.T
+        centre = turn @ self._centre
+        if self._equations:
+            moved = velocity[:2] + velocity[2] * np.array([-centre[1], centre[0]])
+            change = self._equations.advance(
+                np.array([*(pose[:2] + centre), pose[2]]), np.array([*moved, velocity[2]]), limit, time_step, self.n_pushes
+            )
+            friction *= change.factor
+            limit *= change.factor
+            anisotropy += turn @ _traceless(*change.skew) @ turn.T
 
         if "compliant_table" in self._effects:
             (travel,) = self._effects["compliant_table"]
@@ -140,8 +155,10 @@ class SupportEffects:
         if "viscous_film" in self._effects:
             wrench += _sum(arms, -self._effects["viscous_film"][0] / len(thing) * slip)
         if "tether" in self._effects:
-            arm = turn @ self._centre
-            wrench += _sum(arm[None], -self._effects["tether"][0] * (pose[:2] + arm - self._anchor)[None])
+            wrench += _sum(centre[None], -self._effects["tether"][0] * (pose[:2] + centre - self._anchor)[None])
+        if self._equations:
+            wrench += _sum(centre[None], change.wrench[None, :2])
+            wrench[2] += change.wrench[2]
         return SupportAction(friction, mass, load, wrench)
 
     def _moved_mass(self, turn: FloatArray, velocity: FloatArray, time_step: float) -> FloatArray:
@@ -160,13 +177,12 @@ class SupportEffects:
         """Load that a push above the table moves from the near to the far side."""
         if "push_height" not in self._effects:
             return np.zeros(len(mass))
-        (height,) = self._effects["push_height"]
         self._push_force += (1.0 - np.exp(-time_step / _LEANING_TIME)) * (push_force - self._push_force)
         weight = mass * self._gravity
-        return _tilted(weight, arms, height / weight.sum() * self._push_force) - weight
+        return _tilted(weight, arms, self._height / weight.sum() * self._push_force) - weight
 
     def _sheared(self, slip: FloatArray, limit: FloatArray, mass: FloatArray, travel: float, time_step: float) -> FloatArray:
-        """Force of the table's skin on each cell: a spring that follows once it is stretched by `travel`."""
+        """Force of the table's surface on each cell: a spring that follows once it is stretched by `travel`."""
         self._shear += time_step * slip
         length = np.hypot(self._shear[:, 0], self._shear[:, 1])
         self._shear *= np.minimum(1.0, travel / np.maximum(length, 1e-12))[:, None]

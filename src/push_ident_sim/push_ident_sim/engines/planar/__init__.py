@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident_sim.engines.planar.laws import OUTSIDE, Outside
+from push_ident_sim.engines.planar.laws import OUTSIDE
 from push_ident_sim.engines.planar.world import PlanarWorld
 
-__all__ = ["OUTSIDE", "Outside", "PlanarWorld"]
+__all__ = ["OUTSIDE", "PlanarWorld"]

@@ -3,18 +3,18 @@
 Bristles under every cell, a spring and damper at the pusher, a bed of springs below.
 
 Bristles follow Dahl's model in two dimensions, ds/dt = v - |v| s / travel with force -limit s / travel, so that friction opposes the
-motion once a cell has slid a few hundredths of a millimetre; it stores energy and gives less of it back, and never makes any. A step of
-s is implicit, so that it is stable at any speed.
+motion once a cell has slid a few hundredths of a millimetre. It stores energy, gives less of it back, and never makes any. A step of s is
+implicit and so stable at any speed.
 
 The table under the cells is a bed of equal springs on which the rigid base stands with heave, pitch and roll: the loads are a linear
 function of the place in the base, and none is below zero. A cell without friction hangs above the table and bears nothing.
 
-All kernels stand in this file, as numba does not notice that a kernel of another file changed.
+All kernels are in this file, as numba does not notice a change of a kernel in another file.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from push_ident_sim.engines.planar.laws import Laws
 
-__all__ = ["bed_loads", "integrate"]
+__all__ = ["Body", "Clock", "Path", "State", "StepChange", "advance", "bed_loads", "new_state"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,12 +31,118 @@ _BRISTLE_DAMPING = 1.0  # of a bristle that does not slide, share of critical da
 _FINGER_INERTIA = 0.02  # of a finger that turns: 20 g at half the square of its radius [kg]
 _MAGNET_REACH, _MAGNET_X, _MAGNET_Y = 0.04, 0.03, -0.04  # [m]
 _SPOT_REACH = 0.06  # [m]
-_COLD_WAY = 0.02  # [m]
+_COLD_TRAVEL = 0.02  # [m]
 _GUST_RATE = 2.0 * np.pi * 1.5  # [rad/s]
 _MOVING = 5e-3  # loose contents slide while the object is faster than this [m/s]
 _LEAST = 0.05  # share of its friction that a cell keeps
+_STILL_ROWS = 30  # for which the object rests before a push is over
 
 _kernel: Any = njit(cache=True, error_model="numpy")
+
+
+class Body(NamedTuple):
+    """The object; points from its centre of mass, object axes."""
+
+    place: FloatArray
+    """Of the cells [m], shape (n_cells, 2)."""
+    friction: FloatArray
+    """Friction coefficients of the cells, shape (n_cells,)."""
+    outline: FloatArray
+    """[m], shape (n_vertices, 2), counter-clockwise."""
+    mass: float
+    """[kg]"""
+    inertia: float
+    """About the centre of mass [kg m^2]."""
+
+
+class Path(NamedTuple):
+    """The path of the pusher's axis; after the last sample it is at rest."""
+
+    time: FloatArray
+    """[s], shape (n_samples,), from 0."""
+    position: FloatArray
+    """[m], shape (n_samples, 2), table axes."""
+
+
+class StepChange(NamedTuple):
+    """What effects do that this engine has no law of its own for; it holds for a row of steps."""
+
+    factor: FloatArray
+    """Of the friction limits of the cells, shape (n_cells,)."""
+    skew: FloatArray
+    """(a, b) of the friction's dependence on direction, object axes, shape (2,)."""
+    wrench: FloatArray
+    """(fx, fy) [N] and torque about the centre of mass [N m], table axes, shape (3,)."""
+
+
+class Clock(NamedTuple):
+    """Times of a simulation."""
+
+    row_time: float
+    """Between two rows [s]."""
+    n_inner: int
+    """Steps in that time."""
+    rest_speed: float
+    """The object rests below this [m/s], and ten times it in rad/s."""
+
+
+class State(NamedTuple):
+    """What changes during a push; all arrays are changed in place."""
+
+    pose: FloatArray
+    """Centre of mass (x, y) and yaw, table axes, shape (3,)."""
+    velocity: FloatArray
+    """Of them, shape (3,)."""
+    pusher: FloatArray
+    """Place of the pusher's axis [m], shape (2,)."""
+    pusher_velocity: FloatArray
+    """[m/s], shape (2,)."""
+    bend: FloatArray
+    """Bristles under the cells [m], shape (n_cells, 2)."""
+    travel: FloatArray
+    """Distance that each cell has slid in this push [m], shape (n_cells,)."""
+    bends: FloatArray
+    """Tangential bristle of each face and each corner of the outline [m], shape (2 n_vertices,)."""
+    load: FloatArray
+    """Of the cells [N], shape (n_cells,)."""
+    plane: FloatArray
+    """Heave, pitch and roll of the bed, shape (3,)."""
+    lean: FloatArray
+    """Shift of the load by the height of the push [m], shape (2,), object axes."""
+    contents: FloatArray
+    """Shift of the load by loose contents [m], shape (2,), object axes."""
+    rubbed: FloatArray
+    """Wrench of the table's friction in the last step, shape (3,)."""
+    finger: FloatArray
+    """Spin of the finger about its own axis [rad/s], shape (1,)."""
+    sample: NDArray[np.int64]
+    """Last sample of the path that lies behind, shape (1,)."""
+    still: NDArray[np.int64]
+    """Rows for which the object has been at rest, shape (1,)."""
+
+
+def new_state(body: Body, path: Path, pose: FloatArray, velocity: FloatArray, weight: float) -> tuple[State, bool]:
+    """The state at the start of a push, at rest but for `velocity`, and whether the object stands; `weight` [N]."""
+    n_cells = len(body.friction)
+    state = State(
+        pose=pose.copy(),
+        velocity=velocity.copy(),
+        pusher=path.position[0].copy(),
+        pusher_velocity=np.zeros(2),
+        bend=np.zeros((n_cells, 2)),
+        travel=np.zeros(n_cells),
+        bends=np.zeros(2 * len(body.outline)),
+        load=np.empty(n_cells),
+        plane=np.array([weight / n_cells, 0.0, 0.0]),
+        lean=np.zeros(2),
+        contents=np.zeros(2),
+        rubbed=np.zeros(3),
+        finger=np.zeros(1),
+        sample=np.zeros(1, dtype=np.int64),
+        still=np.zeros(1, dtype=np.int64),
+    )
+    stands = bed_loads(body.place, body.friction > 0.0, weight, state.lean, state.plane, state.load)
+    return state, stands
 
 
 @_kernel
@@ -83,31 +189,55 @@ def bed_loads(place: FloatArray, bears: NDArray[np.bool_], weight: float, centre
     return False
 
 
+class _Frame(NamedTuple):
+    """Where the object is in one step; table axes."""
+
+    cos: float
+    """Of the yaw."""
+    sin: float
+    pose: FloatArray
+    velocity: FloatArray
+
+
+class _Touch(NamedTuple):
+    """One contact; table axes."""
+
+    normal_x: float
+    """Outward from the object."""
+    normal_y: float
+    px: float
+    """From the centre of mass [m]."""
+    py: float
+    gap: float
+    """Below 0 where the bodies overlap [m]."""
+    slot: int
+    """Its bristle in `State.bends`."""
+
+
 @_kernel
-def _touch(
-    normal_x: float, normal_y: float, px: float, py: float, gap: float, laws: Laws, mass: float, inertia: float, velocity: FloatArray,
-    pusher_velocity: FloatArray, bend: float, finger: float, dt: float, force: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
-    """Force of one contact on the object at (px, py) from its centre of mass; adds (fx, fy, torque) to `force`, returns the bend and
-    the finger's spin after the step."""
+def _press(touch: _Touch, laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force: FloatArray) -> None:
+    """Add (fx, fy, torque) of one contact on the object to `force`."""
+    normal_x, normal_y, px, py, gap, slot = touch
+    velocity, pusher_velocity, finger = frame.velocity, state.pusher_velocity, state.finger[0]
     arm_n = px * normal_y - py * normal_x
     tangent_x, tangent_y = -normal_y, normal_x
     arm_t = px * tangent_y - py * tangent_x
     slip_x = velocity[0] - velocity[2] * py - pusher_velocity[0]
     slip_y = velocity[1] + velocity[2] * px - pusher_velocity[1]
     approach = slip_x * normal_x + slip_y * normal_y
-    effective = 1.0 / (1.0 / mass + arm_n * arm_n / inertia)
+    effective = 1.0 / (1.0 / body.mass + arm_n * arm_n / body.inertia)
     press = -laws.contact_stiffness * gap + 2.0 * laws.damping_ratio * np.sqrt(laws.contact_stiffness * effective) * approach
     if press <= 0.0:
-        return 0.0, finger
-    # The finger's skin moves along the tangent at -spin times radius where the object is.
+        state.bends[slot] = 0.0
+        return
+    # At the contact the surface of the finger moves along the tangent at -spin times radius.
     slide = slip_x * tangent_x + slip_y * tangent_y + finger * laws.finger_radius
     limit = laws.pusher_friction * press
-    effective_t = 1.0 / (1.0 / mass + arm_t * arm_t / inertia)
+    effective_t = 1.0 / (1.0 / body.mass + arm_t * arm_t / body.inertia)
     finger_inertia = 0.5 * _FINGER_INERTIA * laws.finger_radius * laws.finger_radius
     if laws.finger_radius > 0.0:
         effective_t = 1.0 / (1.0 / effective_t + 2.0 / _FINGER_INERTIA)
-    bend = (bend + dt * slide) / (1.0 + dt * abs(slide) / laws.contact_travel)
+    bend = (state.bends[slot] + dt * slide) / (1.0 + dt * abs(slide) / laws.contact_travel)
     stiffness = limit / laws.contact_travel
     held = max(0.0, 1.0 - abs(bend) / laws.contact_travel)
     drag = -stiffness * bend - _BRISTLE_DAMPING * 2.0 * np.sqrt(stiffness * effective_t) * held * slide
@@ -115,22 +245,20 @@ def _touch(
     if laws.finger_radius > 0.0:
         finger += dt * drag * laws.finger_radius / finger_inertia
         brake = dt * laws.bearing_torque / finger_inertia
-        finger = max(0.0, abs(finger) - brake) * np.sign(finger)
+        state.finger[0] = max(0.0, abs(finger) - brake) * np.sign(finger)
     fx, fy = -press * normal_x + drag * tangent_x, -press * normal_y + drag * tangent_y
     force[0] += fx
     force[1] += fy
     force[2] += px * fy - py * fx
-    return bend, finger
+    state.bends[slot] = bend
 
 
 @_kernel
-def _push(
-    outline: FloatArray, cos: float, sin: float, pose: FloatArray, velocity: FloatArray, pusher: FloatArray, pusher_velocity: FloatArray,
-    laws: Laws, mass: float, inertia: float, bends: FloatArray, finger: float, dt: float, force: FloatArray,
-) -> float:  # fmt: skip
+def _push(laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force: FloatArray) -> None:
     """Forces of a disc on a polygon (object axes, from the centre of mass): on faces it overlaps, and on corners between two of them."""
+    outline, cos, sin, pusher, bends = body.outline, frame.cos, frame.sin, state.pusher, state.bends
     n, reach = len(outline), laws.pusher_radius + laws.outline_offset
-    dx, dy = pusher[0] - pose[0], pusher[1] - pose[1]
+    dx, dy = pusher[0] - frame.pose[0], pusher[1] - frame.pose[1]
     cx, cy = cos * dx + sin * dy, cos * dy - sin * dx
     for j in range(n):
         ax, ay = outline[j, 0], outline[j, 1]
@@ -143,7 +271,7 @@ def _push(
         away = (cx - ax) * ey - (cy - ay) * ex
         touches = False
         nx = ny = qx = qy = gap = 0.0
-        place = 2 * j
+        slot = 2 * j
         if 0.0 < along < length:
             if 0.0 < away < reach:
                 touches, gap = True, away - laws.pusher_radius
@@ -157,7 +285,7 @@ def _push(
                 touches, gap = True, distance - laws.pusher_radius
                 nx, ny = (cx - ax) / distance, (cy - ay) / distance
                 qx, qy = ax, ay
-                place = 2 * j + 1
+                slot = 2 * j + 1
         if not touches:
             bends[2 * j] = 0.0
             bends[2 * j + 1] = 0.0
@@ -166,24 +294,22 @@ def _push(
         qx += laws.outline_offset * nx
         qy += laws.outline_offset * ny
         gap -= laws.outline_offset
-        bends[4 * j + 1 - place] = 0.0
-        bends[place], finger = _touch(
-            cos * nx - sin * ny, sin * nx + cos * ny, cos * qx - sin * qy, sin * qx + cos * qy, gap, laws, mass, inertia, velocity,
-            pusher_velocity, bends[place], finger, dt, force,
-        )  # fmt: skip
-    return finger
+        bends[4 * j + 1 - slot] = 0.0
+        touch = _Touch(cos * nx - sin * ny, sin * nx + cos * ny, cos * qx - sin * qy, sin * qx + cos * qy, gap, slot)
+        _press(touch, laws, body, frame, state, dt, force)
 
 
 @_kernel
-def _rub(
-    place: FloatArray, load: FloatArray, friction: FloatArray, cos: float, sin: float, pose: FloatArray, velocity: FloatArray,
-    bend: FloatArray, way: FloatArray, laws: Laws, mass: float, weight: float, dt: float, force: FloatArray,
-) -> None:  # fmt: skip
+def _rub(laws: Laws, body: Body, frame: _Frame, state: State, change: StepChange, dt: float, force: FloatArray) -> None:
     """Friction of the table on all cells; adds (fx, fy, torque) to `force`."""
+    cos, sin, pose, velocity = frame.cos, frame.sin, frame.pose, frame.velocity
+    place, load, friction, bend, travel = body.place, state.load, body.friction, state.bend, state.travel
+    mass, weight = body.mass, body.mass * laws.gravity
     # Both grains in table axes: one of the base turns at twice the yaw.
     cos2, sin2 = cos * cos - sin * sin, 2.0 * sin * cos
-    e1 = laws.table_e1 + cos2 * laws.base_e1 - sin2 * laws.base_e2
-    e2 = laws.table_e2 + sin2 * laws.base_e1 + cos2 * laws.base_e2
+    base_e1, base_e2 = laws.base_e1 + change.skew[0], laws.base_e2 + change.skew[1]
+    e1 = laws.table_e1 + cos2 * base_e1 - sin2 * base_e2
+    e2 = laws.table_e2 + sin2 * base_e1 + cos2 * base_e2
     for i in range(len(load)):
         rx, ry = cos * place[i, 0] - sin * place[i, 1], sin * place[i, 0] + cos * place[i, 1]
         vx, vy = velocity[0] - velocity[2] * ry, velocity[1] + velocity[2] * rx
@@ -197,9 +323,9 @@ def _rub(
         if laws.greasy != 0.0:
             factor *= 1.0 - laws.greasy * np.exp(-0.5 * (x * x + y * y) / _SPOT_REACH**2)
         if laws.heating != 0.0:
-            way[i] += dt * speed
-            factor *= 1.0 - laws.heating * (1.0 - np.exp(-way[i] / _COLD_WAY))
-        limit = load[i] * friction[i] * max(_LEAST, factor)
+            travel[i] += dt * speed
+            factor *= 1.0 - laws.heating * (1.0 - np.exp(-travel[i] / _COLD_TRAVEL))
+        limit = load[i] * friction[i] * max(_LEAST, factor) * change.factor[i]
         shrink = 1.0 / (1.0 + dt * speed / laws.travel)
         bend[i, 0] = (bend[i, 0] + dt * vx) * shrink
         bend[i, 1] = (bend[i, 1] + dt * vy) * shrink
@@ -209,7 +335,7 @@ def _rub(
             damping = _BRISTLE_DAMPING * 2.0 * np.sqrt(mass * load[i] / (weight * limit * laws.travel)) * held
             sx += damping * vx
             sy += damping * vy
-            # Spring and damper of a bristle together never hold more than it bears.
+            # Spring and damper of a bristle together never exceed its friction limit.
             size = max(1.0, np.sqrt(sx * sx + sy * sy))
             sx /= size
             sy /= size
@@ -234,98 +360,91 @@ def _pull(pose: FloatArray, time: float, laws: Laws, mass: float, force: FloatAr
 
 
 @_kernel
-def integrate(
-    laws: Laws,
-    place: FloatArray,
-    friction: FloatArray,
-    mass: float,
-    inertia: float,
-    outline: FloatArray,
-    first: FloatArray,
-    first_velocity: FloatArray,
-    path_time: FloatArray,
-    path: FloatArray,
-    n_rows: int,
-    row_time: float,
-    n_inner: int,
-    rest_speed: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-    """One push from `first` until the path is over and the object rests.
+def _drive(path: Path, time: float, state: State) -> None:
+    """Place and velocity of the pusher at a time [s]."""
+    sample = state.sample[0]
+    while sample + 2 < len(path.time) and path.time[sample + 1] <= time:
+        sample += 1
+    state.sample[0] = sample
+    if time < path.time[-1]:
+        state.pusher_velocity[:] = (path.position[sample + 1] - path.position[sample]) / (path.time[sample + 1] - path.time[sample])
+        state.pusher[:] = path.position[sample] + (time - path.time[sample]) * state.pusher_velocity
+    else:
+        state.pusher_velocity[:] = 0.0
+        state.pusher[:] = path.position[-1]
+
+
+@_kernel
+def _shift_loads(laws: Laws, body: Body, frame: _Frame, state: State, bears: NDArray[np.bool_], dt: float) -> bool:
+    """Loads of the cells where the object leans or its contents move; returns whether it stands."""
+    cos, sin, velocity, lean, contents, rubbed = frame.cos, frame.sin, frame.velocity, state.lean, state.contents, state.rubbed
+    weight = body.mass * laws.gravity
+    share = dt / _BED_TIME
+    # Pushed at the height of its centre of mass, the object leans by the moment of the table's friction alone.
+    lean[0] -= share * (laws.height * (cos * rubbed[0] + sin * rubbed[1]) / weight + lean[0])
+    lean[1] -= share * (laws.height * (cos * rubbed[1] - sin * rubbed[0]) / weight + lean[1])
+    speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
+    if laws.contents != 0.0 and speed > _MOVING:
+        share = dt / (dt + laws.contents_time)
+        contents[0] += share * (-laws.contents * (cos * velocity[0] + sin * velocity[1]) / speed - contents[0])
+        contents[1] += share * (-laws.contents * (cos * velocity[1] - sin * velocity[0]) / speed - contents[1])
+    stands: bool = bed_loads(body.place, bears, weight, lean + contents, state.plane, state.load)
+    return stands
+
+
+@_kernel
+def advance(
+    laws: Laws, body: Body, path: Path, state: State, change: StepChange, clock: Clock, first: int, n_rows: int
+) -> tuple[FloatArray, FloatArray, FloatArray, bool, bool]:
+    """Up to `n_rows` rows of a push from row `first` on, fewer where it ends before; row 0 is the state at its start.
 
     Args:
         laws: that hold.
-        place: of the cells from the centre of mass [m], shape (n_cells, 2), object axes.
-        friction: of the cells, shape (n_cells,).
-        mass: [kg].
-        inertia: about the centre of mass [kg m^2].
-        outline: from the centre of mass [m], shape (n_vertices, 2), object axes, counter-clockwise.
-        first: of the centre of mass (x, y) and the yaw, shape (3,), table axes.
-        first_velocity: of them, shape (3,).
-        path_time: [s], shape (n_samples,), from 0.
-        path: of the pusher's axis [m], shape (n_samples, 2); beyond the last sample it stands.
-        n_rows: at most so many are returned.
-        row_time: between two rows [s].
-        n_inner: steps in that time.
-        rest_speed: [m/s]; ten times it in rad/s.
+        body: the object.
+        path: of the pusher.
+        state: at the start of the first of these rows; afterwards that at the end of the last.
+        change: what further effects do, the same in all these rows.
+        clock: times of the simulation.
+        first: number of the first row, from 1.
+        n_rows: largest number of rows to return.
 
     Returns:
-        Rows of pose, shape (n, 3), of the pusher's place, shape (n, 2), of its mean force in the row before, shape (n, 2), and whether the
-        object stood all the time.
+        Rows of pose, shape (n, 3), of the pusher's place, shape (n, 2), of its mean force in the row, shape (n, 2); whether the object
+        stood all the time; whether the path is over and the object at rest.
     """
-    dt = row_time / n_inner
-    weight = mass * laws.gravity
+    n_inner = clock.n_inner
+    dt = clock.row_time / n_inner
     poses, places, forces = np.empty((n_rows, 3)), np.empty((n_rows, 2)), np.zeros((n_rows, 2))
-    pose, velocity, pusher = first.copy(), first_velocity.copy(), path[0].copy()
-    bend, way, bends = np.zeros((len(friction), 2)), np.zeros(len(friction)), np.zeros(2 * len(outline))
-    load, plane, lean, contents = np.empty(len(friction)), np.zeros(3), np.zeros(2), np.zeros(2)
-    bears = friction > 0.0
-    plane[0] = weight / len(friction)
+    pose, velocity = state.pose, state.velocity
+    bears = body.friction > 0.0
     shifts = laws.height != 0.0 or laws.contents != 0.0
-    stands = bed_loads(place, bears, weight, lean, plane, load)
-    contact, rubbed, force, pusher_velocity = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2)
-    finger, sample, count, still = 0.0, 0, 1, 0
-    poses[0], places[0] = pose, pusher
-    for row in range(1, n_rows):
-        if not stands:
-            break
+    stands = True
+    contact, force = np.zeros(3), np.zeros(3)
+    for k in range(n_rows):
+        row = first + k
         for inner in range(n_inner):
             time = ((row - 1) * n_inner + inner) * dt
-            while sample + 2 < len(path_time) and path_time[sample + 1] <= time:
-                sample += 1
-            if time < path_time[-1]:
-                pusher_velocity[:] = (path[sample + 1] - path[sample]) / (path_time[sample + 1] - path_time[sample])
-                pusher[:] = path[sample] + (time - path_time[sample]) * pusher_velocity
-            else:
-                pusher_velocity[:] = 0.0
-                pusher[:] = path[-1]
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
+            _drive(path, time, state)
+            frame = _Frame(np.cos(pose[2]), np.sin(pose[2]), pose, velocity)
             contact[:] = 0.0
-            finger = _push(outline, cos, sin, pose, velocity, pusher, pusher_velocity, laws, mass, inertia, bends, finger, dt, contact)
+            _push(laws, body, frame, state, dt, contact)
             if shifts:
-                share = dt / _BED_TIME
-                # Pushed at the height of its centre of mass, the object leans by the moment of the table's friction alone.
-                lean[0] -= share * (laws.height * (cos * rubbed[0] + sin * rubbed[1]) / weight + lean[0])
-                lean[1] -= share * (laws.height * (cos * rubbed[1] - sin * rubbed[0]) / weight + lean[1])
-                speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
-                if laws.contents != 0.0 and speed > _MOVING:
-                    share = dt / (dt + laws.contents_time)
-                    contents[0] += share * (-laws.contents * (cos * velocity[0] + sin * velocity[1]) / speed - contents[0])
-                    contents[1] += share * (-laws.contents * (cos * velocity[1] - sin * velocity[0]) / speed - contents[1])
-                stands = bed_loads(place, bears, weight, lean + contents, plane, load)
-            rubbed[:] = 0.0
-            _rub(place, load, friction, cos, sin, pose, velocity, bend, way, laws, mass, weight, dt, rubbed)
-            force[:] = contact + rubbed
-            _pull(pose, time, laws, mass, force)
-            velocity[0] += dt * force[0] / mass
-            velocity[1] += dt * force[1] / mass
-            velocity[2] += dt * force[2] / inertia
+                stands = _shift_loads(laws, body, frame, state, bears, dt)
+            state.rubbed[:] = 0.0
+            _rub(laws, body, frame, state, change, dt, state.rubbed)
+            force[:] = contact + state.rubbed
+            _pull(pose, time, laws, body.mass, force)
+            force += change.wrench
+            velocity[0] += dt * force[0] / body.mass
+            velocity[1] += dt * force[1] / body.mass
+            velocity[2] += dt * force[2] / body.inertia
             pose += dt * velocity
-            forces[row, 0] += contact[0] / n_inner
-            forces[row, 1] += contact[1] / n_inner
-        poses[row], places[row] = pose, pusher
-        count = row + 1
-        rests = max(abs(velocity[0]), abs(velocity[1])) < rest_speed and abs(velocity[2]) < 10.0 * rest_speed
-        still = still + 1 if rests else 0
-        if row * row_time >= path_time[-1] and still >= 30:
-            break
-    return poses[:count], places[:count], forces[:count], stands
+            forces[k, 0] += contact[0] / n_inner
+            forces[k, 1] += contact[1] / n_inner
+        poses[k], places[k] = pose, state.pusher
+        rests = max(abs(velocity[0]), abs(velocity[1])) < clock.rest_speed and abs(velocity[2]) < 10.0 * clock.rest_speed
+        state.still[0] = state.still[0] + 1 if rests else 0
+        over = row * clock.row_time >= path.time[-1] and state.still[0] >= _STILL_ROWS
+        if over or not stands:
+            return poses[: k + 1], places[: k + 1], forces[: k + 1], stands, over
+    return poses, places, forces, stands, False

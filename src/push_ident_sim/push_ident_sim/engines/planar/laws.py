@@ -1,58 +1,60 @@
-"""The numbers of every law that the planar engine knows, and effects that only it has."""
+"""Parameters of the laws of the planar engine, and the effects that only this engine has."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffect, InjectedEffects, InjectedParameter
+from push_ident_sim.injected.contact import bearing_torque, friction_of_pusher, outline_growth, restitution
+from push_ident_sim.injected.table import push_height, tether_anchor
+from push_ident_sim.objects import SimObject
 
-__all__ = ["OUTSIDE", "Laws", "Outside", "laws_of"]
-
-
-@dataclass(frozen=True, slots=True)
-class Outside:
-    """An effect for which a diagnosis has no name, known to this engine alone."""
-
-    name: str
-    unit: str
-    typical: float
-    largest: float
-    what: str
+__all__ = ["OUTSIDE", "Laws", "laws_of"]
 
 
-OUTSIDE: dict[str, Outside] = {
+def _outside(name: str, unit: str, typical: float, highest: float, what: str) -> InjectedEffect:
+    parameter = InjectedParameter("size", unit, typical, 0.0, highest)
+    return InjectedEffect(name, "table", (parameter,), what, "a law of the planar engine")
+
+
+OUTSIDE: dict[str, InjectedEffect] = {
     effect.name: effect
     for effect in (
-        Outside("magnet", "N", 0.4, 4.0, "a magnet under the table draws the centre of mass to one spot, at most by this at 40 mm from it"),
-        Outside("greasy_spot", "1", 0.5, 0.95, "friction is lower by this share in a spot of 60 mm in the middle of the table"),
-        Outside(
-            "heating_friction", "1", 0.4, 0.9, "friction of a cell falls by this share while it slides, within 20 mm; the next push is cold"
+        _outside(
+            "magnet",
+            "N",
+            0.4,
+            4.0,
+            "A magnet under the table draws the centre of mass to one spot, with at most this force, 40 mm from it.",
         ),
-        Outside("gust", "N", 0.4, 4.0, "a pull along y that swings at 1.5 Hz, another phase each push"),
+        _outside("greasy_spot", "1", 0.5, 0.95, "Friction is lower by this share in a spot of 60 mm in the middle of the table."),
+        _outside(
+            "heating_friction", "1", 0.4, 0.9, "Friction of a cell falls by this share within 20 mm of sliding; each push starts cold."
+        ),
+        _outside("gust", "N", 0.4, 4.0, "A pull along y that oscillates at 1.5 Hz, with another phase in each push."),
     )
 }
-"""By name; all sizes are >= 0."""
+"""Effects that only this engine has and that no diagnosis can name, by name."""
 
 
 class Laws(NamedTuple):
-    """What holds during one push; lengths [m], forces [N], times [s], angles [rad]. Zero where an effect is absent."""
+    """Parameters that hold during one push; lengths [m], forces [N], times [s], angles [rad]. Zero where an effect is absent."""
 
     # Contact of pusher and object
     pusher_radius: float
     outline_offset: float
-    """By which the surface lies outside the outline."""
+    """Distance of the surface outside the outline."""
     pusher_friction: float
     contact_stiffness: float
     """[N/m]"""
     damping_ratio: float
     """Of the contact along its normal: 1 does not bounce."""
     contact_travel: float
-    """By which the tangential bristle bends before it slides."""
+    """Deflection at which the tangential bristle slides."""
     finger_radius: float
     """0 where the finger does not turn."""
     bearing_torque: float
@@ -61,7 +63,7 @@ class Laws(NamedTuple):
     gravity: float
     """Across the table [m/s^2]."""
     travel: float
-    """By which a bristle under a cell bends before it slides."""
+    """Deflection at which a bristle under a cell slides."""
     tilt_x: float
     tilt_y: float
     table_e1: float
@@ -96,48 +98,45 @@ class Laws(NamedTuple):
 
 
 def laws_of(
-    effects: Effects,
+    effects: InjectedEffects,
     outside: Mapping[str, float],
+    thing: SimObject,
     *,
     pusher_radius: float,
-    pusher_friction: float,
     gravity: float,
-    n_cells: int,
     pushes_done: int,
-    anchor: tuple[float, float],
+    put_down: tuple[float, float],
 ) -> Laws:
     """The laws of one push.
 
     Args:
-        effects: of the catalogue; those on the tool's path and on what is seen are not of this place.
+        effects: of the world; those on the tool's path and on what is reported act elsewhere.
         outside: sizes of effects of `OUTSIDE`.
+        thing: what is pushed.
         pusher_radius: [m].
-        pusher_friction: without effects.
         gravity: [m/s^2].
-        n_cells: of the object.
         pushes_done: before this one.
-        anchor: of a tether [m].
+        put_down: the centre of mass where the object was put down first [m].
+
+    Raises:
+        InputError: an effect that is not known, or out of its range.
     """
-    for name, size in outside.items():
-        if name not in OUTSIDE:
-            raise InputError(f"Effect {name!r} is not known to the planar engine, expected some of {', '.join(OUTSIDE)}.")
-        if not 0.0 <= size <= OUTSIDE[name].largest:
-            raise InputError(f"Effect {name} is {size:g} {OUTSIDE[name].unit}, expected 0 to {OUTSIDE[name].largest:g}.")
+    _check_outside(outside)
     tilt = np.sin(effects["table_tilt"])
-    (bounce,), (skin,) = effects["restitution"], effects["compliant_table"]
-    log_bounce = np.log(max(bounce, 1e-6))
+    (skin,) = effects["compliant_table"]
     stribeck, stribeck_speed = effects["stribeck_friction"]
     contents, contents_time = effects["moving_contents"]
+    anchor = tether_anchor(effects, np.array(put_down))
     rolls = "rolling_finger" in effects
     return Laws(
         pusher_radius=pusher_radius,
-        outline_offset=effects["outline_error"][0],
-        pusher_friction=max(0.0, pusher_friction + effects["pusher_friction"][0]),
+        outline_offset=outline_growth(effects),
+        pusher_friction=friction_of_pusher(effects, thing.pusher_friction),
         contact_stiffness=2e5,
-        damping_ratio=float(-log_bounce / np.hypot(np.pi, log_bounce)) if bounce > 0.0 else 1.0,
+        damping_ratio=_damping_ratio(restitution(effects)),
         contact_travel=2e-5,
         finger_radius=pusher_radius if rolls else 0.0,
-        bearing_torque=0.02 * (1.0 - effects["rolling_finger"][0]) if rolls else 0.0,
+        bearing_torque=bearing_torque(effects) if rolls else 0.0,
         gravity=float(gravity * np.sqrt(1.0 - tilt @ tilt)),
         travel=skin if skin > 0.0 else 2e-5,
         tilt_x=float(gravity * tilt[0]),
@@ -152,16 +151,31 @@ def laws_of(
         stribeck=stribeck,
         stribeck_speed=stribeck_speed,
         level=1.0 + effects["wear"][0] * pushes_done,
-        film=effects["viscous_film"][0] / n_cells,
+        film=effects["viscous_film"][0] / len(thing),
         greasy=outside.get("greasy_spot", 0.0),
         heating=outside.get("heating_friction", 0.0),
-        height=effects["push_height"][0],
+        height=push_height(effects, thing),
         contents=contents,
         contents_time=contents_time,
         tether=effects["tether"][0],
-        anchor_x=anchor[0],
-        anchor_y=anchor[1],
+        anchor_x=float(anchor[0]),
+        anchor_y=float(anchor[1]),
         magnet=outside.get("magnet", 0.0),
         gust=outside.get("gust", 0.0),
         gust_phase=2.0 * np.pi * ((0.618034 * pushes_done) % 1.0),
     )
+
+
+def _check_outside(outside: Mapping[str, float]) -> None:
+    for name, size in outside.items():
+        if name not in OUTSIDE:
+            raise InputError(f"Effect {name!r} is not known to the planar engine, expected some of {', '.join(OUTSIDE)}.")
+        (parameter,) = OUTSIDE[name].parameters
+        if not 0.0 <= size <= parameter.highest:
+            raise InputError(f"Effect {name} is {size:g} {parameter.unit}, expected 0 to {parameter.highest:g}.")
+
+
+def _damping_ratio(bounce: float) -> float:
+    """Of a spring and damper that part two bodies with `bounce` times their speed of approach."""
+    log_bounce = np.log(max(bounce, 1e-6))
+    return float(-log_bounce / np.hypot(np.pi, log_bounce)) if bounce > 0.0 else 1.0

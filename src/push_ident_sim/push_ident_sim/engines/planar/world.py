@@ -1,4 +1,4 @@
-"""The planar engine behind the interface of the other one."""
+"""The planar engine behind the interface of `PushWorld`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.types import PusherPath
-from push_ident_sim.engines.planar.integrator import bed_loads, integrate
-from push_ident_sim.engines.planar.laws import laws_of
+from push_ident_sim.engines.planar.integrator import Body, Clock, Path, State, StepChange, advance, bed_loads, new_state
+from push_ident_sim.engines.planar.laws import Laws, laws_of
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.actuation import ToolErrors
+from push_ident_sim.injected.equations import TableEquations
 from push_ident_sim.objects import SimObject
 
 __all__ = ["PlanarWorld"]
@@ -22,9 +23,9 @@ FloatArray = NDArray[np.float64]
 
 _GRAVITY = 9.81
 _TOOL_STEP = 1e-3
-"""In which effects on the tool are followed [s]."""
+"""Time step for effects on the path of the tool [s]."""
 _TOOL_REST = 0.4
-"""For which they are followed after the path [s]."""
+"""Time for which they are followed after the path [s]."""
 
 
 class PlanarWorld:
@@ -37,7 +38,7 @@ class PlanarWorld:
         *,
         time_step: float = 1.0 / 240.0,
         inner_steps: int = 96,
-        effects: Effects | None = None,
+        effects: InjectedEffects | None = None,
         outside: Mapping[str, float] | None = None,
     ) -> None:
         """`pusher_radius` [m] > 0. A row of a motion every `time_step` [s], of `inner_steps` steps each; `outside`: see `OUTSIDE`."""
@@ -45,14 +46,20 @@ class PlanarWorld:
         self.time_step = time_step
         self._inner_steps = inner_steps
         self._thing = thing
-        self._effects = effects or Effects()
+        self._effects = effects or InjectedEffects()
         self._outside = dict(outside or {})
-        self._mass = float(thing.mass.sum())
-        self._centre = thing.mass @ thing.cells / self._mass
-        self._place = np.ascontiguousarray(thing.cells - self._centre)
-        self._outline = np.ascontiguousarray(thing.outline - self._centre)
-        self._inertia = float(thing.mass @ (np.sum(self._place**2, axis=1) + thing.cell_size**2 / 6.0))
-        self._anchor: tuple[float, float] | None = None
+        mass = float(thing.mass.sum())
+        self._centre = thing.mass @ thing.cells / mass
+        place = np.ascontiguousarray(thing.cells - self._centre)
+        self._body = Body(
+            place=place,
+            friction=np.array(thing.friction),
+            outline=np.ascontiguousarray(thing.outline - self._centre),
+            mass=mass,
+            inertia=float(thing.mass @ (np.sum(place**2, axis=1) + thing.cell_size**2 / 6.0)),
+        )
+        self._equations = TableEquations(thing, self._effects)
+        self._put_down: tuple[float, float] | None = None
 
     def push(
         self,
@@ -64,13 +71,13 @@ class PlanarWorld:
         rest_speed: float = 1e-4,
         longest_rest: float = 1.0,
     ) -> TrueMotion:
-        """Put the object down and lead the pusher along `path`, then wait until the object rests.
+        """Place the object and move the pusher along `path`, then wait until the object rests.
 
         Args:
             pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
-            path: of the pusher, as its arm reports it; its clock starts at the first sample. Beyond the last sample the pusher stands.
+            path: of the pusher, as its arm reports it; its clock starts at the first sample. After the last sample the pusher is at rest.
             velocity: first velocity of the object's frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
-            pushes_done: how many went before this one; some effects grow with them.
+            pushes_done: number of earlier pushes; some effects grow with it.
             rest_speed: the object rests when it is slower than this [m/s] and turns at less than ten times it [rad/s].
             longest_rest: wait no longer than this after the path [s].
 
@@ -82,24 +89,22 @@ class PlanarWorld:
         arm = _turned(self._centre, pose[2])
         first = np.array([*(pose[:2] + arm), pose[2]])
         first_velocity = speed + np.array([-speed[2] * arm[1], speed[2] * arm[0], 0.0])
-        if self._anchor is None:
-            self._anchor = (float(first[0]), float(first[1]))
+        if self._put_down is None:
+            self._put_down = (float(first[0]), float(first[1]))
         clock, true_path = self._true_path(path)
-        n_rows = 1 + int(np.ceil((clock[-1] + longest_rest) / self.time_step))
         laws = laws_of(
             self._effects,
             self._outside,
+            self._thing,
             pusher_radius=self.pusher_radius,
-            pusher_friction=self._thing.pusher_friction,
             gravity=_GRAVITY,
-            n_cells=len(self._thing),
             pushes_done=pushes_done,
-            anchor=self._anchor,
+            put_down=self._put_down,
         )
-        centres, pusher, force, stood = integrate(
-            laws, self._place, np.array(self._thing.friction), self._mass, self._inertia, self._outline,
-            first, first_velocity, clock, true_path, n_rows, self.time_step, self._inner_steps, rest_speed,
-        )  # fmt: skip
+        n_rows = int(np.ceil((clock[-1] + longest_rest) / self.time_step))
+        times = Clock(self.time_step, self._inner_steps, rest_speed)
+        start = new_state(self._body, Path(clock, true_path), first, first_velocity, self._body.mass * laws.gravity)
+        centres, pusher, force, stood = self._integrate(laws, Path(clock, true_path), start, times, n_rows, pushes_done)
         if not stood:
             raise PushIdentError(f"{self._thing.name} tips over: its load leaves its base; push it lower or with less loose contents.")
         poses = centres.copy()
@@ -109,14 +114,38 @@ class PlanarWorld:
         reported = np.column_stack([np.interp(time, since, path.position[:, axis]) for axis in (0, 1)])
         return TrueMotion(time, poses, pusher, reported if ToolErrors.needed(self._effects) else pusher, force)
 
+    def _integrate(
+        self, laws: Laws, path: Path, start: tuple[State, bool], clock: Clock, n_rows: int, pushes_done: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+        """Rows of pose of the centre of mass, pusher and force until the push is over, and whether the object stood all the time."""
+        state, stands = start
+        n_cells = len(self._thing)
+        change = StepChange(np.ones(n_cells), np.zeros(2), np.zeros(3))
+        poses, places, forces = [state.pose[None].copy()], [state.pusher[None].copy()], [np.zeros((1, 2))]
+        self._equations.start()
+        # Further effects hold during a row; without any, all rows are made in one call.
+        stride = 1 if self._equations else n_rows
+        row, over = 1, False
+        while stands and not over and row <= n_rows:
+            if self._equations:
+                limit = state.load * self._body.friction
+                now = self._equations.advance(state.pose, state.velocity, limit, clock.row_time, pushes_done)
+                change = StepChange(now.factor, now.skew, now.wrench)
+            pose, place, force, stands, over = advance(laws, self._body, path, state, change, clock, row, stride)
+            row += len(pose)
+            poses.append(pose)
+            places.append(place)
+            forces.append(force)
+        return np.concatenate(poses), np.concatenate(places), np.concatenate(forces), stands
+
     def _true_path(self, path: PusherPath) -> tuple[FloatArray, FloatArray]:
-        """Where the tool really goes: times from 0 [s], shape (n,), and places [m], shape (n, 2)."""
+        """True path of the tool: times from 0 [s], shape (n,), and places [m], shape (n, 2)."""
         since = path.time - path.time[0]
         if not ToolErrors.needed(self._effects):
             return since, np.array(path.position)
         tool = ToolErrors(self._effects, _TOOL_STEP)
         tool.start(path.position[0])
-        # The tool follows late and may go on circling: it is watched for a while after the path.
+        # The tool may lag or circle, so that it is followed for a while after the path.
         clock = np.arange(0.0, since[-1] + _TOOL_REST, _TOOL_STEP)
         reported = np.column_stack([np.interp(clock, since, path.position[:, axis]) for axis in (0, 1)])
         return clock, np.array([tool.true_position(place) for place in reported])
@@ -124,12 +153,12 @@ class PlanarWorld:
     def cell_loads(self) -> FloatArray:
         """Normal force of the table on each cell at rest and without effects [N], shape (n_cells,)."""
         bears, load = np.array(self._thing.friction) > 0.0, np.empty(len(self._thing))
-        weight = self._mass * _GRAVITY
-        bed_loads(self._place, bears, weight, np.zeros(2), np.array([weight / len(load), 0.0, 0.0]), load)
+        weight = self._body.mass * _GRAVITY
+        bed_loads(self._body.place, bears, weight, np.zeros(2), np.array([weight / len(load), 0.0, 0.0]), load)
         return load
 
     def close(self) -> None:
-        """Nothing is held; as in `PushWorld`."""
+        """Nothing to free; as in `PushWorld`."""
 
 
 def _three(values: ArrayLike, name: str) -> FloatArray:

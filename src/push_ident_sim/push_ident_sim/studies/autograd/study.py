@@ -14,21 +14,22 @@ from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings, Target
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Piece, Settings, Target
 from push_ident_sim.studies.common.drawing import markdown_table, millimetres, new_figure, save
 from push_ident_sim.studies.common.plate import FRAMES, distance_to, plate, plate_pushes
 from push_ident_sim.studies.common.timing import interleaved, milliseconds
 
-__all__ = ["BENCHMARK"]
+__all__ = ["STUDY"]
 
 _STEP = 0.01
-"""A usual time step of engines of the reference's kind [s]; the `autograd` method takes it, too."""
+"""A usual time step of engines of the reference's kind [s]; the `autograd` method uses it as well."""
 _CELLS_ALONG = (4, 7, 10)
 _REFERENCE = "reference"
 _COMPILED: tuple[Literal["pyramid", "circle"], ...] = ("pyramid", "circle")
 _ROUNDS = 3
 _REPEATS = 25
-"""Of a compiled call in a round, as it is so much shorter."""
+"""Repeats of a compiled call in a round, as it is much shorter."""
 _AT_REST = np.zeros(3)
 
 _Outcome = tuple[float, Float64Array, Float64Array]
@@ -78,7 +79,7 @@ def _by_compiled(model: ObjectModel, push: PusherPath, target: Float64Array, set
 
 
 def _by_reference(model: ObjectModel, push: PusherPath, target: Float64Array) -> _Outcome:
-    # Here, so that the tables can be made without loading torch.
+    # Imported here, so that the tables can be made without loading torch.
     import torch
 
     from push_ident.physics.reference import ReferenceModel, reference_rollout
@@ -123,7 +124,7 @@ def _targets(summary: Json) -> list[Target]:
 
 
 def _tables(summary: Json) -> str:
-    head = ["cells", "engine", "loss and gradient [ms]", "ratio", "gradient off", "end off [mm]"]
+    head = ["cells", "engine", "loss and gradient [ms]", "ratio", "error of the gradient", "error of the end [mm]"]
     rows = []
     for row in summary["cells"]:
         rows.append([f"{row['cells']}", "reference, autograd", milliseconds(row["reference"]), "1", "–", "–"])
@@ -162,14 +163,15 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"autograd.png": "Time of loss and gradient against cells, medians and quartiles."}
 
 
-BENCHMARK = Benchmark(
+STUDY = Benchmark(
     name="autograd",
+    place=20,
     title="Against the reference engine with autograd",
     question=(
-        f"Loss and gradient of pushes of 1 s with a time step of {_STEP} s: the paper's LCP with three velocities a cell in torch (ours, "
-        "not the authors' code), differentiated by autograd, against the compiled engine. `pyramid` solves the problem of the reference; "
-        "`circle`, the default, has Coulomb's circular cone, so it moves otherwise, and its gradient is that of another loss. Mean over "
-        "the pushes of the medians (quartiles); the largest differences from the reference beside them."
+        f"Loss and gradient of pushes of 1 s with a time step of {_STEP} s: the paper's LCP with three velocities a cell in torch "
+        "(ours, not the authors' code), differentiated by autograd, against the compiled engine. `pyramid` solves the problem of the "
+        "reference; `circle`, the default, has Coulomb's circular cone, so its motion differs, and its gradient is that of another "
+        "loss. Mean over the pushes of the medians (quartiles), with the largest differences from the reference."
     ),
     pieces=_pieces,
     summarise=lambda results: {"cells": list(results)},

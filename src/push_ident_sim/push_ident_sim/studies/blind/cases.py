@@ -12,10 +12,11 @@ import numpy as np
 
 from push_ident.identification.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
-from push_ident.physics.effects import EFFECTS as NAMED
+from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
-from push_ident_sim.injected import EFFECTS, Effects
+from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
+from push_ident_sim.injected.table import mean_friction
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 from push_ident_sim.recordings.truth import (
@@ -28,14 +29,12 @@ from push_ident_sim.recordings.truth import (
     path_of_plan,
     true_model,
 )  # fmt: skip
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
-__all__ = ["CATALOGUE", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
+__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
-CATALOGUE = tuple(name for name, effect in NAMED.items() if not effect.is_unknown_cause)
-"""Effects that a diagnosis can name."""
 _SIZES = (0.15, 0.5, 1.2, 3.0)
 """Times the typical size."""
 _JITTER = 0.2
@@ -44,7 +43,7 @@ _N_NULLS = 20
 """Of each engine, in one round of the plan."""
 _N_PAIRS = 12
 _HARDLY_SEEN = ("restitution", "stribeck_friction", "wear", "speed_dependent_friction", "tether", "camera_translation")
-_PAIRABLE = tuple(name for name in CATALOGUE if name not in _HARDLY_SEEN)
+_PAIRABLE = tuple(name for name in CAUSES if name not in _HARDLY_SEEN)
 """Effects that slow pushes show, and of two that are the same to them one."""
 _ELSEWHERE = ("pose_flips", "compliant_table", "viscous_film", "rolling_finger", "pusher_wobble")
 """Effects that both engines have and that no diagnosis can name."""
@@ -68,7 +67,7 @@ class Truth:
     """What is in one case."""
 
     scenario: Scenario
-    effects: Effects
+    effects: InjectedEffects
     """Of the catalogue of injected effects, with what merely disturbs (correlated noise, dropped frames)."""
     outside: tuple[tuple[str, float], ...]
     """Effects of the planar engine alone."""
@@ -103,7 +102,7 @@ def _plan() -> tuple[Scenario, ...]:
     for engine in ("bullet", "planar"):
         plan += [Scenario(engine, "null")] * _N_NULLS
         # Bullet's spring is anchored anew at every push: no tether of the catalogue, which has one place on the table.
-        plan += [Scenario(engine, "single", (name,), s) for name in CATALOGUE for s in _SIZES if (engine, name) != ("bullet", "tether")]
+        plan += [Scenario(engine, "single", (name,), s) for name in CAUSES for s in _SIZES if (engine, name) != ("bullet", "tether")]
         for _ in range(_N_PAIRS):
             first, second = rng.choice(len(_PAIRABLE), 2, replace=False)
             plan.append(Scenario(engine, "pair", (_PAIRABLE[first], _PAIRABLE[second]), 1.5))
@@ -118,7 +117,7 @@ def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
     first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
     if camera:
-        filmed = all(name in EFFECTS and name != "tether" and EFFECTS[name].acts_on != "poses" for name in scenario.names)
+        filmed = all(name in INJECTED and name != "tether" and INJECTED[name].acts_on != "poses" for name in scenario.names)
         scenario = replace(scenario, engine="camera") if filmed else Scenario("camera", "null")
     rng = np.random.default_rng([model, OBJECT_NAMES.index(object_name), 77])
     values: dict[str, tuple[float, ...]] = {}
@@ -126,22 +125,22 @@ def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
     for name in scenario.names:
         size = scenario.size * float(np.exp(_JITTER * rng.normal()))
         if name in OUTSIDE:
-            outside.append((name, min(size * OUTSIDE[name].typical, OUTSIDE[name].largest)))
+            (parameter,) = OUTSIDE[name].parameters
+            outside.append((name, min(size * parameter.typical, parameter.highest)))
         else:
-            values[name] = _drawn(name, size, rng)
+            values[name] = _drawn(INJECTED[name], size, make_object(object_name, model), rng)
     # What every camera may do to anyone.
     disturbance = rng.random(2)
     if scenario.kind == "null" and disturbance[0] < 0.4 and not camera:
         values["noise_correlation"] = (float(rng.uniform(0.3, 0.6)),)
     if scenario.kind == "null" and disturbance[1] < 0.25:
         values["dropped_frames"] = (float(rng.uniform(0.05, 0.2)),)
-    return Truth(scenario, Effects.of(values), tuple(outside))
+    return Truth(scenario, InjectedEffects.of(values), tuple(outside))
 
 
-def _drawn(name: str, size: float, rng: np.random.Generator) -> tuple[float, ...]:
-    """Parameters of an effect of so many times its typical size, in any direction or of either sign, within its range."""
-    parameters = EFFECTS[name].parameters
-    acting = [p for p in parameters if p.default == 0.0]
+def _drawn(effect: InjectedEffect, size: float, thing: SimObject, rng: np.random.Generator) -> tuple[float, ...]:
+    """Parameters of an effect at `size` times its typical size, in any direction or of either sign, within its range."""
+    acting = effect.acting
     length = size * acting[0].typical
     if len(acting) == 2:
         angle = rng.uniform(-np.pi, np.pi)
@@ -150,7 +149,8 @@ def _drawn(name: str, size: float, rng: np.random.Generator) -> tuple[float, ...
         drawn = [length * (rng.choice([-1.0, 1.0]) if acting[0].lowest < 0 else 1.0)]
     kept = [float(np.clip(v, max(p.lowest, -0.9 * p.highest), 0.9 * p.highest)) for v, p in zip(drawn, acting, strict=True)]
     kept = [float(np.sign(v) * max(abs(v), p.smallest)) for v, p in zip(kept, acting, strict=True)]
-    return (*kept, *(p.default for p in parameters[len(acting) :]))
+    scaled = [v * mean_friction(thing) if p.times_friction else v for v, p in zip(kept, acting, strict=True)]
+    return (*scaled, *effect.defaults[len(acting) :])
 
 
 def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, noise: CameraNoise) -> list[PushRecord]:

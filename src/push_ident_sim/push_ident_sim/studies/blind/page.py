@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.physics.effects import EFFECTS
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Json
 
 __all__ = ["draw", "tables"]
 
+_SEALED = {"truth_sha256": "truth", "policy_sha256": "policy", "code_sha256": "code", "thresholds_sha256": "thresholds"}
+"""Hashes of a seal; checks of an earlier version sealed the thresholds of the policy only."""
 _ROWS = (
     ("false_alarms", "false alarms on nulls", "<= 5 %"),
     ("nulls_not_trusted", "nulls not trusted", ""),
@@ -63,10 +65,8 @@ def tables(summary: Json) -> str:
     """Markdown of a summary."""
     parts = []
     if sealed := summary.get("sealed"):
-        parts.append(
-            f"Set: {sealed['phase']}, {sealed['n_cases']} cases. SHA-256 of the truth `{sealed['truth_sha256']}`, "
-            f"of the thresholds `{sealed['thresholds_sha256']}`. Intervals hold at 90 %."
-        )
+        hashes = ", ".join(f"of the {what} `{sealed[key]}`" for key, what in _SEALED.items() if key in sealed)
+        parts.append(f"Set: {sealed['phase']}, {sealed['n_cases']} cases. SHA-256 {hashes}. Intervals hold at 90 %.")
     if found := summary.get("figures"):
         groups = list(found)
         rows = [[text, target, *(_number(found[group][key]) for group in groups)] for key, text, target in _ROWS]

@@ -10,21 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.diagnosis.diagnose import diagnose
-from push_ident.diagnosis.fits import EffectFit, fit_effects
+from push_ident.diagnosis.fits import fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
-from push_ident.diagnosis.scores import Information
+from push_ident.diagnosis.policy import ValidationPolicy
+from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.scores import EffectInformation
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.verdict import Diagnosis
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.simulation import GRAVITY
 from push_ident.types import PushRecord
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["TWINS", "Ask", "score_case", "true_values"]
 
@@ -50,22 +51,18 @@ _TUNED = "pusher_friction"
 """The one existing parameter that the base model takes as given."""
 
 
-def true_values(effects: Effects, name: str, thing: SimObject, first_centre: FloatArray) -> FloatArray:
-    """An injected effect in the parameters in which a diagnosis states it, shape (n_parameters,).
+def true_values(effects: InjectedEffects, name: str, put_down: FloatArray) -> FloatArray:
+    """An injected effect with all its parameters, shape (n_parameters,).
 
     Args:
         effects: that were injected.
         name: of one of them.
-        thing: that was pushed.
-        first_centre: of mass, where the object was put down first [m], shape (2,).
+        put_down: the centre of mass where the object was put down first [m], shape (2,); the anchor of a tether that states none.
     """
-    values = np.array(effects[name])
-    if name == "push_height":
-        weight = thing.mass * GRAVITY
-        return np.array([values[0] * float(thing.friction @ weight / weight.sum())])
-    if name == "tether":
-        return np.array([values[0], *(values[0] * first_centre)])
-    return values
+    given = effects[name]
+    if len(given) < len(EFFECTS[name].parameters):
+        return np.array([given[0], *(given[0] * put_down)])
+    return np.array(given)
 
 
 def score_case(
@@ -102,10 +99,10 @@ def score_case(
         first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
         # What belongs to the base, as small errors of a camera do, is nothing to be found.
         names = [name for name in truth.names if name not in base.names]
-        wanted = {name: true_values(truth.effects, name, thing, first) for name in names}
+        wanted = {name: true_values(truth.effects, name, first) for name in names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         if wanted:
-            values["detectability"] = _detectability(found.selection.steps[0].told, wanted)
+            values["detectability"] = _detectability(found.selection.steps[0].information, wanted)
             values["oracle"] = _oracle(found, base, wanted)
     if truth.scenario.kind == "outside" and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
@@ -118,12 +115,12 @@ def score_case(
 def _is_open(found: Diagnosis) -> bool:
     """Whether more than one effect is left, twins apart."""
     first = found.effects[-1].name if found.effects else ""
-    return any(name != TWINS.get(first) for name in found.confusable)
+    return any(name != TWINS.get(first) for name in found.confusion_set)
 
 
 def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, ask: Ask) -> Json:
     """Make the pushes that the diagnosis asks for until nothing is left open."""
-    n_asked, expected = 0, found.next_push is not None and found.next_push.settles
+    n_asked, expected = 0, found.next_push is not None and found.next_push.resolves
     while _is_open(found) and n_asked < _MOST_ASKED and found.next_push is not None:
         more = ask(found.next_push.push, len(records))
         if more is None:
@@ -136,7 +133,7 @@ def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSett
         "expected": expected,
         "verdict": found.verdict.value,
         "named": [effect.name for effect in found.effects],
-        "confusable": list(found.confusable),
+        "confusable": list(found.confusion_set),
         "settled": len(found.effects) == 1 and not _is_open(found),
     }
 
@@ -145,15 +142,15 @@ def _outcome(found: Diagnosis) -> Json:
     return {
         "verdict": found.verdict.value,
         "sentence": found.sentence,
-        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.evidence} for e in found.effects],
-        "confusable": list(found.confusable),
+        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in found.effects],
+        "confusable": list(found.confusion_set),
         "gap": None if found.gap is None else _gap(found.gap),
         # Enough to try other thresholds without fitting again.
         "steps": [] if found.selection is None else [_step(found.selection, i) for i in range(len(found.selection.steps))],
-        "misfit": None if found.frames is None else found.frames.misfit,
-        "leftover": found.leftover,
-        "lasting": found.lasting,
-        "unknown_gain": None if found.unknown is None else found.unknown.gain,
+        "misfit": None if found.base_residuals is None else found.base_residuals.residual_ratio,
+        "residual_ratio": found.residual_ratio,
+        "excess_autocorrelation": found.excess_autocorrelation,
+        "unknown_gain": None if found.wrench is None else found.wrench.log_bayes_factor,
         "failed_gates": [gate.found for gate in found.gates if not gate.passed],
     }
 
@@ -162,12 +159,12 @@ def _step(selection: Selection, number: int) -> Json:
     step = selection.steps[number]
     first = next((score for score in step.scores), None)
     return {
-        "gains": {c.name: c.gain for c in step.candidates},
-        "scores": {score.name: score.gain for score in step.scores},
+        "gains": {c.name: c.log_bayes_factor for c in step.candidates},
+        "scores": {score.name: score.expected_log_bayes_factor for score in step.scores},
         "costs": {c.name: c.fit.end.cost for c in step.candidates},
         "best_score": None if first is None else first.name,
         # What would just have been seen; effects that cannot be seen at any size that makes sense are left out.
-        "smallest": {score.name: score.smallest for score in step.scores if np.isfinite(score.smallest)},
+        "smallest": {score.name: score.smallest_detectable for score in step.scores if np.isfinite(score.smallest_detectable)},
     }
 
 
@@ -183,15 +180,15 @@ def _gap(gap: Gap) -> Json:
     }
 
 
-def _detectability(told: Information | None, wanted: Mapping[str, FloatArray]) -> Json:
+def _detectability(information: EffectInformation | None, wanted: Mapping[str, FloatArray]) -> Json:
     """How plainly the true effects show, each alone: noncentrality beside everything that the base model fits.
 
     `alone`: beside the base. `hardest`: also beside that rival of the catalogue which takes most of it away. `gain`: of log evidence that
     its true size brings on average.
     """
-    if told is None:
+    if information is None:
         return {}
-    places, precision = told.places, told.precision
+    places, precision = information.places, information.precision
 
     def place(name: str) -> NDArray[np.int64]:
         return places[name][[not p.shape for p in EFFECTS[name].parameters]]
@@ -202,14 +199,14 @@ def _detectability(told: Information | None, wanted: Mapping[str, FloatArray]) -
         acting = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
         size = np.array([(values[i] - EFFECTS[name].nominal[i]) / EFFECTS[name].parameters[i].scale for i in acting])
         held = precision[np.ix_(own, own)]
-        information = held - np.eye(len(own))
-        alone = float(size @ information @ size)
+        fisher = held - np.eye(len(own))
+        alone = float(size @ fisher @ size)
         hardest, rival = alone, ""
         for other in places:
             if other in (name, TWINS.get(name)):
                 continue
             between = precision[np.ix_(own, place(other))]
-            rest = information - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
+            rest = fisher - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
             if (left := float(size @ rest @ size)) < hardest:
                 hardest, rival = left, other
         gain = 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])
@@ -217,7 +214,7 @@ def _detectability(told: Information | None, wanted: Mapping[str, FloatArray]) -
     return shown
 
 
-def _visibility(base: EffectFit, plain: Sequence[PushRecord]) -> float:
+def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
     """Noncentrality of all that effects did to the poses, beside everything that the base model fits.
 
     With the whitened derivative J of the fit and the precision P of its prior, d' (I - J (J'J + P)^-1 J') d of the whitened difference d.
@@ -237,7 +234,7 @@ def _visibility(base: EffectFit, plain: Sequence[PushRecord]) -> float:
         off[:, 2] = wrap_angle(off[:, 2])
         parts.append(np.einsum("fij,fj->fi", seen.whitening, off).ravel())
     difference = np.concatenate(parts)
-    precision = np.diag(np.r_[np.ones(base.parameters.size), np.zeros(3 * len(parts))])
+    precision = np.diag(np.r_[np.ones(base.unknowns.size), np.zeros(3 * len(parts))])
     taken_up = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
     return float(difference @ (difference - taken_up))
 
@@ -248,14 +245,14 @@ def _nearest(record: PushRecord, time: FloatArray) -> FloatArray:
     return np.asarray(record.poses.pose[frames])
 
 
-def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray]) -> Json:
+def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Json:
     """The same machinery told the true effects; `apart`: noncentrality between a single one and the nearest of its rivals when both are
     fitted, which is less than their slopes at null tell."""
     assert found.gap is not None
     start = np.concatenate([(v - EFFECTS[name].nominal) / [p.scale for p in EFFECTS[name].parameters] for name, v in wanted.items()])
-    fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.z[base.parameters.effect_slice], start]))
+    fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.effect_unknowns, start]))
     is_found = {effect.name for effect in found.effects} == set(wanted)
-    after = found.gap.after if is_found else measure_gap(fit, fit).before
+    after = found.gap.after if is_found else measure_gap(fit, fit, ValidationPolicy()).before
     gap = replace(found.gap, after=after)
     own, first = fit.effects, found.selection.steps[0] if found.selection else None
     same = {*wanted, *(TWINS.get(name) for name in wanted)}
@@ -268,20 +265,20 @@ def _oracle(found: Diagnosis, base: EffectFit, wanted: Mapping[str, FloatArray])
     }
 
 
-def _apart(a: EffectFit, b: EffectFit) -> float:
+def _apart(a: Fit, b: Fit) -> float:
     """Noncentrality between two fits of the same pushes: squared distance of what they say of all frames."""
     said = [[fit.problem.residual(m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
     return float(sum(np.sum((one - other) ** 2) for one, other in zip(*said, strict=True)))
 
 
-def _baselines(found: Diagnosis, base: EffectFit) -> Json:
+def _baselines(found: Diagnosis, base: Fit) -> Json:
     """What simpler ways would name, and how far tuning what the model already has would come."""
     assert found.selection is not None and found.gap is not None
     first = found.selection.steps[0] if found.selection.steps else None
     refits = {c.name: c.fit.end.cost for c in first.candidates} if first else {}
     groups = [(max(group.rms), by) for by, members in found.where.items() for group in members if group.n >= _FEW]
     tuned_fit = fit_effects(base, (*base.names, _TUNED))
-    tuned = measure_gap(tuned_fit, tuned_fit)
+    tuned = measure_gap(tuned_fit, tuned_fit, ValidationPolicy())
     gap = replace(found.gap, after=tuned.before)
     return {
         "evidence": first.best.name if first and first.best else None,

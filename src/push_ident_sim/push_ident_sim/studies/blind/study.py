@@ -1,17 +1,13 @@
-"""Whether a diagnosis names the right cause when nobody has told it: other engines, sealed truth, frozen thresholds, one scoring run."""
+"""Whether a diagnosis names the right cause without knowing the truth: other engines, sealed truth, policy and code, one scoring run."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.errors import InputError
 from push_ident.identification.files import finite
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import cell_error
@@ -19,21 +15,20 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath, PushRecord
 from push_ident_sim.engines.planar import PlanarWorld
-from push_ident_sim.injected import Effects
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
-from push_ident_sim.recordings.recording import seal
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
-from push_ident_sim.studies.blind.cases import draw_truth, make_asked_record, make_records, phase_of
+from push_ident_sim.studies.blind.cases import draw_truth, make_asked_record, make_records
 from push_ident_sim.studies.blind.page import draw, tables
 from push_ident_sim.studies.blind.scoring import score_case
+from push_ident_sim.studies.blind.sealing import CAMERA, ENGINES, decision_hashes, seal_cases
 from push_ident_sim.studies.blind.summary import summarise_cases
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 
-__all__ = ["EXPERIMENT", "seal_cases"]
+__all__ = ["STUDY"]
 
-_ENGINES = "engines"
-_CAMERA = "camera"
-_N_PUSHES = {"14-pushes": 14, "8-pushes": 8, "6-pushes": 6, _CAMERA: 8}
+_N_PUSHES = {"14-pushes": 14, "8-pushes": 8, "6-pushes": 6, CAMERA: 8}
 _N_COMPARED = 3
 """Pushes on which engines are compared."""
 
@@ -42,21 +37,21 @@ _N_COMPARED = 3
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
-    if case.variant == _ENGINES:
+    if case.variant == ENGINES:
         return _compare_engines(case)
-    truth = draw_truth(case.object_name, case.model, camera=case.variant == _CAMERA)
+    truth = draw_truth(case.object_name, case.model, camera=case.variant == CAMERA)
     records = make_records(truth, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
 
     def ask(push: PlannedPush, number: int) -> PushRecord | None:
         return make_asked_record(truth, case.object_name, case.model, push, number, settings.noise)
 
     def make_plain() -> list[PushRecord]:
-        plain = replace(truth, effects=Effects(), outside=())
+        plain = replace(truth, effects=InjectedEffects(), outside=())
         return make_records(plain, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
 
     thing = make_object(case.object_name, case.model)
     values = score_case(records, truth, thing, DiagnosisSettings(), ask=ask, make_plain=make_plain)
-    return {**finite(values), "thresholds_sha256": _thresholds_hash()}
+    return {**finite(values), **decision_hashes()}
 
 
 def _compare_engines(case: Case) -> Json:
@@ -82,61 +77,12 @@ def _compare_engines(case: Case) -> Json:
     return dict(off)
 
 
-# --- seal
-
-
-def _thresholds_hash() -> str:
-    text = json.dumps(asdict(DiagnosisSettings().thresholds), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def seal_cases(cases: Sequence[Case], folder: Path) -> Json:
-    """Write down the hash of the truth and of the thresholds before anything is scored.
-
-    A report set is scored with one set of thresholds only: once its seal lies in `folder`, others are refused. Raises InputError for that,
-    and for cases of both phases in one run.
-    """
-    phases = {phase_of(case.model) for case in cases}
-    if len(phases) > 1:
-        raise InputError(
-            "Seeds below 1000 are for setting thresholds, those from 1000 on are scored once; give --seed so that they stay apart."
-        )
-    truths = [
-        {
-            "case": c.key,
-            "object": c.object_name,
-            "model": c.model,
-            **draw_truth(c.object_name, c.model, camera=c.variant == _CAMERA).as_json(),
-        }
-        for c in cases
-        if c.variant != _ENGINES
-    ]
-    sealed: Json = {
-        "phase": phases.pop(),
-        "n_cases": len(truths),
-        "truth_sha256": seal({"cases": truths}),
-        "thresholds": asdict(DiagnosisSettings().thresholds),
-        "thresholds_sha256": _thresholds_hash(),
-    }
-    if sealed["phase"] == "tune":
-        return sealed
-    path = folder / f"sealed-{sealed['truth_sha256'][:16]}.json"
-    if path.is_file():
-        before: Json = json.loads(path.read_text(encoding="utf-8"))
-        if before["thresholds_sha256"] != sealed["thresholds_sha256"]:
-            raise InputError(f"These cases were scored with other thresholds ({path}); take other seeds from 1000 on for the new ones.")
-        return before
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(sealed, indent=1) + "\n", encoding="utf-8")
-    return sealed
-
-
 # --- all cases
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
-    engines = [r.values for r in results if r.case.variant == _ENGINES]
-    scored = [r for r in results if r.case.variant != _ENGINES]
+    engines = [r.values for r in results if r.case.variant == ENGINES]
+    scored = [r for r in results if r.case.variant != ENGINES]
     summary = summarise_cases(scored) if scored else {}
     if engines:
         summary["engines"] = {
@@ -152,23 +98,24 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     return summary
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="blind",
+    place=130,
     title="Blind check of the diagnosis",
     question=(
-        "Pushes come from engines that do not fit: Bullet with injected effects, and a planar integrator with bristles, springs and "
-        "a bed that tilts, each with nothing, one effect at sizes from undetectable to three times typical, two effects, or an "
-        "effect outside the catalogue. Seeds below 1000 set the thresholds; those from 1000 on are scored once, after the hashes of "
-        "truth and thresholds were written down. An effect is detectable where its true size would bring 5 nat of evidence on "
-        "average, and surely so where it would nine times out of ten; one outside the catalogue is visible where the same pushes "
-        "without it differ by a noncentrality of 25. The noncentrality is what is left of it when maps and the hardest rival are "
-        "fitted, too. The first name counts as right where it is the effect that was injected, or its twin that no push can tell from "
-        "it. S is the share of the gap on pushes held out that goes with the effect. Where a verdict leaves more than one effect "
-        "open, the pushes that it asks for are made, two at most. `camera`: the same through rendered depth images and perception. "
-        "`engines`: how far the engines are apart without any effect."
+        "Does a diagnosis name the right cause on pushes from other engines, when the truth is sealed? Pushes come from two engines "
+        "that the diagnosis does not use: Bullet with injected effects, and a planar integrator with bristles, springs and a bed that "
+        "tilts. Each case has no effect, one effect at sizes from undetectable to three times typical, two effects, or an effect "
+        "outside the catalogue. Seeds below 1000 set the policy; those from 1000 on are scored once, after the hashes of truth and "
+        "policy were written down. An effect is detectable where its true size brings 5 nat of log evidence on average, and clearly "
+        "detectable where it does so nine times out of ten; one outside the catalogue is detectable where the same pushes without it "
+        "differ by a noncentrality of 25. The noncentrality is that beside fitted maps and the hardest rival. The first name counts as "
+        "right where it is the injected effect or its exact twin. S is the share of the gap on held-out pushes that the effect "
+        "explains. Where a verdict leaves more than one effect, up to two requested pushes are made. `camera`: the same through "
+        "rendered depth images and perception. `engines`: the distance between the engines without any effect."
     ),
-    variants=("14-pushes", "8-pushes", "6-pushes", _CAMERA, _ENGINES),
-    fewer={"8-pushes": 8, "6-pushes": 8, _CAMERA: 8, _ENGINES: 2},
+    variants=("14-pushes", "8-pushes", "6-pushes", CAMERA, ENGINES),
+    fewer={"8-pushes": 8, "6-pushes": 8, CAMERA: 8, ENGINES: 2},
     needs_truth=False,
     stages=("geometry", "physics", "identification", "diagnosis", "pushing"),
     prepare=seal_cases,

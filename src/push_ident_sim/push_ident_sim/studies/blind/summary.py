@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from push_ident.physics.effects import EFFECTS
-from push_ident_sim.studies.blind.cases import CATALOGUE
+from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident_sim.studies.blind.scoring import TWINS
-from push_ident_sim.studies.common.experiment import CaseResult, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import CaseResult
 
 __all__ = ["Judged", "figures", "interval", "judge", "summarise_cases"]
 
@@ -173,7 +173,7 @@ def figures(cases: Sequence[Judged]) -> Json:
         "baseline_evidence": _share(seen, lambda c: _baseline(c, "evidence") in c.truth),
         "baseline_training_fit": _share(seen, lambda c: _baseline(c, "training_fit") in c.truth),
         "baseline_largest_residual": _share(seen, lambda c: _baseline(c, "largest_residual") in c.truth),
-        "baseline_random": {"share": 1.0 / len(CATALOGUE), "n": len(seen), "low": None, "high": None},
+        "baseline_random": {"share": 1.0 / len(CAUSES), "n": len(seen), "low": None, "high": None},
         "seconds": _statistic([c.values["seconds"] for c in cases]),
     }
 
@@ -268,7 +268,7 @@ def _smallest(cases: Sequence[Judged]) -> Json:
     for pushes in sorted({c.pushes for c in cases}):
         seen = [c.values["steps"][0]["smallest"] for c in cases if c.kind == "null" and c.pushes == pushes and c.values["steps"]]
         table[pushes] = {}
-        for name in CATALOGUE:
+        for name in CAUSES:
             middle = float(np.median([own.get(name, np.inf) for own in seen])) if seen else np.inf
             table[pushes][name] = middle if np.isfinite(middle) else None
     return table

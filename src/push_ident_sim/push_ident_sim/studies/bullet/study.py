@@ -1,4 +1,4 @@
-"""The compiled engine against PyBullet with finite differences: time of a rollout and of a gradient, and what the gradient is worth."""
+"""The compiled engine against PyBullet with finite differences: time of a rollout and of a gradient, and the error of the gradient."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Piece, Settings
 from push_ident_sim.studies.common.drawing import markdown_table, millimetres
 from push_ident_sim.studies.common.plate import FRAMES, distance_to, plate, plate_in_bullet, plate_pushes
 from push_ident_sim.studies.common.timing import interleaved, milliseconds
 
-__all__ = ["BENCHMARK"]
+__all__ = ["STUDY"]
 
 _CELLS_ALONG = 10
 _STEPS = (1e-4, 1e-2)
 """Relative changes of a parameter in finite differences."""
 _REPEATS = 25
-"""Of a compiled call in its turn, as it is so much shorter."""
+"""Repeats of a compiled call in its turn, as it is much shorter."""
 _AT_REST = np.zeros(3)
 
 _Rollout = Callable[[ObjectModel], Float64Array]
@@ -125,7 +126,7 @@ def _summarise(results: Sequence[Json]) -> Json:
 
 def _tables(summary: Json) -> str:
     pushes = summary["pushes"]
-    head = ["push", "PyBullet, rollout [ms]", "compiled, rollout [ms]", "compiled, loss and gradient [ms]", "ends apart [mm]"]
+    head = ["push", "PyBullet, rollout [ms]", "compiled, rollout [ms]", "compiled, loss and gradient [ms]", "distance of the ends [mm]"]
     times = [
         [f"{i + 1}", *(milliseconds(p["times"][name]) for name in ("bullet", "rollout", "gradient")), millimetres(p["end_off_m"], 3)]
         for i, p in enumerate(pushes)
@@ -148,10 +149,10 @@ def _tables(summary: Json) -> str:
             markdown_table(
                 [
                     "push, relative step",
-                    "compiled, off its exact gradient",
-                    "PyBullet, off the step above",
+                    "compiled, against its exact gradient",
+                    "PyBullet, against the step above",
                     "cosine",
-                    "PyBullet, off our exact gradient",
+                    "PyBullet, against our exact gradient",
                     "cosine",
                 ],
                 quality,
@@ -160,13 +161,14 @@ def _tables(summary: Json) -> str:
     )
 
 
-BENCHMARK = Benchmark(
+STUDY = Benchmark(
     name="bullet",
+    place=30,
     title="Against PyBullet with finite differences",
     question=(
-        f"The plate of {_CELLS_ALONG**2} cells in PyBullet, every cell on a joint of its own, friction corrected as in the simulated cell, "
-        "and the same pushes of 1 s in 240 steps in the compiled engine. Building the world anew for changed cells is not counted. "
-        "Both engines solve the same mechanics; how far apart they end is given beside the times."
+        f"The plate of {_CELLS_ALONG**2} cells in PyBullet, every cell on a joint of its own, friction corrected as in the simulated "
+        "cell, and the same pushes of 1 s in 240 steps in the compiled engine. Building a new world for changed cells is not counted. "
+        "Both engines solve the same mechanics; the distance between their ends is given beside the times."
     ),
     pieces=_pieces,
     summarise=_summarise,

@@ -1,4 +1,4 @@
-"""Whether the simulated cell does what it is taken for: every cell with its own load and friction, the same in every direction, in time."""
+"""Checks of the simulated cell: every cell has its own load and friction, alike in every direction, and it runs in real time."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from push_ident.types import ObjectModel, PusherPath
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ _THROWN = 0.4
 _CAMERA_RATE = 30.0
 """[Hz], of 640 x 480."""
 _WARM_UP, _MEASURED = 3, 8
-"""Reports of the node, one a second, that are left out and that are counted."""
+"""Reports of the node, one a second, that are skipped and that are counted."""
 _PATIENCE = 40.0
 """For them [s]."""
 
@@ -100,7 +101,7 @@ def _loads(thing: SimObject, motions: Sequence[TrueMotion], settings: TruthSetti
 
 
 def _one_cell(thing: SimObject, motions: Sequence[TrueMotion], settings: TruthSettings, rng: np.random.Generator) -> Json:
-    """The same pushes with one cell changed: by how much the end moves here, and by how much the planar model says it moves.
+    """The same pushes with one cell changed: the change of the end here, and the change that the planar model predicts.
 
     Rows of `nothing` are the pushes themselves, with no cell changed.
     """
@@ -119,9 +120,9 @@ def _one_cell(thing: SimObject, motions: Sequence[TrueMotion], settings: TruthSe
 
 
 def _compared(here: FloatArray, model: FloatArray) -> list[float]:
-    """Size of a change of pose [m, rad], how far the model is off [m, rad], and both changes (x, y, yaw)."""
-    apart = here - model
-    return _rounded(np.array([np.hypot(*here[:2]), abs(here[2]), np.hypot(*apart[:2]), abs(apart[2]), *here, *model]))
+    """Size of a change of pose [m, rad], error of the model in it [m, rad], and both changes (x, y, yaw)."""
+    error = here - model
+    return _rounded(np.array([np.hypot(*here[:2]), abs(here[2]), np.hypot(*error[:2]), abs(error[2]), *here, *model]))
 
 
 def _pushed(thing: SimObject, motion: TrueMotion, settings: TruthSettings) -> TrueMotion:
@@ -165,7 +166,7 @@ def _directions(case: Case, settings: TruthSettings) -> Json:
             asides.append(float(thrown.pose[-1, :2] @ across))
             turns.append(float(thrown.pose[-1, 2]))
             start, end = -(reach + 0.01) * heading, -(reach - 0.04) * heading
-            # The disc is turned, not the push, so that the pusher always meets the same place of its outline.
+            # The disc turns with the push, so that the pusher always meets the same place of its outline.
             pushed = world.push([0.0, 0.0, angle], PusherPath(np.array([0.0, 0.5]), np.array([start, end]), radius))
             inside = (pushed.time > 0.3) & (pushed.time < 0.5)
             forces.append(float(np.mean(pushed.force[inside] @ heading)))
@@ -195,14 +196,14 @@ def _disc(friction: float, mass: float) -> SimObject:
 
 
 def _speed(case: Case) -> Json:
-    """The node of the cell as fast as it can with its camera at 30 Hz, by its own reports."""
+    """The node of the cell at full speed with its camera at 30 Hz, by its own reports."""
     try:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
     except ImportError as error:
-        raise InputError(f"The speed of the cell is that of its node, which needs ROS ({error}); leave the variant out.") from None
+        raise InputError(f"The speed of the cell is that of its node, which needs ROS ({error}); run without this variant.") from None
 
-    # Apart from other cells and from other cases of this run.
+    # A domain of its own, separate from other cells and other cases of this run.
     domain = str(1 + os.getpid() % 100)
     parameters = {"object": case.object_name, "seed": case.model, "camera_rate": _CAMERA_RATE, "real_time_factor": 0.0}
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args"]
@@ -240,7 +241,7 @@ def _speed(case: Case) -> Json:
     }
 
 
-# --- what comes of it ----------------------------------------------------------------------------------------------------
+# --- results ----------------------------------------------------------------------------------------------------
 
 
 def _rounded(values: Sequence[float] | FloatArray) -> list[float]:
@@ -309,7 +310,7 @@ def _tables(summary: Json) -> str:
         ]
         parts.append(markdown_table(head, rows))
     if "one_cell" in summary:
-        head = ["changed: median over pushes", "pushes", "end moves [mm]", "[deg]", "model apart [mm]", "[deg]"]
+        head = ["changed: median over pushes", "pushes", "end moves [mm]", "[deg]", "model error [mm]", "[deg]"]
         head += ["90 % [mm]", "[deg]"]
         rows = []
         for name, own in summary["one_cell"].items():
@@ -317,8 +318,8 @@ def _tables(summary: Json) -> str:
                 values = np.array(own[what])
                 middle, high = np.median(values[:, :4], axis=0), np.quantile(values[:, 2:4], 0.9, axis=0)
                 moved = [f"{1e3 * middle[0]:.2f}", f"{np.degrees(middle[1]):.2f}"]
-                apart = [number for mm, rad in (middle[2:], high) for number in (f"{1e3 * mm:.3f}", f"{np.degrees(rad):.3f}")]
-                rows.append([f"{name}: {what}", str(len(values)), *moved, *apart])
+                errors = [number for mm, rad in (middle[2:], high) for number in (f"{1e3 * mm:.3f}", f"{np.degrees(rad):.3f}")]
+                rows.append([f"{name}: {what}", str(len(values)), *moved, *errors])
         parts.append(markdown_table(head, rows))
     if "directions" in summary:
         own = summary["directions"]
@@ -326,9 +327,9 @@ def _tables(summary: Json) -> str:
         head = ["a disc in 12 directions, against theory", "discs", "mean", "lowest", "highest"]
         rows = [
             [what, str(own["discs"]), f"{v.mean():.4f}", f"{v.min():.4f}", f"{v.max():.4f}"]
-            for what, v in (("way of sliding", slide), ("force of a push", force))
+            for what, v in (("sliding distance", slide), ("force of a push", force))
         ]
-        worst = f"Largest way aside {1e3 * max(own['aside_m']):.3f} mm, largest turn {np.degrees(max(own['turn_rad'])):.3f} degrees."
+        worst = f"Largest sideways motion {1e3 * max(own['aside_m']):.3f} mm, largest turn {np.degrees(max(own['turn_rad'])):.3f} degrees."
         parts.append(markdown_table(head, rows) + "\n\n" + worst)
     if "speed" in summary:
         used = sorted({part for own in summary["speed"].values() for part in own["processor"]})
@@ -357,14 +358,14 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     one_cell.set_xlabel("end moves by [mm], x and y: planar model")
     one_cell.set_ylabel("the same in Bullet [mm]")
     angle = 360.0 * np.arange(_N_DIRECTIONS) / _N_DIRECTIONS
-    for key, label, marker in (("slide_ratio", "way of sliding", "."), ("force_ratio", "force of a push", "+")):
+    for key, label, marker in (("slide_ratio", "sliding distance", "."), ("force_ratio", "force of a push", "+")):
         for i, ratios in enumerate(summary.get("directions", {}).get(key, [])):
-            off = 100.0 * (np.array(ratios) - 1.0)
-            round_about.plot(angle, off, marker, color=f"C{key == 'force_ratio':d}", markersize=5, label=label if i == 0 else None)
+            difference = 100.0 * (np.array(ratios) - 1.0)
+            round_about.plot(angle, difference, marker, color=f"C{key == 'force_ratio':d}", markersize=5, label=label if i == 0 else None)
     round_about.axhline(0.0, color="black", linewidth=0.8)
     round_about.set_ylim(-1.0, 1.0)
     round_about.set_xlabel("direction on the table [deg]")
-    round_about.set_ylabel("disc: off theory by [%]")
+    round_about.set_ylabel("disc: difference to theory [%]")
     for ax in axes:
         ax.grid(alpha=0.3)
         if ax.get_legend_handles_labels()[0]:
@@ -376,15 +377,16 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     }
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="cell",
-    title="What the simulated cell does",
+    place=90,
+    title="Checks of the simulated cell",
     question=(
-        "Loads: the table's force on each cell at each time step of four random pushes, against the weight of the cell. One cell: the same "
-        "pushes with the friction coefficient of one cell raised by 1, or its mass by 0.1 kg; by how much the end of the push moves, and "
-        "how far the planar model is off in that; `nothing` are the pushes themselves. Directions: a uniform disc of random mass and "
-        "friction slides to rest from 0.4 m/s, and is pushed through its middle. Speed: the node of the cell with arm and camera, as fast "
-        "as it can; a busy machine makes the factor smaller, not the seconds of the processor."
+        "Loads: the table's force on each cell at each time step of four random pushes, against the weight of the cell. One cell: the "
+        "same pushes with the friction coefficient of one cell raised by 1, or its mass by 0.1 kg; the displacement of the end of the "
+        "push, and the error of the planar model in it; `nothing` are the pushes without a change. Directions: a uniform disc of "
+        "random mass and friction slides to rest from 0.4 m/s, and is pushed through its middle. Speed: the node of the cell with arm "
+        "and camera, at full speed; other load on the machine reduces the factor, not the processor seconds."
     ),
     variants=("loads", "one-cell", "directions", "speed"),
     once=("speed",),

@@ -1,4 +1,4 @@
-"""The arm as it stands before the camera while it pushes: its links for the renderer, and what perception is told of them."""
+"""The arm in the view of the camera while it pushes: its links for the renderer, and as perception gets them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOTION: Final = MotionSettings(home=(1.4, *HOME[1:]))
 _DEFAULT: Final[dict[str, Any]] = {row.name: row.default for row in PARAMETERS}
 _SETTINGS: Final = PerceptionSettings()
 _STEP: Final = 5e-4
-"""By which the pusher is brought to the outline [m]."""
+"""Step in which the pusher approaches the outline [m]."""
 
 
 class ArmInView:
@@ -70,14 +70,14 @@ class ArmInView:
         q, converged = self._kinematics.inverse(point, start, x_axis=x_axis, posture_gain=posture_gain)
         if not converged:
             where = ", ".join(f"{v:.3f}" for v in point)
-            raise PlanningError(PushCode.UNREACHABLE, f"the arm that should stand in the picture cannot reach ({where}) m.")
+            raise PlanningError(PushCode.UNREACHABLE, f"the arm in the picture cannot reach ({where}) m.")
         return q
 
 
 def first_touch(outline: Float64Array, pose: Float64Array, change: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Where a pusher that makes an object move by `change` (x, y, yaw) touches it first.
 
-    It comes along the way of the object's middle, beside the middle on the side that turns the object so.
+    It moves parallel to the path of the object's middle, on the side of it that gives the turn.
 
     Returns:
         Its axis at that moment and its heading as a unit vector, each of shape (2,), `table` frame.
@@ -86,9 +86,9 @@ def first_touch(outline: Float64Array, pose: Float64Array, change: Float64Array)
     left = np.array([-heading[1], heading[0]])
     corners = transform_points(pose, outline)
     aside = (corners - pose[:2]) @ left
-    # Half of the way to the edge: a push at the very edge would slip off.
+    # Halfway to the edge: a push at the edge would slip off.
     beside = pose[:2] + 0.5 * (aside.min() if change[2] > 0 else aside.max()) * left
     far = float(np.max(np.linalg.norm(corners - pose[:2], axis=1))) + PUSHER_RADIUS
-    way = beside - np.arange(far, -far, -_STEP)[:, None] * heading
-    touching = signed_distance(way, corners) <= PUSHER_RADIUS
-    return way[int(np.argmax(touching))], heading
+    path = beside - np.arange(far, -far, -_STEP)[:, None] * heading
+    touching = signed_distance(path, corners) <= PUSHER_RADIUS
+    return path[int(np.argmax(touching))], heading

@@ -1,16 +1,15 @@
-"""What a benchmark is: pieces that are measured each in a fresh process, a summary, targets, tables and pictures of the summary."""
+"""What a benchmark is: pieces that are each measured in a fresh process, a summary, targets, tables and pictures of the summary."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Benchmark", "Json", "Piece", "Settings", "Target"]
+from push_ident_sim.studies.common.base import Json, Study
 
-Json = dict[str, Any]
-"""What `json` can write; lengths in metres, times in seconds."""
+__all__ = ["Benchmark", "Piece", "Settings", "Target"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +26,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A part of a benchmark. What is compared with each other is measured in one piece, by turns."""
+    """A part of a benchmark. Measurements that are compared belong to one piece and take turns."""
 
     label: str
     measure: Callable[..., Json]
@@ -37,7 +36,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What was aimed at, and what came out."""
+    """An aim and the measurement."""
 
     what: str
     aim: str
@@ -45,21 +44,11 @@ class Target:
     met: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Benchmark:
-    """One benchmark. Targets, tables and pictures are made of the summary alone, so that they can be made again from its file."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Benchmark(Study):
+    """One benchmark; `summarise` gets the results of the pieces, in their order."""
 
-    name: str
-    title: str
-    question: str
-    """What is measured and how: a paragraph for the reader of the report."""
     pieces: Callable[[Settings], list[Piece]]
-    summarise: Callable[[Sequence[Json]], Json]
-    """Results of the pieces, in their order."""
     targets: Callable[[Json], list[Target]]
-    tables: Callable[[Json], str]
-    """Markdown of a summary."""
-    draw: Callable[[Json, Path], dict[str, str]]
-    """Write pictures of a summary into a folder: file names and captions."""
     jobs: int = 1
     """Pieces measured side by side."""

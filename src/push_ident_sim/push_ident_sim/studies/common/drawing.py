@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +30,21 @@ __all__ = [
     "save",
 ]
 
-COLOURS = {
-    "gauss_newton": "#0072b2",
-    "fast_gradient": "#d55e00",
-    "autograd": "#009e73",
-    "finite_differences": "#cc79a7",
-    "random_search": "#7f7f7f",
-    "weighted_sampling": "#b8860b",
-    "scalar": "#9a9a9a",
-    "uniform": "#c9c9c9",
-    "truth": "#000000",
-}
-"""The same method has the same colour in all pictures; apart for readers who do not tell red from green."""
+COLOURS: Final = defaultdict(
+    lambda: "#56b4e9",
+    {
+        "gauss_newton": "#0072b2",
+        "fast_gradient": "#d55e00",
+        "autograd": "#009e73",
+        "finite_differences": "#cc79a7",
+        "random_search": "#7f7f7f",
+        "weighted_sampling": "#b8860b",
+        "scalar": "#9a9a9a",
+        "uniform": "#c9c9c9",
+        "truth": "#000000",
+    },
+)
+"""Each solver has one colour in all pictures, distinct for readers with red-green blindness; solvers without an entry share one."""
 
 
 def new_figure(columns: int, rows: int = 1, width: float = 4.6, height: float = 3.8) -> tuple[Figure, list[Axes]]:

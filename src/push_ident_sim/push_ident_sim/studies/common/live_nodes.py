@@ -1,4 +1,4 @@
-"""Identification and a bag player as processes of their own, and an observer that hears what identification publishes."""
+"""Identification and a bag player as processes of their own, and an observer of what identification publishes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ PLAYER: Final = "bag_player_node"
 PERCEPTION: Final = "perception_node"
 _POLL: Final = 0.02
 _LOOK: Final = 0.05
-"""[s] between two looks whether the observer should end."""
+"""Period at which the observer checks whether it should end [s]."""
 
 
 class NodeProcess:
@@ -68,10 +68,12 @@ class NodeProcess:
 
     @property
     def pid(self) -> int:
+        """Of the process."""
         return self._popen.pid
 
     @property
     def runs(self) -> bool:
+        """Whether the process still runs."""
         return self._popen.poll() is None
 
     @property
@@ -86,21 +88,21 @@ class NodeProcess:
             raise PushIdentError(f"{self.name} ended with exit code {code}: {' / '.join(self.output.splitlines()[-3:])}")
 
     def kill(self) -> None:
-        """End it without a word, as a crash does."""
+        """Kill it, as a crash does."""
         if self.runs:
             os.killpg(self.pid, signal.SIGKILL)
         self._popen.wait()
 
     def interrupt(self, patience: float = 5.0) -> tuple[int, float]:
-        """Ctrl-C: exit code, and how long the end took [s]; killed after `patience` [s]."""
-        asked = time.monotonic()
+        """Ctrl-C: exit code and time to the end [s]; killed after `patience` [s]."""
+        requested = time.monotonic()
         if self.runs:
             os.killpg(self.pid, signal.SIGINT)
         try:
             self._popen.wait(patience)
         except subprocess.TimeoutExpired:
             self.kill()
-        return int(self._popen.returncode), time.monotonic() - asked
+        return int(self._popen.returncode), time.monotonic() - requested
 
     def __enter__(self) -> NodeProcess:
         return self
@@ -110,7 +112,7 @@ class NodeProcess:
 
 
 class Observer(Node):
-    """Keeps what identification says. Times of arrival: `time.monotonic` [s]."""
+    """Records what identification publishes. Times of arrival: `time.monotonic` [s]."""
 
     def __init__(self, context: Context, object_id: str) -> None:
         super().__init__("live_observer", context=context)
@@ -150,12 +152,12 @@ class Observer(Node):
 
 
 def microseconds(stamp: Time) -> int:
-    """A stamp as a whole number: finer digits do not survive in seconds."""
+    """A stamp as a whole number: seconds as a float do not keep finer digits."""
     return 10**6 * int(stamp.sec) + round(stamp.nanosec / 1000)
 
 
 def own_domain() -> int:
-    """A ROS domain at random, so that nothing else on this machine is heard."""
+    """A ROS domain at random, so that no other process on this machine is on it."""
     return random.SystemRandom().randint(1, 100)
 
 
@@ -171,17 +173,17 @@ def observer(domain: int, object_id: str, node: type[Observer] = Observer, **arg
         while not stop.is_set():
             executor.spin_once(timeout_sec=_LOOK)
 
-    seen = node(context, object_id, **arguments)
-    executor.add_node(seen)
+    observer = node(context, object_id, **arguments)
+    executor.add_node(observer)
     thread = threading.Thread(target=spin, daemon=True)
     thread.start()
     try:
-        yield seen
+        yield observer
     finally:
         stop.set()
         thread.join(timeout=2.0)
         executor.shutdown(timeout_sec=0.5)
-        seen.destroy_node()
+        observer.destroy_node()
         context.try_shutdown()
 
 

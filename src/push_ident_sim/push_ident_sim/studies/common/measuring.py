@@ -1,4 +1,4 @@
-"""Measures that experiments share: errors on unseen pushes, learning curves, means with their uncertainty."""
+"""Measures that experiments share: errors on held-out pushes, learning curves, means with their uncertainty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from push_ident.identification.result import Checkpoint, Identification
 from push_ident.types import ObjectModel, PushRecord
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import true_model
-from push_ident_sim.studies.common.experiment import CaseResult, CaseSettings, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.experiment import CaseResult, CaseSettings
 
 __all__ = ["MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "history_with_end", "learning_curve", "micrometres", "pooled"]
 
@@ -33,7 +34,7 @@ def micrometres(values: ArrayLike) -> list[float | None]:
 def fit_errors(
     train: Sequence[PushRecord], test: Sequence[PushRecord], thing: SimObject, method: str, settings: CaseSettings
 ) -> tuple[Identification, Json]:
-    """Identify from `train`; the cell errors of `MODELS` on each push of `test` [m], and what the solve took."""
+    """Identify from `train`; the cell errors of `MODELS` on each push of `test` [m], and time and simulations of the solve."""
     result = identify(train, method=method, budget=settings.budget)
     models = dict(zip(MODELS, (result.model, result.scalar, result.uniform, true_model(thing)), strict=True))
     values = {
@@ -63,13 +64,13 @@ def learning_curve(history: Sequence[Checkpoint], uniform: ObjectModel, test: Se
 
 
 def curve_on_grid(curve: Json, axis: str, grid: FloatArray) -> FloatArray:
-    """Error of the last point of a learning curve that had come when `axis` was at each value of `grid`."""
+    """Error of the last point of a learning curve at or before each value of `grid` of `axis`."""
     last = np.searchsorted(np.asarray(curve[axis]), grid, side="right") - 1
     return np.asarray(curve["error_m"], dtype=np.float64)[last]
 
 
 def grouped(results: Sequence[CaseResult], key: str) -> dict[Any, list[CaseResult]]:
-    """Results by an attribute of their cases, in the order in which its values come first."""
+    """Results by an attribute of their cases, in the order of first appearance."""
     groups: dict[Any, list[CaseResult]] = {}
     for result in results:
         groups.setdefault(getattr(result.case, key), []).append(result)

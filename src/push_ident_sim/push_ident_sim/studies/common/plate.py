@@ -27,11 +27,11 @@ _PUSHES = PushSettings(
     cone=float(np.radians(40.0)),
 )
 FRAMES = np.linspace(0.0, 1.0, 31)
-"""When the pose is asked for [s]: at the rate of a camera."""
+"""Times of the poses [s]: at the rate of a camera."""
 
 
 def plate(cells_along: int, seed: int) -> ObjectModel:
-    """`cells_along`² cells with wavy maps of mass and friction that depend on `seed` and on the place alone; 0.5 kg."""
+    """`cells_along`² cells with wavy maps of mass and friction that depend only on `seed` and on the place; 0.5 kg."""
     rng = np.random.default_rng(seed)
     size = _SIDE / cells_along
     along = (np.arange(cells_along) - (cells_along - 1) / 2) * size
@@ -64,8 +64,8 @@ def distance_to(target: Float64Array) -> PoseLoss:
     weight = np.array([1.0, 1.0, _LEVER**2])
 
     def loss(poses: Float64Array) -> tuple[float, Float64Array]:
-        off = poses - target
-        return 0.5 * float(np.sum(weight * off**2)), weight * off
+        error = poses - target
+        return 0.5 * float(np.sum(weight * error**2)), weight * error
 
     return loss
 
@@ -77,10 +77,10 @@ def plate_in_bullet(model: ObjectModel) -> SimObject:
 
 
 def record_of(motion: TrueMotion, model: ObjectModel, radius: float, noise: CameraNoise, rng: np.random.Generator) -> PushRecord:
-    """What a camera sees of a motion; before and after it everything stands still."""
+    """A camera's record of a motion; before and after it everything is at rest."""
     frames = np.arange(-noise.rest, motion.time[-1] + noise.rest, 1.0 / noise.rate)
     std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
-    seen = np.column_stack([np.interp(frames, motion.time, column) for column in motion.pose.T])
-    seen += std * rng.normal(size=seen.shape)
-    poses = PoseTrack(frames, seen, np.broadcast_to(np.diag(std**2), (len(frames), 3, 3)))
+    observed = np.column_stack([np.interp(frames, motion.time, column) for column in motion.pose.T])
+    observed += std * rng.normal(size=observed.shape)
+    poses = PoseTrack(frames, observed, np.broadcast_to(np.diag(std**2), (len(frames), 3, 3)))
     return PushRecord("plate", model.shape, poses, PusherPath(motion.time, motion.pusher, radius))

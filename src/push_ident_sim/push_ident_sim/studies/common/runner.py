@@ -1,11 +1,13 @@
-"""Run the cases of an experiment side by side; each leaves a file, so that a run that was cut off goes on where it stopped."""
+"""Run experiments and benchmarks in processes with one thread each.
+
+A case of an experiment leaves a file, so that an interrupted run continues where it stopped; the pieces of a benchmark are measured anew.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,18 +19,21 @@ from push_ident.identification.budget import Budget
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.objects import OBJECT_NAMES
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, truth_file
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Settings
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
+from push_ident_sim.studies.common.files import read_json, write_json
 from push_ident_sim.workers import describe_machine, single_threads
 
-__all__ = ["RunOptions", "run_experiment", "write_json"]
+__all__ = ["RunOptions", "run_benchmark", "run_experiment"]
 
 Progress = Callable[[str, int, int], None]
-"""Told what is under way, and how many of how many are done."""
+"""Called with the part in progress, the number of finished parts and the number of all."""
 
 _CORE = Path(push_ident.__file__).parent
-_OF_SUMMARIES = ("push_ident_sim.studies.common.drawing",)
-"""Modules that make nothing of a result but what is shown of it."""
-_Calls = list[tuple[Callable[..., Any], tuple[Any, ...]]]
+_PRESENTATION = ("push_ident_sim.studies.common.drawing",)
+"""Modules that only present results."""
+_Calls = Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +69,7 @@ class RunOptions:
 
 
 def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Progress | None = None) -> Json:
-    """Run every case that has no result yet, and sum up all of them.
+    """Run every case that has no result yet, and summarise all of them.
 
     Returns:
         What the run was (`experiment, objects, models, seed, max_seconds, machine`), the cases that failed (`failed`: case and error),
@@ -74,16 +79,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         InputError: no case gave a result, or a variant that the experiment does not have.
     """
     report = on_progress or (lambda what, done, total: None)
-    if unknown := [v for v in options.variants if v not in experiment.variants]:
-        raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
-    models = [(name, options.seed + i) for i in range(options.n_models) for name in options.objects]
-    cases = [
-        Case(name, model, variant)
-        for name, model in models
-        for variant in options.variants or experiment.variants
-        if (variant not in experiment.once or (name, model) == models[0])
-        and model - options.seed < experiment.fewer.get(variant, options.n_models)
-    ]
+    cases = _cases_of(experiment, options)
     settings = CaseSettings(
         options.truth_folder, Budget(max_seconds=options.max_seconds, processor_time=True), options.truth, options.noise, options.recordings
     )
@@ -93,19 +89,15 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
     sealed = experiment.prepare(cases, folder) if experiment.prepare else None
     missing = [case for case in cases if not files[case].exists()]
+    n_before = len(cases) - len(missing)
     jobs = 1 if experiment.one_at_a_time else options.jobs
     with single_threads(jobs) as pool:
-        unmade = [
-            (n, m) for n, m in models if experiment.needs_truth and not truth_file(options.truth_folder, n, m, options.truth).exists()
-        ]
-        calls: _Calls = [(generate_truth, (options.truth_folder, n, m, options.truth)) for n, m in unmade]
-        for done in _finished(pool, calls):
-            report("simulating pushes", done, len(calls))
+        truths = _missing_truths(options) if experiment.needs_truth else []
+        _run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
         calls = [(_run_case, (experiment.name, case, settings, files[case])) for case in missing]
-        report(experiment.name, len(cases) - len(missing), len(cases))
-        for done in _finished(pool, calls):
-            report(experiment.name, len(cases) - len(missing) + done, len(cases))
-    outcomes = {case: _read_json(files[case]) for case in cases}
+        report(experiment.name, n_before, len(cases))
+        _run_calls(pool, calls, lambda done, first: report(experiment.name, n_before + done, len(cases)))
+    outcomes = {case: read_json(files[case]) for case in cases}
     results = [CaseResult(case, outcome["values"]) for case, outcome in outcomes.items() if "values" in outcome]
     if not results:
         first = next(iter(outcomes.values()))["error"]
@@ -122,55 +114,88 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     }
 
 
-def _digest(experiment: Experiment, settings: CaseSettings) -> str:
-    """Of all that a result depends on but its case: the settings, and the code, also that which makes the ground truth.
+def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progress | None = None) -> Json:
+    """Measure every piece of a benchmark in a fresh process.
 
-    The stages of the core count whole, since some of their modules are found by name.
+    Returns:
+        What the run was (`benchmark, seed, quick, machine`), and the benchmark's `summary`.
+
+    Raises:
+        PushIdentError: a piece could not be measured.
+    """
+    report = on_progress or (lambda what, done, total: None)
+    machine, pieces = describe_machine(benchmark.jobs), benchmark.pieces(settings)
+    labels = [*(f"{benchmark.name}: {piece.label}" for piece in pieces), benchmark.name]
+    calls = [(piece.measure, piece.arguments) for piece in pieces]
+    with single_threads(benchmark.jobs, fresh=True) as pool:
+        results = _run_calls(pool, calls, lambda done, first: report(labels[first], done, len(pieces)))
+    machine["load_after"] = describe_machine(benchmark.jobs)["load"]
+    summary = benchmark.summarise(results)
+    return {"benchmark": benchmark.name, "seed": settings.seed, "quick": settings.quick, "machine": machine, "summary": summary}
+
+
+def _run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, int], None]) -> list[Any]:
+    """Run the calls side by side; their results in their order.
+
+    `report` gets the number of finished calls and the index of the first one that is not, at the start and each time one finishes.
+    """
+    futures: list[Future[Any]] = [pool.submit(function, *arguments) for function, arguments in calls]
+    pending = set(futures)
+    while pending:
+        report(len(futures) - len(pending), next(i for i, future in enumerate(futures) if future in pending))
+        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+        for future in finished:
+            future.result()
+    if futures:
+        report(len(futures), len(futures))
+    return [future.result() for future in futures]
+
+
+def _models(options: RunOptions) -> list[tuple[str, int]]:
+    """Objects and seeds of the ground truths."""
+    return [(name, options.seed + i) for i in range(options.n_models) for name in options.objects]
+
+
+def _cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
+    if unknown := [v for v in options.variants if v not in experiment.variants]:
+        raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
+    models = _models(options)
+    return [
+        Case(name, model, variant)
+        for name, model in models
+        for variant in options.variants or experiment.variants
+        if (variant not in experiment.once or (name, model) == models[0])
+        and model - options.seed < experiment.fewer.get(variant, options.n_models)
+    ]
+
+
+def _missing_truths(options: RunOptions) -> _Calls:
+    """Calls that simulate the ground-truth pushes that are not there."""
+    return [
+        (generate_truth, (options.truth_folder, name, model, options.truth))
+        for name, model in _models(options)
+        if not truth_file(options.truth_folder, name, model, options.truth).exists()
+    ]
+
+
+def _digest(experiment: Experiment, settings: CaseSettings) -> str:
+    """Hash of everything except the case that a result depends on: the settings and the code, that of the ground truth included.
+
+    The stages of the core count as a whole, since some of their modules are found by name.
     """
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
     if experiment.once:
         values.append({"recordings": str(settings.recordings.resolve())})
-    files = files_behind(Path(experiment.run.__code__.co_filename), _OF_SUMMARIES)
+    files = files_behind(Path(experiment.run.__code__.co_filename), _PRESENTATION)
     files |= {path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py")}
     return hashlib.sha256(f"{json.dumps(values, sort_keys=True)} {code_digest(files)}".encode()).hexdigest()[:10]
 
 
 def _run_case(name: str, case: Case, settings: CaseSettings, file: Path) -> None:
-    from push_ident_sim.studies import EXPERIMENTS
+    from push_ident_sim.studies.registry import EXPERIMENTS
 
     try:
         outcome: Json = {"case": asdict(case), "values": EXPERIMENTS[name].run(case, settings)}
     except PushIdentError as error:
         outcome = {"case": asdict(case), "error": str(error)}
     write_json(file, outcome)
-
-
-def _finished(pool: ProcessPoolExecutor, calls: _Calls) -> Iterator[int]:
-    """Run the calls; yields how many are done, each time one more is."""
-    pending: set[Future[Any]] = {pool.submit(function, *arguments) for function, arguments in calls}
-    count = 0
-    while pending:
-        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-        for future in finished:
-            future.result()
-            count += 1
-            yield count
-
-
-def write_json(path: Path, content: Json) -> None:
-    """Write whole or not at all. Raises PushIdentError where it cannot be written, ValueError for numbers that are not finite."""
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
-
-
-def _read_json(path: Path) -> Json:
-    try:
-        content: Json = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read the result {path}: {error}; delete it and run the experiment again.") from None
-    return content

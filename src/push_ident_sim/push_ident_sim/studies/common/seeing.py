@@ -1,4 +1,4 @@
-"""What perception makes of rendered frames of a known object: errors of outline, cells and poses against the truth."""
+"""Errors of perception on rendered frames of a known object: outline, cells and poses against the truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise, look_at
 from push_ident_sim.objects import make_object
 from push_ident_sim.studies.common.arm_in_view import ArmInView, first_touch
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["CAMERA_POSE", "RATE", "cover", "postures_of_pushes", "see_pushes", "views_of_pushes"]
 
@@ -36,18 +36,18 @@ _MOVING: Final = 16
 _AT_REST: Final = 8
 """Frames between two pushes."""
 _LOWERED: Final = 4
-"""Frames for which the tool waits where a push begins, and waited where the one before ended."""
+"""Frames for which the tool waits before and after a push."""
 _DRAWS: Final = 20
-"""Of pushes, until the arm can make them."""
+"""Draws of pushes, until the arm can make them."""
 _CLEARANCE: Final = 0.03
 """Travel of the pusher before it touches [m], as the cell pushes."""
 _FINE: Final = 5e-4
 """Edge of the grid on which areas are compared [m]."""
 _NO_PARTS: Final[tuple[RobotPart, ...]] = ()
 _RAISED: Final = 0.005
-"""What is that much nearer than what would lie behind it stands before it [m]."""
+"""A pixel that is nearer than the table behind it by more than this is occluded [m]."""
 _COVER_HEIGHT: Final = 0.25
-"""Of what hides a part of the object, above the table [m]: as a forearm is."""
+"""Height of the occluding surface above the table [m]: that of a forearm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,11 @@ def views_of_pushes(rng: np.random.Generator, n_rest: int = 20) -> list[_View]:
     pose = np.array([*rng.uniform(-0.08, 0.08, size=2), rng.uniform(-np.pi, np.pi)])
     poses, moving = [pose] * n_rest, [False] * n_rest
     for _ in range(_PUSHES):
-        # Towards the middle, more or less, so that the object stays on the table.
+        # Roughly towards the middle, so that the object stays on the table.
         heading = np.arctan2(-pose[1], -pose[0]) + rng.uniform(-1.0, 1.0)
-        way = rng.uniform(0.05, 0.10)
-        change = np.array([way * np.cos(heading), way * np.sin(heading), rng.uniform(-0.7, 0.7)])
-        # Speed as of a push: from rest to even and back to rest.
+        travel = rng.uniform(0.05, 0.10)
+        change = np.array([travel * np.cos(heading), travel * np.sin(heading), rng.uniform(-0.7, 0.7)])
+        # Speed of a push: from rest to a constant speed and back to rest.
         share = np.cumsum(np.sin(np.linspace(0.0, np.pi, _MOVING + 2)[1:-1]) ** 0.5)
         poses += [pose + change * s for s in share / share[-1]]
         moving += [True] * _MOVING
@@ -99,7 +99,7 @@ def cover(clear: NDArray[np.float32], empty: NDArray[np.float32], share: float, 
 
 
 def postures_of_pushes(arm: ArmInView, views: Sequence[_View], outline: Float64Array) -> list[Float64Array]:
-    """Posture of the arm [rad] in each view: its tool goes with the object while it moves and waits before and after, else it is parked.
+    """Posture of the arm [rad] in each view: its tool moves with the object and waits before and after; else it is parked.
 
     Args:
         outline: Of the object, shape (n, 2), object frame [m].
@@ -135,7 +135,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
 
     Args:
         hidden: Share of the object's pixels that is covered once the object is known.
-        with_arm: The arm that pushes is in the picture, and perception is told where it is, without error.
+        with_arm: The arm that pushes is in the picture; perception gets its true posture.
 
     Returns:
         `outline_m` (root mean square), `outline_95_m`, `grid_iou`, `occupancy_iou`, and per kind of frame (`rest`, `moving`) lists
@@ -162,19 +162,19 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
             covered = cover(depth, empty, hidden, rng)
         elif arm:
             covered, parts = camera.render(view.pose, arm.link_poses(postures[i])), arm.parts(postures[i])
-        seen = perception.observe(DepthFrame(view.stamp, noise.apply(covered.copy(), rng), camera.intrinsics), parts)
+        observed = perception.observe(DepthFrame(view.stamp, noise.apply(covered.copy(), rng), camera.intrinsics), parts)
         if shape is None:
-            occupancy = seen.occupancy or occupancy
-            if seen.new_shapes:
-                shape, at_first = seen.new_shapes["o1"], view.pose
+            occupancy = observed.occupancy or occupancy
+            if observed.new_shapes:
+                shape, at_first = observed.new_shapes["o1"], view.pose
                 offset = compose(inverse(view.pose), perception.first_pose("o1"))
             continue
         kind = kinds["moving" if view.moving else "rest"]
         on_object = depth < empty - _RAISED
         kind["hidden"].append(round(float(np.mean(covered[on_object] < depth[on_object] - _RAISED)), 4))
-        _note(kind, seen, compose(view.pose, offset))
+        _note(kind, observed, compose(view.pose, offset))
     if shape is None or occupancy is None:
-        raise PerceptionError(f"{object_name} {seed} was not taken in: {seen.why_no_pose()}.")
+        raise PerceptionError(f"{object_name} {seed} was not found: {observed.why_no_pose()}.")
     truth = transform_points(inverse(offset), thing.outline)
     distance = signed_distance(_dense(shape.outline), truth)
     area = _cells_of(transform_points(at_first, thing.outline), occupancy.origin, occupancy.resolution, occupancy.occupancy.shape)
@@ -197,8 +197,8 @@ def _rendered(camera: DepthCamera, views: list[_View]) -> Iterator[tuple[_View, 
         yield view, depth
 
 
-def _note(kind: Json, seen: Observation, expected: Float64Array) -> None:
-    known = next(known for known in seen.objects if known.object_id == "o1")
+def _note(kind: Json, observed: Observation, expected: Float64Array) -> None:
+    known = next(known for known in observed.objects if known.object_id == "o1")
     if known.status is not TrackStatus.TRACKED or known.pose is None or known.covariance is None:
         kind["not_tracked"] += 1
         return

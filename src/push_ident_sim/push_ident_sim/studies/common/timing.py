@@ -1,4 +1,4 @@
-"""Times of calls that are compared: taken by turns, as medians with their spread."""
+"""Times of calls that are compared: measured in turn, as medians with their spread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 def interleaved(
     calls: Mapping[Name, Callable[[], Result]], rounds: int, repeats: Mapping[Name, int] | None = None
 ) -> tuple[dict[Name, dict[str, Any]], dict[Name, Result]]:
-    """Time calls by turns, so that a slow spell of the machine meets all of them.
+    """Time calls in turn, so that a slow period of the machine affects all of them.
 
     The clock is the processor time of this process, on which other processes weigh less than on the wall clock.
 

@@ -1,4 +1,4 @@
-"""Error on unseen pushes against simulations and against time, for all six methods (Song & Boularias 2020, Fig. 3)."""
+"""Error on held-out pushes against simulations and against time, for all six methods (Song & Boularias 2020, Fig. 3)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from push_ident.identification.solvers import SOLVERS
 from push_ident_sim.recordings.truth import load_truth
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
     COLOURS,
     label_below,
@@ -19,18 +21,18 @@ from push_ident_sim.studies.common.drawing import (
     new_figure,
     save,
 )
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row, fit_errors, grouped, history_with_end, learning_curve
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
-_METHODS = ("gauss_newton", "fast_gradient", "autograd", "finite_differences", "random_search", "weighted_sampling")
+_METHODS = tuple(SOLVERS)
 _N_TRAIN = 4
 _AXES = {"n_simulations": "simulations of a push", "time_s": "time [s]"}
 _MOMENTS = (0.1, 1.0, 10.0, 30.0)
 """Seconds at which the table gives the error."""
 _PAPER_ERROR = 0.015
-"""What the paper reaches within 30 s [m]."""
+"""Error of the paper within 30 s [m]."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
@@ -90,7 +92,14 @@ def _tables(summary: Json) -> str:
         ]
         for method, own in summary["methods"].items()
     ]
-    head = ["mean cell error on unseen pushes [mm]", *moments, "at the end", "median solve [s]", "median simulations", "ended below 15 mm"]
+    head = [
+        "mean cell error on held-out pushes [mm]",
+        *moments,
+        "at the end",
+        "median solve [s]",
+        "median simulations",
+        "ended below 15 mm",
+    ]
     uniform, truth = (millimetres(summary[name]["mean_m"]) for name in ("uniform", "truth"))
     return markdown_table(head, rows) + f"\n\nEqual cells with nominal values: {uniform} mm. The true maps: {truth} mm."
 
@@ -114,18 +123,19 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
         ax.axhline(1e3 * _PAPER_ERROR, color=COLOURS["scalar"], linestyle="--", linewidth=1, label="paper, after 30 s")
         ax.set_xscale("log")
         ax.set_xlabel(label)
-        log_millimetres(ax, "mean cell error on unseen pushes [mm]", low=0.3, high=60.0)
+        log_millimetres(ax, "mean cell error on held-out pushes [mm]", low=0.3, high=60.0)
         label_below(ax, 3)
     save(figure, folder / "convergence.png")
     return {"convergence.png": "Mean over all objects and ground truths; bands from the 10 % to the 90 % quantile of the cases."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="convergence",
+    place=10,
     title="Convergence of the six methods",
     question=(
-        "How fast does the error on 12 unseen pushes fall while a method works on 4 training pushes? All methods have the same "
-        "budget, and at each moment the model that fits the training pushes best so far is tested. A simulation with its derivative "
+        "How fast does the error on 12 held-out pushes fall while a method works on 4 training pushes? All methods have the same "
+        "budget. At each moment the model with the best fit of the training pushes so far is tested. A simulation with its derivative "
         "counts as one."
     ),
     variants=_METHODS,

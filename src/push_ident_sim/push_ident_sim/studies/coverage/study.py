@@ -13,13 +13,16 @@ from scipy.special import gammainc
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.solvers import DEFAULT_SOLVER
+from push_ident.physics.scenario import PushScenario
 from push_ident.types import ObjectModel, PushRecord, SolveStatus
 from push_ident_sim.recordings.truth import load_truth, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import label_below, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import fit_errors, grouped
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 FloatArray = NDArray[np.float64]
 
@@ -44,9 +47,9 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
     _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
-    result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
+    result, values = fit_errors(train[:_N_TRAIN], test, thing, DEFAULT_SOLVER, settings)
     truth, posterior = true_model(thing), result.posterior
-    ends = [end for seen, true in zip(test, clean, strict=True) if (end := _end(posterior, seen, true))]
+    ends = [end for observed, true in zip(test, clean, strict=True) if (end := _end(posterior, observed, true))]
     samples = _samples(posterior, np.random.default_rng([case.model, 2]))
     pusher = posterior.pusher_friction
     distance = np.log(truth.pusher_friction / pusher.value) * pusher.value / pusher.std
@@ -63,38 +66,38 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     }
 
 
-def _end(posterior: ModelPosterior, seen: PushRecord, true: PushRecord) -> tuple[float, float, float] | None:
+def _end(posterior: ModelPosterior, observed: PushRecord, true: PushRecord) -> tuple[float, float, float] | None:
     """Level of the true end of a push in its prediction, and the expected and the actual cell error [m]; None without a prediction."""
-    start = observe_push(seen)
-    time = np.append(start.time, seen.poses.time[-1])
-    prediction = predict(posterior, seen.pusher, start.pose[0], time, first_covariance=start.first_covariance)
+    start = observe_push(observed)
+    time = np.append(start.time, observed.poses.time[-1])
+    prediction = predict(posterior, PushScenario(observed.pusher, start.pose[0], time), first_covariance=start.first_covariance)
     if prediction.status is SolveStatus.SIMULATION_FAILED:
         return None
     end = true.poses.pose[-1]
-    off = end - prediction.pose[-1]
-    level = _level(off @ np.linalg.solve(prediction.covariance[-1], off), 3)
-    return round(float(level), 4), round(prediction.cell_error_std, 6), round(cell_error(seen.shape.cells, prediction.pose[-1], end), 6)
+    error = end - prediction.pose[-1]
+    level = _level(error @ np.linalg.solve(prediction.covariance[-1], error), 3)
+    return round(float(level), 4), round(prediction.cell_error_std, 6), round(cell_error(observed.shape.cells, prediction.pose[-1], end), 6)
 
 
 def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
     z = rng.multivariate_normal(posterior.z, posterior.covariance, size=_N_SAMPLES, method="eigh")
-    return [posterior.parameters.model(row) for row in z]
+    return [posterior.unknowns.model(row) for row in z]
 
 
 def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
     centres = np.array([model.centre_of_friction for model in samples])
-    off = truth.centre_of_friction - centres.mean(axis=0)
-    return round(float(_level(off @ np.linalg.solve(np.cov(centres.T), off), 2)), 4)
+    error = truth.centre_of_friction - centres.mean(axis=0)
+    return round(float(_level(error @ np.linalg.solve(np.cov(centres.T), error), 2)), 4)
 
 
 def _cells(truth: ObjectModel, samples: Sequence[ObjectModel], posterior: ModelPosterior) -> list[float]:
-    """Levels of the cells' shares in the logarithm; a cell that bears nothing lies outside every region."""
+    """Levels of the cells' shares in the logarithm; a cell without load lies outside every region."""
     shares = np.log([model.mass * model.friction / np.mean(model.mass * model.friction) for model in samples])
-    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.parameters.map_remainder
+    left_out = (posterior.prior.mass_map_std**2 + posterior.prior.friction_map_std**2) * posterior.unknowns.map_remainder
     product = truth.mass * truth.friction
     with np.errstate(divide="ignore"):
-        off = np.log(product / product.mean()) - shares.mean(axis=0)
-    return np.round(_level(off**2 / (shares.var(axis=0) + left_out), 1), 4).tolist()
+        error = np.log(product / product.mean()) - shares.mean(axis=0)
+    return np.round(_level(error**2 / (shares.var(axis=0) + left_out), 1), 4).tolist()
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
@@ -155,15 +158,15 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"coverage.png": "Below the dotted line the stated uncertainty is too small, above it too large."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="coverage",
+    place=50,
     title="Is the stated uncertainty right?",
     question=(
-        "After 4 training pushes, how often does the truth lie within the 90 % region that the posterior states: of the end pose of an "
-        "unseen push (the true one, three dimensions), of the centre of friction, of the friction of the pusher, and of mass times "
-        "friction of each cell as a share of the mean cell? The regions of a cell are those of a logarithm, so that a cell that bears "
-        "nothing, as the handle of the wrench, lies outside all of them. Errors expected and found are root mean squares of the cell "
-        "error."
+        "After 4 training pushes, how often does the truth lie within the 90 % region of the posterior? Compared are the end pose of a "
+        "held-out push (the true one, three dimensions), the centre of friction, the friction of the pusher, and mass times friction "
+        "of each cell as a share of the mean cell. The regions of a cell are those of a logarithm, so that a cell without load, as in "
+        "the handle of the wrench, lies outside all of them. Expected and observed errors are root mean squares of the cell error."
     ),
     variants=("four-pushes",),
     run=_run,

@@ -1,4 +1,4 @@
-"""The compiled engine alone: time against the number of cells and the time step, memory, and the first call of a process."""
+"""The compiled engine: time against the number of cells and the time step, memory, and the first call of a process."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, compile_kernels, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings, Target
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Piece, Settings, Target
 from push_ident_sim.studies.common.drawing import markdown_table, millimetres, new_figure, save
 from push_ident_sim.studies.common.plate import FRAMES, distance_to, plate, plate_pushes
 from push_ident_sim.studies.common.timing import growth_exponent, interleaved, milliseconds, statistics
 
-__all__ = ["BENCHMARK"]
+__all__ = ["STUDY"]
 
 _CALLS = {"rollout": "#000000", "gradient": "#0072b2", "jacobian": "#d55e00"}
 _CELLS_ALONG = (4, 6, 10, 20, 32, 64, 100)
 _GROWTH_FROM = (100, 1000)
-"""Exponents are fitted from these numbers of cells on; below, what a step costs whatever the cells weighs more."""
+"""Exponents are fitted from these numbers of cells on; below, the cost of a step that does not depend on the cells is larger."""
 _MEMORY_CELLS_ALONG = (10, 200, 400)
 _LINEAR = 1.1
-"""Memory counts as linear in the cells up to this factor: it is handed out in pages."""
+"""Memory counts as linear in the cells up to this factor: the system allocates pages."""
 _STEPS = (1 / 60, 1 / 120, 1 / 240, 1 / 480, 1 / 960)
 _FINEST_STEP = 1 / 15360
 _STEP_CELLS_ALONG = 10
@@ -137,7 +138,7 @@ def _against_step(steps: Sequence[float], rounds: int, seed: int) -> Json:
 
 
 def _memory(cells_along: int, seed: int) -> Json:
-    """How far the peak of the memory rises over what a process holds that has loaded everything."""
+    """Rise of the peak of the memory above that of a process that has loaded everything."""
     model, push = plate(cells_along, seed), plate_pushes(1, seed)[0]
     compile_kernels()
     target = distance_to(simulate(plate(4, seed + 1), PushScenario(push, _AT_REST, FRAMES)).pose)
@@ -192,7 +193,7 @@ def _targets(summary: Json) -> list[Target]:
             of = f"growth of the time of the {what} from {least} to 10,000 cells, exponent"
             targets.append(Target(of, "≤ 1.05", f"{exponent:.2f}", exponent <= 1.05))
     if len(summary["memory"]) > 1:
-        # What a push of a hundred cells adds is less than a page or two: the two largest are compared.
+        # A push of a hundred cells adds less than a page or two: the two largest plates are compared.
         few, many = summary["memory"][-2:]
         for what in ("gradient", "jacobian"):
             growth = many[f"{what}_b"] / few[f"{what}_b"]
@@ -274,17 +275,18 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     errors.margins(x=0.15)
     errors.grid(alpha=0.3, which="both")
     save(figure, folder / "engine.png")
-    return {"engine.png": "Left: time against cells, medians and quartiles. Right: what a shorter time step buys."}
+    return {"engine.png": "Left: time against cells, medians and quartiles. Right: error against the time step."}
 
 
-BENCHMARK = Benchmark(
+STUDY = Benchmark(
     name="engine",
+    place=10,
     title="The compiled engine",
     question=(
-        f"One square plate cut into 16 to 10,000 cells, {_N_PUSHES} random pushes of 1 s each in 240 steps. The gradient is that of a loss "
-        "of 31 poses with respect to the mass and friction of every cell, by the adjoint method; the Jacobian that of the 31 poses with "
-        "respect to every cell. Per push: median (quartiles). Beside it how far the gradient is off central differences (relative, along a "
-        "random change of both maps), and how far the ends of the pushes are off those of the plate with the most cells."
+        f"One square plate cut into 16 to 10,000 cells, {_N_PUSHES} random pushes of 1 s each in 240 steps. The gradient is that of a "
+        "loss of 31 poses with respect to the mass and friction of every cell, by the adjoint method; the Jacobian that of the 31 "
+        "poses with respect to every cell. Per push: median (quartiles). Errors: of the gradient against central differences "
+        "(relative, along a random change of both maps), and of the ends of the pushes against those of the plate with the most cells."
     ),
     pieces=_pieces,
     summarise=_summarise,

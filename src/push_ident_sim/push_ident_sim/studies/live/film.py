@@ -1,4 +1,4 @@
-"""How long it takes from an image, and from the pose, to the map: camera here, perception and identification as processes of their own."""
+"""Time from an image, and from the pose, to the map: camera here, perception and identification as processes of their own."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import standing_tool
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.live_nodes import (
     IDENTIFICATION,
     PERCEPTION,
@@ -50,28 +50,28 @@ FloatArray = NDArray[np.float64]
 _Frame = tuple[Image, CameraInfo]
 
 _OBJECT: Final = "o1"
-"""As perception calls what it sees first."""
+"""Id that perception gives to the first object."""
 _N_PUSHES: Final = 12
 _CELLS: Final = 110
 _PAUSE: Final = 1.5
-"""At rest between two pushes, in which the estimate is polished [s]."""
+"""Rest between two pushes, in which the estimate is refined [s]."""
 _AT_REST: Final = 0.2
-"""The lowered tool stands for so long before and after each push [s]."""
+"""Time for which the lowered tool waits before and after each push [s]."""
 _N_STILL: Final = 5
-"""Different images of a rest; they take turns."""
+"""Number of different images of a rest, used in turn."""
 _TOOL_RATE: Final = 120.0
 _TIP_HEIGHT: Final = 0.012
 _BEGIN: Final = 1.0
 """First stamp [s]."""
 _PATIENCE: Final = 60.0
-"""Until the object is taken in [s]."""
+"""Longest time until the object is found [s]."""
 _WARM_UP: Final = 8.0
-"""From then to the first push: the processes load what they have compiled [s]."""
+"""From then to the first push: the processes load their compiled kernels [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """One push as the camera sees it; times from its start [s]."""
+    """One push in images; times from its start [s]."""
 
     time: FloatArray
     """Of the images, shape (n,)."""
@@ -84,7 +84,7 @@ class _Scene:
 
 
 class _Camera(Observer):
-    """Publishes what a camera and an arm would."""
+    """Publishes as a camera and an arm do."""
 
     def __init__(self, context: Context, object_id: str) -> None:
         super().__init__(context, object_id)
@@ -107,7 +107,7 @@ class _Camera(Observer):
     def show(self, frame: _Frame, stamp: float) -> None:
         """Wait for the moment and publish an image."""
         image, info = frame
-        # Whole milliseconds, so that the stamp comes back as it went.
+        # Whole milliseconds, so that the stamp returns unchanged.
         image.header.stamp = info.header.stamp = stamp_to_msg(round(stamp, 3))
         self._wait(stamp)
         self._infos.publish(info)
@@ -115,7 +115,7 @@ class _Camera(Observer):
         self._images.publish(image)
 
     def tell_tool(self, position: FloatArray, stamp: float) -> None:
-        """Wait for the moment and publish where the tool is."""
+        """Wait for the moment and publish the place of the tool."""
         msg = position_to_msg(stamp_to_msg(stamp), np.array([*position, _TIP_HEIGHT]))
         self._wait(stamp)
         self._tool.publish(msg)
@@ -129,7 +129,7 @@ def measure_live_latency(object_name: str, model: int) -> Json:
     """Twelve pushes before the camera.
 
     Returns:
-        `n_cells`; `delays` as of `delays`, for the way from pose to map and from image to map; the node's own numbers (`counts`); the
+        `n_cells`; `delays` as of `delays`, from pose to map and from image to map; the node's own numbers (`counts`); the
         processor load of each process (`load`), 1 being one core.
 
     Raises:
@@ -181,7 +181,7 @@ def delays(came: dict[int, float], mapped: dict[int, float], spans: Sequence[tup
         n_frames += len(frames) - touched
         values += [mapped[stamp] - came[stamp] for stamp in frames[touched:] if stamp in mapped]
     if not values:
-        raise PushIdentError("No frame of any push came out as a map; did the tool touch the object?")
+        raise PushIdentError("No frame of any push gave a map; did the tool touch the object?")
     return {
         "frames": n_frames,
         "with_map": len(values),
@@ -204,7 +204,7 @@ def _show_rest(camera: _Camera, still: Sequence[_Frame], *processes: NodeProcess
         if camera.count("shapes"):
             known_at = min(known_at, stamp)
         elif stamp > begin + _PATIENCE:
-            raise PushIdentError(f"The object was not taken in within {_PATIENCE:.0f} s; perception and identification must both run.")
+            raise PushIdentError(f"The object was not found within {_PATIENCE:.0f} s; perception and identification must both run.")
         if stamp > known_at + _WARM_UP:
             return
 
@@ -226,7 +226,7 @@ def _show_push(camera: _Camera, scene: _Scene) -> tuple[float, float]:
 
 
 def _film(thing: SimObject, seed: Sequence[int]) -> tuple[list[_Frame], list[_Scene]]:
-    """Images of the object at rest, and the pushes, each from where the one before left it."""
+    """Images of the object at rest, and the pushes, each from where the last one ended."""
     settings = TruthSettings(n_train=_N_PUSHES, n_test=0, pushes=PushSettings(pusher_radius=PUSHER_RADIUS))
     motions = make_pushes(thing, seed, settings, in_a_row=True)
     rng, camera, noise = np.random.default_rng([*seed, 1]), DepthCamera(thing, CAMERA_POSE), DepthNoise()

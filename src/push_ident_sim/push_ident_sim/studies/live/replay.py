@@ -1,4 +1,4 @@
-"""A bag through the live nodes: the same maps as offline at any speed, after any kill, and for as long as it lasts."""
+"""A bag through the live nodes: the same maps as offline at any speed, after any kill, and over an hour."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from push_ident.types import PushRecord
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.live_nodes import (
     IDENTIFICATION,
     PLAYER,
@@ -49,19 +49,19 @@ _N_PUSHES: Final = 8
 _N_KILLS: Final = 20
 _KILL_RATE: Final = 4.0
 _STARTUP: Final = 60.0
-"""Longest wait for the first word of a node [s]."""
+"""Longest wait for the first report of a node [s]."""
 _STILL: Final = 12
-"""Reports without change, one a second, after which nothing more is expected."""
+"""Number of reports without change, one a second, after which nothing more is expected."""
 _COUNTED: Final = {Role.POSE: "poses", Role.PUSHER: "pusher samples", Role.WRENCH: "wrenches"}
-"""What identification calls the messages that it takes in."""
+"""Names of the messages in the counters of identification."""
 _HANDLED: Final = ("pushes", "pushes known already", "pushes without contact", "pushes refused")
 _SOAK_SECONDS: Final = 3600.0
 """Of bag time."""
 _SOAK_RATE: Final = 5.0
 _SOAK_MOTIONS: Final = 40
-"""Different ones; they come again with other noise."""
+"""Number of different pushes; they are repeated with other noise."""
 _SAMPLING: Final = 5.0
-"""Between two looks at the memory [s]."""
+"""Period at which the memory is measured [s]."""
 _WARM_UP: Final = 0.1
 """Share of a soak that does not count for the growth."""
 
@@ -70,7 +70,7 @@ _WARM_UP: Final = 0.1
 
 
 def measure_replay(object_name: str, model: int) -> Json:
-    """Maps of one bag, played in real time and at full speed, against those of the library; and what became of its messages."""
+    """Maps of one bag, played in real time and at full speed, against those of the library; and what happened to its messages."""
     with tempfile.TemporaryDirectory(prefix="push_ident_live_") as name:
         folder = Path(name)
         bag = _recorded(folder, object_name, model)
@@ -124,12 +124,12 @@ def _played(bag: Path, folder: Path, object_id: str, rate: float, n_pushes: int)
     folder.mkdir(parents=True, exist_ok=True)
     domain = own_domain()
     both = commands(bag, {IDENTIFICATION: {"state_directory": str(folder)}, PLAYER: _playing(rate)})
-    with observer(domain, object_id) as seen, NodeProcess(both[IDENTIFICATION], folder / "node.log", domain) as node:
-        until(lambda: seen.reported, _STARTUP, "identification said nothing", node)
+    with observer(domain, object_id) as observed, NodeProcess(both[IDENTIFICATION], folder / "node.log", domain) as node:
+        until(lambda: observed.reported, _STARTUP, "identification reported nothing", node)
         with NodeProcess(both[PLAYER], folder / "player.log", domain) as player:
             until(lambda: not player.runs, 3600.0, "the bag was not played to its end", node, player)
-        _settle(seen, node, n_pushes)
-        counts = dict(seen.counts)
+        _settle(observed, node, n_pushes)
+        counts = dict(observed.counts)
         node.interrupt()
     state = folder / f"{object_id}.state.json"
     if not state.exists():
@@ -138,17 +138,17 @@ def _played(bag: Path, folder: Path, object_id: str, rate: float, n_pushes: int)
 
 
 def _playing(rate: float) -> dict[str, object]:
-    # The observer hears the poses, too: the player must wait for identification all the same.
+    # The observer subscribes to the poses as well: the player must still wait for identification.
     return {"rate": rate, "listeners": 2, "wait": _STARTUP}
 
 
-def _settle(seen: Observer, node: NodeProcess, n_pushes: int) -> None:
-    """Until all pushes are dealt with, or nothing changes any more."""
-    still, last, reported = 0, None, seen.reported
+def _settle(observed: Observer, node: NodeProcess, n_pushes: int) -> None:
+    """Wait until all pushes are processed, or nothing changes any more."""
+    still, last, reported = 0, None, observed.reported
     while still < _STILL:
-        until(lambda reported=reported: seen.reported > reported, 30.0, "identification went silent", node)  # type: ignore[misc]
-        reported = seen.reported
-        handled = [seen.count(name) for name in (*_HANDLED, "pushes waiting")]
+        until(lambda reported=reported: observed.reported > reported, 30.0, "identification stopped reporting", node)  # type: ignore[misc]
+        reported = observed.reported
+        handled = [observed.count(name) for name in (*_HANDLED, "pushes waiting")]
         if sum(handled[:-1]) >= n_pushes and handled[-1] == 0:
             return
         still, last = (still + 1 if handled == last else 0), handled
@@ -170,7 +170,7 @@ def measure_kills(object_name: str, model: int, n_kills: int = _N_KILLS) -> Json
         kills = []
         for number in range(n_kills):
             own = folder / f"kill-{number}"
-            # Moments of writing are rare: every other kill waits for the next one.
+            # Writing is rare: every other kill waits for the next one.
             kill = _kill(bag, own, object_name, float(rng.uniform(0.0, lasts)), in_writing=number % 2 == 1)
             state, _ = _played(bag, own, object_name, _KILL_RATE, len(records))
             posteriors = [load_state(path).state.posterior for path in (state, lived)]
@@ -189,10 +189,10 @@ def _kill(bag: Path, folder: Path, object_id: str, moment: float, *, in_writing:
     both = commands(bag, {IDENTIFICATION: {"state_directory": str(folder)}, PLAYER: _playing(_KILL_RATE)})
     state = folder / f"{object_id}.state.json"
     partial = state.with_name(state.name + ".part")
-    with observer(domain, object_id) as seen, NodeProcess(both[IDENTIFICATION], folder / "node.log", domain) as node:
-        until(lambda: seen.reported, _STARTUP, "identification said nothing", node)
+    with observer(domain, object_id) as observed, NodeProcess(both[IDENTIFICATION], folder / "node.log", domain) as node:
+        until(lambda: observed.reported, _STARTUP, "identification reported nothing", node)
         with NodeProcess(both[PLAYER], folder / "player.log", domain) as player:
-            until(lambda: seen.pose_at, _STARTUP, "no pose was played", node, player)
+            until(lambda: observed.pose_at, _STARTUP, "no pose was played", node, player)
             began = time.monotonic()
             time.sleep(moment)
             while in_writing and player.runs and not partial.exists():
@@ -236,10 +236,10 @@ def measure_soak(object_name: str, model: int) -> Json:
         parameters: dict[str, dict[str, object]] = {IDENTIFICATION: {"state_directory": str(folder)}, PLAYER: _playing(rate)}
         both = commands(bag, parameters)
         rows: list[tuple[float, ...]] = []
-        with observer(domain, object_name) as seen, NodeProcess(both[IDENTIFICATION], folder / "node.log", domain) as node:
-            until(lambda: seen.reported, _STARTUP, "identification said nothing", node)
+        with observer(domain, object_name) as observed, NodeProcess(both[IDENTIFICATION], folder / "node.log", domain) as node:
+            until(lambda: observed.reported, _STARTUP, "identification reported nothing", node)
             with NodeProcess(both[PLAYER], folder / "player.log", domain) as player:
-                until(lambda: seen.pose_at, _STARTUP, "no pose was played", node, player)
+                until(lambda: observed.pose_at, _STARTUP, "no pose was played", node, player)
                 began = time.monotonic()
                 while player.runs:
                     node.check()
@@ -247,13 +247,13 @@ def measure_soak(object_name: str, model: int) -> Json:
                         memory = resident_memory(node.pid), resident_memory(player.pid)
                     except (OSError, IndexError):
                         break  # The player has just ended.
-                    late = float(seen.counts.get("update latency, 99 % [s]", "nan"))
-                    rows.append((time.monotonic() - began, *memory, late, seen.count("pushes waiting")))
+                    late = float(observed.counts.get("update latency, 99 % [s]", "nan"))
+                    rows.append((time.monotonic() - began, *memory, late, observed.count("pushes waiting")))
                     time.sleep(_SAMPLING)
                 player.check()
                 played_in = time.monotonic() - began
-            _settle(seen, node, n_pushes)
-            counts = dict(seen.counts)
+            _settle(observed, node, n_pushes)
+            counts = dict(observed.counts)
             code, end = node.interrupt()
             output = node.output
         return _soaked(np.array(rows), rate) | {
@@ -279,10 +279,10 @@ def _long_bag(bag: Path, object_name: str, model: int, seconds: float) -> tuple[
     start, radius = 0.0, settings.pushes.pusher_radius
     while start < seconds:
         number = len(records)
-        seen = observe_motion(motions[number % len(motions)], radius, noise, np.random.default_rng([*own, number, 10]))
-        records.append(PushRecord(object_name, shape, *seen))
-        # As `write_records` sets them apart.
-        start += float(seen[1].time[-1]) + 2.0
+        observed = observe_motion(motions[number % len(motions)], radius, noise, np.random.default_rng([*own, number, 10]))
+        records.append(PushRecord(object_name, shape, *observed))
+        # The pause that `write_records` makes.
+        start += float(observed[1].time[-1]) + 2.0
     write_records(bag, records)
     return start, len(records)
 

@@ -1,4 +1,4 @@
-"""Whether live identification does what the library does: played, killed, beside a camera, and for an hour. Real processes, real DDS."""
+"""Whether live identification gives the results of the library: played, killed, beside a camera, and for an hour, with real processes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.live.film import measure_live_latency
 from push_ident_sim.studies.live.replay import measure_kills, measure_replay, measure_soak
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _MEASURES: Final = {
     "replay": measure_replay,
@@ -24,11 +25,11 @@ _MEASURES: Final = {
 }
 _MESSAGES: Final = ("poses", "pusher samples", "wrenches")
 _IN_TIME: Final = 2.0
-"""In which a node has to end [s]."""
+"""Longest time for a node to end [s]."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
-    # Ctrl-C ends a worker without a word; here it has to stop its processes first.
+    # Ctrl-C ends a worker silently; here it has to stop its processes first.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return _MEASURES[case.variant](case.object_name, case.model)
@@ -58,7 +59,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
 
 
 def lost(messages: Json, counts: Json) -> dict[str, int]:
-    """Messages of a bag that a node did not take in, by kind; negative where it took one twice."""
+    """Messages of a bag that a node did not process, by kind; negative where it processed one twice."""
     return {name: messages[name] - int(counts.get(name, 0)) for name in _MESSAGES}
 
 
@@ -72,10 +73,10 @@ def _replay_table(values: Json) -> str:
     rows = [[label, f"{d['deviations']:.3f}", f"{d['relative']:.1%}"] for label, d in values["differences"].items()]
     parts = [markdown_table(head, rows)]
     messages = values["messages"]
-    head = ["messages", "in the bag", *(f"taken in, {label.removeprefix('live, ')}" for label in values["runs"])]
+    head = ["messages", "in the bag", *(f"processed, {label.removeprefix('live, ')}" for label in values["runs"])]
     rows = [[name, str(messages[name]), *(run["counts"].get(name, "0") for run in values["runs"].values())] for name in _MESSAGES]
     rows.append(["pushes", str(values["n_pushes"]), *(run["counts"].get("pushes", "0") for run in values["runs"].values())])
-    for name in ("frames with an update of their own", "frames taken together with the next"):
+    for name in ("frames with an update of their own", "frames processed with the next"):
         key = "updates during a push" if "own" in name else "frames taken together"
         rows.append([name, "–", *(run["counts"].get(key, "0") for run in values["runs"].values())])
     return "\n\n".join([*parts, markdown_table(head, rows)])
@@ -85,9 +86,9 @@ def _kills_table(values: Json) -> str:
     rows = [
         ["kills, of these in the middle of a file", f"{values['n']}, {values['half_written']}"],
         ["maps equal to the bit", f"{values['equal']} of {values['n']}"],
-        ["state file equal to the byte's meaning", f"{values['same_file']} of {values['n']}"],
+        ["state file of equal content", f"{values['same_file']} of {values['n']}"],
         ["largest difference of a cell [standard deviations]", f"{values['most_deviations']:.3g}"],
-        ["half a file left at the end", str(values["left_behind"])],
+        ["partial files at the end", str(values["left_behind"])],
         ["values that differ", ", ".join(values["differing"]) or "none"],
     ]
     return markdown_table(["killed, started again, bag played from its start", ""], rows)
@@ -97,7 +98,7 @@ def _latency_table(values: Json) -> str:
     pose, image = values["from_pose"], values["from_image"]
     rows = [
         [label, *(f"{1e3 * own[key]:.1f}" for key in ("median_s", "p99_s", "worst_s")), f"{own['with_map']} of {own['frames']}"]
-        for label, own in (("pose to map, heard from outside", pose), ("image to map, heard from outside", image))
+        for label, own in (("pose to map, by an observer", pose), ("image to map, by an observer", image))
     ]
     counts = values["counts"]
     inside = [counts.get(f"update latency, {name} [s]") for name in ("median", "99 %")]
@@ -159,17 +160,18 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"live.png": "Delay of the maps during pushes (dotted: the time between two frames), and memory while a long bag is played."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="live",
+    place=80,
     title="Identification as a process",
     question=(
-        "Does the running node do what the library does, through kills, in time, and for long? All nodes are processes that talk by DDS. "
-        "`replay`: eight pushes with noisy poses, played in real time and as fast as it goes, against `push-ident identify`; so are the "
-        "same pushes, learned one by one by the library. `kills`: the node is killed at a random moment, every other time in the middle "
-        "of writing its state, and started again; the bag is played from its start. `latency`: twelve pushes before a rendered camera "
-        "(30 Hz, 640 x 480), perception and identification on the two cores that also play the camera; of the frames of a push from the "
-        "first that changes the map on. `soak`: one hour of pushes with the memory looked at each 5 s; growth "
-        f"is the median slope after the first tenth. A node has to end within {_IN_TIME:.0f} s."
+        "Does the running node give the results of the library after kills, in time, and over an hour? All nodes are processes "
+        "connected by DDS. `replay`: eight pushes with noisy poses, played in real time and as fast as possible, against `push-ident "
+        "identify`; the same pushes, learned one by one by the library, are compared as well. `kills`: the node is killed at a random "
+        "moment, every other time while it writes its state, and started again; the bag is played from its start. `latency`: twelve "
+        "pushes before a rendered camera (30 Hz, 640 x 480), perception and identification on the two cores that also run the camera; "
+        "measured from the first frame of a push that changes the map. `soak`: one hour of pushes with the memory measured each 5 s; "
+        f"growth is the median slope after the first tenth. A node has to end within {_IN_TIME:.0f} s."
     ),
     variants=tuple(_MEASURES),
     run=_run,

@@ -8,30 +8,32 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.types import ObjectModel
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import load_truth, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import draw_cells, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import fit_errors, grouped
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_TRAIN = 4
 
 
 def _shares(model: ObjectModel) -> NDArray[np.float64]:
-    """Mass times friction of each cell over the mean of all: what slow pushes can tell, whatever the object weighs."""
+    """Mass times friction of each cell over the mean of all: what slow pushes determine, independent of the weight of the object."""
     product = model.mass * model.friction
     return np.asarray(product / product.mean())
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
-    result, values = fit_errors(train[:_N_TRAIN], test, thing, "gauss_newton", settings)
+    result, values = fit_errors(train[:_N_TRAIN], test, thing, DEFAULT_SOLVER, settings)
     truth, learned, posterior = true_model(thing), result.model, result.posterior
     product, total = learned.mass * learned.friction, posterior.total_mass
-    # The deviation at a known total mass: the total is one factor of all cells, and poses leave it open.
+    # The deviation at a known total mass: the total is one factor of all cells, and poses do not determine it.
     deviation = np.sqrt(np.maximum((posterior.mass_friction_std / product) ** 2 - (total.std / total.value) ** 2, 0.0))
     true_share, share = _shares(truth), _shares(learned)
     centre = truth.centre_of_friction
@@ -72,9 +74,9 @@ def _tables(summary: Json) -> str:
         "correlation",
         "error of a cell's share",
         "of equal cells",
-        "centre of friction off by [mm]",
+        "error of the centre of friction [mm]",
         "of equal cells [mm]",
-        "pusher friction off by",
+        "error of the pusher friction",
     ]
     rows = []
     for name, own in summary["objects"].items():
@@ -116,13 +118,14 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     }
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="maps",
+    place=20,
     title="Maps of mass times friction",
     question=(
-        "Where does the model learned from 4 pushes put mass times friction? Maps are compared as shares (a cell over the mean of all "
-        "cells), since the poses of pushes leave the total weight open. The error of a share is the mean over the cells of its "
-        "distance to the truth."
+        "Where does the model learned from 4 pushes place mass times friction? Maps are compared as shares (a cell over the mean of "
+        "all cells), since the poses of pushes do not determine the total weight. The error of a share is the mean over the cells of "
+        "its distance to the truth."
     ),
     variants=("four-pushes",),
     run=_run,

@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.identification.budget import Budget
-from push_ident.identification.solvers import SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.physics.simulation import compile_kernels
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, load_truth
-from push_ident_sim.studies.common.benchmark import Benchmark, Json, Piece, Settings
+from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.benchmark import Benchmark, Piece, Settings
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, log_millimetres, markdown_table, millimetres, new_figure, save
 from push_ident_sim.studies.common.experiment import CaseSettings
 from push_ident_sim.studies.common.measuring import curve_on_grid, fit_errors, learning_curve
 
-__all__ = ["BENCHMARK"]
+__all__ = ["STUDY"]
 
 _N_TRAIN = 4
 _OBJECTS = ("hammer", "book")
@@ -83,11 +84,11 @@ def _tables(summary: Json) -> str:
     others = [
         [f"{race['object']}, {race['cells']} cells", *(millimetres(race[f"{model}_m"]) for model in ("uniform", "scalar", "truth"))]
         for race in races
-        if race["method"] == "gauss_newton"
+        if race["method"] == DEFAULT_SOLVER
     ]
     return "\n\n".join(
         [
-            f"{_N_TRAIN} training pushes, at most {races[0]['budget_s']:g} s; mean cell error on {races[0]['test_pushes']} unseen pushes:",
+            f"{_N_TRAIN} training pushes, at most {races[0]['budget_s']:g} s; mean cell error, {races[0]['test_pushes']} held-out pushes:",
             markdown_table(head, rows),
             markdown_table(["on the same pushes", "nominal values [mm]", "fitted scalars [mm]", "true maps [mm]"], others),
         ]
@@ -115,13 +116,15 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"methods.png": f"Error against time; a dot where a method first comes within {100 * _NEAR:.0f} % of its best."}
 
 
-BENCHMARK = Benchmark(
+STUDY = Benchmark(
     name="methods",
+    place=50,
     title="The six methods",
     question=(
-        "Two objects in PyBullet, seen as above. Times are of the solve alone, by the wall clock, two solves side by side, each with one "
-        "thread. The error is tested at up to 30 of the better points on the way and at the end; better is what fits the training pushes "
-        "better, which need not predict others better. One ground truth an object: `docs/experiments.md` has the averages over many."
+        "Two objects in PyBullet, observed as above. Times are those of the solve, by the wall clock, two solves side by side, each "
+        "with one thread. The error is tested at up to 30 of the better points during the solve and at the end; better means a better "
+        "fit of the training pushes, which need not predict others better. One ground truth an object: [Experiments](experiments.md) "
+        "has averages over many."
     ),
     pieces=_pieces,
     summarise=_summarise,

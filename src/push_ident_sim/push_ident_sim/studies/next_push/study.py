@@ -1,4 +1,4 @@
-"""Whether choosing the next push by what it tells beats pushing at random."""
+"""Whether choosing the next push by its expected gain is better than pushing at random."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.identification.next_push import Criterion, PlannedPush
-from push_ident.identification.push_study import Policy, choose_at_random, choose_by, learning_curve
+from push_ident.identification.push_study import CurveOptions, Policy, choose_at_random, choose_by, learning_curve
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.objects import OBJECT_NAMES, SimObject
 from push_ident_sim.recordings.truth import CameraNoise, load_truth, observe_motion, true_model
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, log_millimetres, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped, micrometres
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_PUSHES = 5
 _RANDOM, _CHOSEN = "random", "least-error"
 
 
 class _BulletObject:
-    """An object of the simulated cell, pushed in Bullet, seen with noise, and put back to the middle after each push."""
+    """An object of the simulated cell, pushed in Bullet, observed with noise, and put back to the middle after each push."""
 
     def __init__(self, thing: SimObject, radius: float, noise: CameraNoise, rng: np.random.Generator) -> None:
         self.shape: ObjectShape = true_model(thing).shape
@@ -54,7 +55,9 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     pushed = _BulletObject(thing, pushes.pusher_radius, settings.noise, np.random.default_rng([case.model, own, 3]))
     try:
         rng = np.random.default_rng([case.model, own, 4])
-        errors = learning_curve(pushed, _policy(case.variant, pushes), test, rng, push_settings=pushes, n_pushes=_N_PUSHES)
+        errors = learning_curve(
+            pushed, _policy(case.variant, pushes), test, rng, push_settings=pushes, options=CurveOptions(n_pushes=_N_PUSHES)
+        )
     finally:
         pushed.close()
     return {"errors_m": micrometres(errors)}
@@ -104,16 +107,17 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     log_millimetres(axes, "mean cell error on unseen pushes [mm]", low=0.5, high=20.0)
     label_below(axes, 2)
     save(figure, folder / "next-push.png")
-    return {"next-push.png": "Error on unseen pushes with every push after the first chosen, and random; bars are standard errors."}
+    return {"next-push.png": "Error on held-out pushes with every push after the first chosen, and random; bars are standard errors."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="next-push",
+    place=60,
     title="Choosing the next push",
     question=(
-        "Does it pay to choose pushes? The first push is random and the same for both; every further one is either random "
-        "or, among 100 safe candidates, the one after which the predictions of other pushes are expected to err least. The object is put "
-        "back after each push."
+        "Does it pay to choose pushes? The first push is random and the same for both policies. Every further one is either random or, "
+        "among 100 safe candidates, the one with the smallest expected error of predictions of other pushes. The object is put back "
+        "after each push."
     ),
     variants=(_RANDOM, _CHOSEN),
     run=_run,

@@ -1,4 +1,4 @@
-"""How fast an object is learned online, with nothing but the depth camera to see it."""
+"""How fast an object is learned online from depth images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from push_ident.errors import PerceptionError
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.identification.next_push import Criterion, PlannedPush, candidate_pushes
-from push_ident.identification.push_study import choose_at_random, choose_by, learning_curve
+from push_ident.identification.push_study import CurveOptions, choose_at_random, choose_by, learning_curve
 from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.tracking import TrackStatus
@@ -23,12 +23,13 @@ from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import standing_tool
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, log_millimetres, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped, micrometres
 from push_ident_sim.studies.common.seeing import CAMERA_POSE, RATE
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _RANDOM, _CHOSEN = "random", "chosen"
 _N_PUSHES: Final = 8
@@ -41,14 +42,14 @@ _REST: Final = 10
 _PATIENCE: Final = 60
 """Frames in which an object must be found."""
 _NEAR_EDGE: Final = 0.09
-"""An object further from the middle is put back [m]."""
+"""An object further from the middle than this is put back [m]."""
 _TURNED: Final = 0.5
-"""By how much a hand turns it at most [rad]."""
+"""Largest turn when it is put back by hand [rad]."""
 _PUSHES: Final = PushSettings(pusher_radius=PUSHER_RADIUS)
 
 
 class _FilmedObject:
-    """An object pushed in Bullet by a rod, of which nothing is known but what a depth camera sees."""
+    """An object pushed in Bullet by a rod and observed only by a depth camera."""
 
     def __init__(self, thing: SimObject, seed: Sequence[int]) -> None:
         self._rng = np.random.default_rng(seed)
@@ -58,14 +59,14 @@ class _FilmedObject:
         self._clock = 0.0
         self._true_pose = self._somewhere()
         for _ in range(_PATIENCE):
-            seen = self._look(self._true_pose, None)
-            if "o1" in seen:
+            found = self._look(self._true_pose, None)
+            if "o1" in found:
                 break
         else:
-            raise PerceptionError(f"The {thing.name} was not taken in within {_PATIENCE} frames.")
-        self.pose = seen["o1"][0]
+            raise PerceptionError(f"The {thing.name} was not found within {_PATIENCE} frames.")
+        self.pose = found["o1"][0]
         self.offset = compose(inverse(self._true_pose), self._perception.first_pose("o1"))
-        """Seen object frame in the true one."""
+        """Object frame of perception in the true one."""
 
     shape: ObjectShape
     pose: Float64Array
@@ -78,9 +79,9 @@ class _FilmedObject:
         for time in np.arange(-_REST, round(motion.time[-1] * RATE) + _REST) / RATE:
             tool = motion.pusher_at(time) if 0 <= time <= motion.time[-1] else None
             stamp = self._clock
-            seen = self._look(motion.pose_at(time), tool)
-            if "o1" in seen:
-                poses.append((stamp, *seen["o1"]))
+            found = self._look(motion.pose_at(time), tool)
+            if "o1" in found:
+                poses.append((stamp, *found["o1"]))
         self._true_pose = motion.pose[-1]
         time, pose, covariance = (np.array(column) for column in zip(*poses, strict=True))
         rest = np.array([begin - _REST / RATE, *(begin + motion.time), begin + motion.time[-1] + _REST / RATE])
@@ -92,7 +93,7 @@ class _FilmedObject:
         return record
 
     def unseen(self, n: int, rng: np.random.Generator) -> list[PushRecord]:
-        """Random pushes that are only tested on, with the true poses of the frame in which the object is known."""
+        """Random test pushes, with the true poses of the object frame of perception."""
         records = []
         for _ in range(n):
             start = np.array([*rng.uniform(-0.05, 0.05, size=2), rng.uniform(-np.pi, np.pi)])
@@ -110,7 +111,7 @@ class _FilmedObject:
         return PushRecord("o1", self.shape, PoseTrack(motion.time, pose, exact), PusherPath(motion.time, motion.reported, PUSHER_RADIUS))
 
     def _look(self, true_pose: Float64Array, tool: Float64Array | None) -> dict[str, tuple[Float64Array, Float64Array]]:
-        """One frame; pose and covariance of the objects that are seen."""
+        """One frame; pose and covariance of the objects that perception finds."""
         links = {} if tool is None else {"hand_pusher": standing_tool(tool)}
         robot = [] if tool is None else [Cylinder(float(tool[0]), float(tool[1]), PUSHER_RADIUS)]
         depth = self._noise.apply(self._camera.render(true_pose, links), self._rng)
@@ -125,9 +126,9 @@ class _FilmedObject:
         }
 
     def _put_back(self) -> None:
-        """As a person would: lifted, and put down near the middle without turning it round, where perception finds it again by itself.
+        """As a person does: lifted, and placed near the middle without turning it round, where perception has to find it again.
 
-        Turned round, a wrench or a box looks the same to a depth camera: nothing could tell.
+        After half a turn a wrench or a box looks the same to a depth camera.
         """
         away = np.array([5.0, 0.0, 0.0])
         for _ in range(_REST):
@@ -135,9 +136,9 @@ class _FilmedObject:
         yaw = self._true_pose[2] + self._rng.uniform(-_TURNED, _TURNED)
         self._true_pose = np.array([*self._somewhere()[:2], yaw])
         for _ in range(_PATIENCE):
-            seen = self._look(self._true_pose, None)
-            if "o1" in seen:
-                self.pose = seen["o1"][0]
+            found = self._look(self._true_pose, None)
+            if "o1" in found:
+                self.pose = found["o1"][0]
                 return
         raise PerceptionError(f"The object was not found again within {_PATIENCE} frames after it was put back.")
 
@@ -155,13 +156,14 @@ def _driven(path: PusherPath) -> PusherPath:
 def _run(case: Case, settings: CaseSettings) -> Json:
     own = [case.model, OBJECT_NAMES.index(case.object_name)]
     thing = make_object(case.object_name, case.model)
-    # Noise, unseen pushes and the first push are the same for both ways of choosing.
+    # Noise, test pushes and the first push are the same for both policies.
     filmed = _FilmedObject(thing, [*own, 5])
     try:
         test = filmed.unseen(_N_TEST, np.random.default_rng([*own, 6]))
         policy = choose_at_random if case.variant == _RANDOM else choose_by(Criterion.ERROR, _PUSHES)
         rng = np.random.default_rng([*own, 7])
-        errors = learning_curve(filmed, policy, test, rng, push_settings=_PUSHES, n_pushes=_N_PUSHES, n_candidates=60)
+        options = CurveOptions(n_pushes=_N_PUSHES, n_candidates=60)
+        errors = learning_curve(filmed, policy, test, rng, push_settings=_PUSHES, options=options)
     finally:
         filmed.close()
     return {"errors_m": micrometres(errors)}
@@ -208,17 +210,19 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     log_millimetres(axes, "mean cell error on unseen pushes [mm]", low=0.5, high=20.0)
     label_below(axes, 2)
     save(figure, folder / "online.png")
-    return {"online.png": "Error on unseen pushes by the number of pushes seen by the camera; bars are standard errors, dotted: 3 mm."}
+    return {"online.png": "Error on held-out pushes by the number of pushes; bars are standard errors, dotted: 3 mm."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="online",
-    title="Learning an object that only the camera sees",
+    place=70,
+    title="Learning an object online from depth images",
     question=(
-        "How soon is an object known when shape and poses come from depth images (30 Hz, 640 x 480, the noise of a real camera)? It is "
-        "taken in at rest, then pushed eight times from wherever it lies, put back by hand when it nears the edge; each push is learned "
-        "from as the node does it. `random`: any safe push. `chosen`: after the first, of 60 safe ones the push that is expected to help "
-        f"most. The errors are those on {_N_TEST} other random pushes, the same for both, whose true motion is known."
+        "How many pushes does it take to learn an object when shape and poses come from depth images (30 Hz, 640 x 480, the noise of a "
+        "real camera)? Perception segments it at rest. Then it is pushed eight times from where it lies, and put back by hand when it "
+        "nears the edge; each push is learned as the node does it. `random`: any safe push. `chosen`: after the first, the one of 60 "
+        f"safe pushes with the smallest expected error. The errors are those on {_N_TEST} other random pushes, the same for both, whose "
+        "true motion is known."
     ),
     variants=(_RANDOM, _CHOSEN),
     run=_run,

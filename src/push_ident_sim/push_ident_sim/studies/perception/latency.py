@@ -2,7 +2,7 @@
 
 This process plays a camera: rendered frames of a sliding object, 640 x 480 at 30 Hz, with time stamps. `perception_node` runs as a
 process of its own, held to one core. The clock starts before an image is published and stops when the pose with its stamp arrives
-here, so that transport both ways is in it.
+here, so that it includes transport in both directions.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from push_ident.nodes.convert import depth_frame_to_msgs, stamp_from_msg, stamp_
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise
 from push_ident_sim.objects import make_object
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.live_nodes import processor_time
 from push_ident_sim.studies.common.seeing import CAMERA_POSE, RATE, views_of_pushes
 
@@ -44,7 +44,7 @@ _PATIENCE: Final = 20.0
 
 
 class _Player(Node):
-    """Publishes frames forwards and backwards at the camera's rate; keeps when the poses came."""
+    """Publishes frames forwards and backwards at the camera's rate; records when the poses arrive."""
 
     def __init__(self, context: Context, frames: list[tuple[Image, CameraInfo]]) -> None:
         super().__init__("latency_player", context=context)
@@ -59,7 +59,7 @@ class _Player(Node):
 
     def send(self, number: int) -> None:
         image, info = self._frames[number % len(self._frames)]
-        # Whole milliseconds, so that the stamp comes back as it went.
+        # Whole milliseconds, so that the stamp returns unchanged.
         stamp = stamp_to_msg(1.0 + round(1000 * number / RATE) / 1000)
         image.header.stamp = info.header.stamp = stamp
         self._infos.publish(info)
@@ -125,7 +125,7 @@ def _measured(player: _Player, pid: int, n_frames: int) -> Json:
             first_pose_at = number
         if first_pose_at is None and time.perf_counter() - start > _PATIENCE:
             raise PerceptionError(
-                f"No pose within {_PATIENCE:.0f} s of images; perception says: {player.said.get('why_nothing', 'nothing')}."
+                f"No pose within {_PATIENCE:.0f} s of images; perception reports: {player.said.get('why_nothing', 'nothing')}."
             )
         if first_pose_at is not None and number == first_pose_at + _WARM_UP:
             cpu_at_start = processor_time(pid)

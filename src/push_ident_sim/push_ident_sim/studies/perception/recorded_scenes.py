@@ -22,18 +22,18 @@ from push_ident.perception.labels import label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame
-from push_ident_sim.studies.common.experiment import Json
+from push_ident_sim.studies.common.base import Json
 
 __all__ = ["Scene", "find_objects", "picture_of", "read_scene", "scene_files"]
 
 _TABLE_LABEL: Final = 1
 _SURFACES: Final = 10
 _TALLEST: Final = 0.5
-"""Objects of these scenes are up to so high [m]; there is no robot in them."""
+"""Largest height of objects in these scenes [m]; they contain no robot."""
 _AROUND: Final = 0.3
-"""Looked at beside the table [m]."""
+"""Margin around the table that is searched [m]."""
 _CELL: Final = 0.005
-"""Edge of a cell of the masks seen from above [m]: pixels are up to 3 mm apart."""
+"""Edge of a cell of the masks in the view from above [m]: pixels are up to 3 mm apart."""
 _FOUND: Final = 0.5
 """Overlap from which an object counts as found."""
 
@@ -124,13 +124,13 @@ def _from_above(points: NDArray[np.float32], reach: NDArray[np.float64]) -> Bool
 
 
 def _intrinsics(points: NDArray[np.float64], depth: NDArray[np.float32]) -> CameraIntrinsics:
-    """Least squares of u = f x/z + c over the pixels that see something, and the same for v."""
+    """Least squares of u = f x/z + c over the pixels with a measurement, and the same for v."""
     height, width = depth.shape
-    seen = np.isfinite(depth)
-    v, u = np.nonzero(seen)
+    measured = np.isfinite(depth)
+    v, u = np.nonzero(measured)
     lines = []
     for pixel, side in ((u, 0), (v, 1)):
-        ratio = points[..., side][seen] / points[..., 2][seen]
+        ratio = points[..., side][measured] / points[..., 2][measured]
         lines.append(np.polyfit(ratio, pixel, 1))
     (fx, cx), (fy, cy) = lines
     return CameraIntrinsics(width, height, float(fx), float(fy), float(cx), float(cy))

@@ -1,4 +1,4 @@
-"""How well and how fast objects are seen: shapes and poses on the simulated camera, recorded scenes, and the delay of the node."""
+"""Errors and times of perception: shapes and poses on the simulated camera, recorded scenes, and the delay of the node."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ import cv2
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped
 from push_ident_sim.studies.common.seeing import see_pushes
 from push_ident_sim.studies.perception.latency import measure_latency
 from push_ident_sim.studies.perception.recorded_scenes import find_objects, picture_of, read_scene, scene_files
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _VIEWS: Final[dict[str, dict[str, Any]]] = {"clear": {}, "hidden": {"hidden": 0.4}, "arm": {"with_arm": True}}
-"""What stands before the object, by variant."""
+"""What occludes the object, by variant."""
 _LABELS: Final = {"clear": "", "hidden": "40 % hidden, ", "arm": "behind the arm, "}
 _NOMINAL: Final = 0.9
 _REGION: Final = 6.2514
@@ -52,7 +53,7 @@ def _recorded(folder: Path) -> Json:
 
 
 def _encoded(picture: np.ndarray) -> str:  # type: ignore[type-arg]
-    """As a small JPEG in text, since pictures are made of the summary alone."""
+    """As a small JPEG in text, since pictures are made from the summary."""
     height = round(picture.shape[0] * _PICTURE_WIDTH / picture.shape[1])
     small = cv2.resize(picture, (_PICTURE_WIDTH, height), interpolation=cv2.INTER_AREA)
     return base64.b64encode(cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()).decode("ascii")
@@ -60,9 +61,9 @@ def _encoded(picture: np.ndarray) -> str:  # type: ignore[type-arg]
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
     by_variant = grouped(results, "variant")
-    seen = [result for variant in _VIEWS for result in by_variant.get(variant, [])]
+    rendered = [result for variant in _VIEWS for result in by_variant.get(variant, [])]
     summary: Json = {"objects": {}, "coverage": {}}
-    for name, own in [*grouped(seen, "object_name").items(), *([("all", seen)] if seen else [])]:
+    for name, own in [*grouped(rendered, "object_name").items(), *([("all", rendered)] if rendered else [])]:
         summary["objects"][name] = _row(own)
     for variant in _VIEWS:
         for kind in ("rest", "moving"):
@@ -121,7 +122,7 @@ def _tables(summary: Json) -> str:
             for name, r in summary["objects"].items()
         ]
         parts.append(markdown_table(head, rows))
-        head = ["pose", "frames", "hidden, mean", "most", "position, RMS [mm]", "worst [mm]", "yaw, RMS [deg]"]
+        head = ["pose", "frames", "occluded, mean", "largest", "position, RMS [mm]", "worst [mm]", "yaw, RMS [deg]"]
         head += [f"in the {_NOMINAL:.0%} region", "not tracked"]
         rows = [
             [
@@ -200,18 +201,20 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return pictures
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="perception",
-    title="How well are objects seen?",
+    place=100,
+    title="Errors and times of perception",
     question=(
-        "An object is put down anywhere in any heading, taken in from ten frames at rest, then moved three times by 5 to 10 cm and up to "
-        "40 degrees in half a second, with a rest after each. Depth comes from the simulated camera with its noise (30 Hz, 640 x 480). In "
-        "a third of the cases something is held over 40 % of the object's pixels, from another side in each frame. In another third the "
-        "arm stands in the picture: its fist touches the outline on the side it pushes from, goes with the object, and waits for 0.13 s "
-        "before and after; pushes out of its reach are drawn again; perception knows its joint positions, without error. The outline is "
-        "compared with the true one, its cells as the overlap of the areas (IoU). Position errors count both axes together; the object "
-        "frame is where it was first seen. The recorded scenes are a Kinect's, with labels by others; an object counts as found from an "
-        "IoU of 0.5 with its best segment, both seen from above. Delays are measured between processes, the node on one core."
+        "An object is placed anywhere in any heading, segmented from ten frames at rest, then moved three times by 5 to 10 cm and up "
+        "to 40 degrees in half a second, with a rest after each. Depth comes from the simulated camera with its noise (30 Hz, 640 x "
+        "480). In a third of the cases 40 % of the object's pixels are occluded, from another side in each frame. In another third the "
+        "arm is in the picture: its fist touches the outline on the side it pushes from, moves with the object, and waits for 0.13 s "
+        "before and after; pushes out of its reach are drawn again; perception knows its joint positions, without error. The outline "
+        "is compared with the true one, its cells as the overlap of the areas (IoU). Position errors count both axes together; the "
+        "object frame is that of the first detection. The recorded scenes come from a Kinect, with labels by others; an object counts "
+        "as found from an IoU of 0.5 with its best segment, both in the view from above. Delays are measured between processes, the "
+        "node on one core."
     ),
     variants=(*_VIEWS, "recorded", "latency"),
     run=_run,

@@ -1,4 +1,4 @@
-"""A simulated cell with the real executor, as processes of their own, and an observer that hears every topic between them."""
+"""A simulated cell with the real executor, as processes of their own, and an observer of every topic between them."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ _STARTUP: Final = 60.0
 """Longest wait for the cell to plan a push [s]."""
 _POLL: Final = 0.002
 _LOOK: Final = 0.05
-"""[s] between two looks whether the observer should end."""
+"""Period at which the observer checks whether it should end [s]."""
 _RELAYED: Final = "relayed_joint_states"
-"""What the executor hears instead of `joint_states`, so that the arm can be made silent."""
+"""The executor receives this topic instead of `joint_states`, so that joint states can be stopped."""
 
 
 @dataclass(slots=True)
 class Heard:
-    """What came in since it was made anew. Received: `time.monotonic` [s]; stamps in simulated time [s]."""
+    """Messages since it was created. Received: `time.monotonic` [s]; stamps in simulated time [s]."""
 
     states: list[tuple[float, float, Any, Any]] = field(default_factory=list)
     """Joint states: received, stamp, positions, velocities."""
@@ -76,7 +76,7 @@ class SentGoal:
 
 
 class LiveCell:
-    """Sends goals to the executor and keeps what is said meanwhile. Made by `live_cell`."""
+    """Sends goals to the executor and records all messages. Made by `live_cell`."""
 
     def __init__(self, supervisor: Supervisor, context: Context, executor: SingleThreadedExecutor) -> None:
         self._supervisor = supervisor
@@ -87,7 +87,7 @@ class LiveCell:
         self.heard = Heard()
         self.relaying = True
         self.last_relayed = time.monotonic()
-        """When the executor was last told of the arm."""
+        """When the executor last received joint states."""
         self._client = ActionClient(self.node, ExecutePush, "execute_push")
         self._reset = self.node.create_client(Trigger, "sim_cell_node/reset")
         self._relay = self.node.create_publisher(JointState, _RELAYED, 10)
@@ -115,7 +115,7 @@ class LiveCell:
             time.sleep(_POLL)
 
     def send(self, goal: ExecutePush.Goal, on_phase: Callable[[int], None] = lambda phase: None) -> SentGoal:
-        """Send a goal that will be accepted; `on_phase` is told the phase of each feedback."""
+        """Send a goal that will be accepted; `on_phase` gets the phase of each feedback."""
         self.wait(self._client.server_is_ready, _STARTUP, "execute_push was not served")
         sent = self._ask(lambda: self._client.send_goal_async(goal, feedback_callback=lambda msg: on_phase(int(msg.feedback.phase))))
         self.wait(sent.done, 20.0, "execute_push did not answer")
@@ -128,7 +128,7 @@ class LiveCell:
         return sent.future.result().result
 
     def cancel(self, sent: SentGoal) -> float:
-        """Ask for the end of a goal; when that was [s]."""
+        """Cancel a goal; returns the time of the request [s]."""
         asked = time.monotonic()
         self._ask(sent.handle.cancel_goal_async)
         return asked
@@ -150,7 +150,7 @@ class LiveCell:
             time.sleep(0.2)
 
     def _ask(self, question: Callable[[], Any]) -> Any:
-        # Asked in the thread that spins: from another one, the answer may come before the question is noted, and is dropped.
+        # Called in the thread that spins: from another one, the answer may arrive before the request is registered, and is dropped.
         asked = self._executor.create_task(question)
         self.wait(asked.done, 20.0, "the observer's own thread did not answer")
         return asked.result()
@@ -177,19 +177,19 @@ def live_cell(cell: dict[str, object], executor: dict[str, object], *, relay: bo
     """Simulated cell, simulated hand and executor, each a process, on a ROS domain of their own; stopped at the end.
 
     Args:
-        cell: Parameters of `sim_cell_node`. The executor sees the object by its true poses, with the noise of a good camera.
+        cell: Parameters of `sim_cell_node`. The executor gets the true poses of the object, with the noise of a good camera.
         executor: Parameters of `push_executor_node`.
-        relay: Let the executor hear the joint states from the observer, who can stop telling them.
+        relay: Relay the joint states to the executor through the observer, who can stop them.
 
     Raises:
         PushIdentError: A process ends, or nothing can be planned.
     """
     domain = os.getpid() % 100 + 1
     os.environ["ROS_DOMAIN_ID"] = str(domain)
-    seen: dict[str, object] = {"camera_rate": 0.0, "truth_as_perception": True}
+    truth: dict[str, object] = {"camera_rate": 0.0, "truth_as_perception": True}
     commands = node_commands(
         "sim",
-        parameters={"sim_cell_node": seen | cell, "push_executor_node": {"hand": "simulated", "hand_timeout": 5.0} | executor},
+        parameters={"sim_cell_node": truth | cell, "push_executor_node": {"hand": "simulated", "hand_timeout": 5.0} | executor},
         log_level="warn",
     )
     chosen = [command for command in commands if command.name in ("sim_cell_node", "push_executor_node")]
@@ -203,11 +203,11 @@ def live_cell(cell: dict[str, object], executor: dict[str, object], *, relay: bo
     spinner = SingleThreadedExecutor(context=context)
 
     stop = threading.Event()
-    # Ctrl-C ends a worker without a word; here it has to stop its processes first.
+    # Ctrl-C ends a worker silently; here it has to stop its processes first.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def spin() -> None:
-        # Not `spin`: to end that from another thread, the executor has to be taken apart under it.
+        # Not `spin`: to end that from another thread, its executor would have to be destroyed while it runs.
         while not stop.is_set():
             spinner.spin_once(timeout_sec=_LOOK)
 

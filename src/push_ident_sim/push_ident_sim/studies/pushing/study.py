@@ -1,4 +1,4 @@
-"""Whether pushes are made as they were planned, within all limits, and stopped in time: the real executor on the simulated cell."""
+"""Whether the real executor makes pushes on the simulated cell as planned, within all limits, and stops them in time."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, millimetres, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.pushing.live_cell import Heard, LiveCell, live_cell
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 FloatArray = NDArray[np.float64]
 
@@ -34,16 +35,16 @@ _N_STOPS: Final = 3
 _MOVED: Final = (0.001, np.radians(0.5))
 """An object that moved by more was touched: shift [m], turn [rad]."""
 _MAX_LAG: Final = 0.5
-"""[s] by which the arm may follow its commands."""
+"""Largest delay of the arm behind its commands [s]."""
 _STANDS: Final = 0.01
-"""Slower than this a joint stands [rad/s]."""
+"""Speed below which a joint is at rest [rad/s]."""
 _NO_MORE: Final = 0.4
-"""[s] after a hold in which nothing may be commanded."""
+"""Time after a hold without any command [s]."""
 _SETTLED: Final = 0.2
-"""[s] for the executor to hear the arm again."""
+"""Time for the executor to receive joint states again [s]."""
 _DEFAULTS: Final[dict[str, Any]] = {row.name: row.default for row in PARAMETERS}
 _WITHIN: Final = 0.1
-"""[s] to hold, at most."""
+"""Longest time to the hold [s]."""
 
 
 # --- one case
@@ -55,7 +56,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     if case.variant == "pushes":
         with live_cell(cell, {}, relay=False) as bench:
             return {"pushes": [push for _ in range(_N_PUSHES) for push in _make_push(bench, int(seeds.integers(2**31)))]}
-    # Silence is noticed as on the real arm, not with the patience for simulated ones.
+    # A timeout as on the real arm, shorter than that for simulated ones.
     executor = {"arm_timeout": _DEFAULTS["arm_timeout"]} if case.variant == "silence" else {}
     with live_cell(cell, executor, relay=True) as bench:
         stops = [_make_stop(bench, case.variant, int(seeds.integers(2**31)), float(seeds.uniform(0.0, 0.3))) for _ in range(_N_STOPS)]
@@ -63,7 +64,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 
 def _random_push(bench: LiveCell, seed: int) -> ExecutePush.Goal:
-    """A random push that can be made from where the object lies; it is put back to the middle where none can."""
+    """A feasible random push of the object where it lies; without one, the object is put back to the middle."""
     goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, seed=seed)
     dry = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, seed=seed, dry_run=True)
     if bench.result(bench.send(dry)).error_code == PushCode.UNREACHABLE:
@@ -72,7 +73,7 @@ def _random_push(bench: LiveCell, seed: int) -> ExecutePush.Goal:
 
 
 def _make_push(bench: LiveCell, seed: int) -> list[Json]:
-    """Measures of the push asked for and, where the object was near the edge, of the one before it that brought it back."""
+    """Measures of the requested push and, where the object was near the edge, of the earlier one that brought it back."""
     goal = _random_push(bench, seed)
     bench.heard = heard = Heard()
     result = bench.result(bench.send(goal))
@@ -83,13 +84,13 @@ def _make_push(bench: LiveCell, seed: int) -> list[Json]:
         return [{"code": int(result.error_code), "text": result.error_text, "purpose": int(PushRecord.PURPOSE_REQUESTED), "made": False}]
     ends = [received for received, _ in motions[1:]] + [np.inf]
     return [
-        _measure(bench.kinematics, heard, record, received, command, end)
+        measure(bench.kinematics, heard, record, received, command, end)
         for record, (received, command), end in zip(heard.records, motions, ends, strict=False)
     ]
 
 
-def _measure(kinematics: ArmKinematics, heard: Heard, record: PushRecord, received: float, command: JointTrajectory, end: float) -> Json:
-    """One push, from what was heard between its command, received at `received` [s], and the next at `end`."""
+def measure(kinematics: ArmKinematics, heard: Heard, record: PushRecord, received: float, command: JointTrajectory, end: float) -> Json:
+    """One push, from the messages between its command, received at `received` [s], and the next at `end`."""
     states = [state for state in heard.states if received <= state[0] < end]
     stamp = np.array([state[1] for state in states])
     q, velocity = (np.array([state[i] for state in states]) for i in (2, 3))
@@ -97,11 +98,11 @@ def _measure(kinematics: ArmKinematics, heard: Heard, record: PushRecord, receiv
     start, stop, over = (stamp_from_msg(t) for t in (record.start, record.stop, record.end))
     pushing = (stamp >= start) & (stamp <= stop)
     lowered = (stamp >= start) & (stamp <= over)
-    time, way = _commanded(kinematics, command)
+    time, commanded = _commanded(kinematics, command)
     path: Json = dict.fromkeys(("cross_rms_m", "cross_max_m", "late_rms_m", "late_max_m", "lag_s", "tool"))
     if pushing.any():
-        cross = _distance_to_path(tip[pushing], way)
-        lag, late = _lag(stamp[pushing], tip[pushing], time + stamp[0], way)
+        cross = _distance_to_path(tip[pushing], commanded)
+        lag, late = _lag(stamp[pushing], tip[pushing], time + stamp[0], commanded)
         path = {
             "cross_rms_m": _rounded(np.sqrt(np.mean(cross**2))),
             "cross_max_m": _rounded(cross.max()),
@@ -145,28 +146,28 @@ def _commanded(kinematics: ArmKinematics, command: JointTrajectory) -> tuple[Flo
     return time, np.array([kinematics.forward(list(p.positions))[:3, 3] for p in command.points])
 
 
-def _distance_to_path(points: FloatArray, way: FloatArray) -> FloatArray:
-    """Distance of each of `points` (n, 3) to the polyline `way` (m, 3) [m]."""
-    edge = np.diff(way, axis=0)
-    from_start = points[:, None] - way[None, :-1]
+def _distance_to_path(points: FloatArray, path: FloatArray) -> FloatArray:
+    """Distance of each of `points` (n, 3) to the polyline `path` (m, 3) [m]."""
+    edge = np.diff(path, axis=0)
+    from_start = points[:, None] - path[None, :-1]
     share = np.clip(np.sum(from_start * edge, axis=2) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
     return np.asarray(np.linalg.norm(from_start - share[..., None] * edge, axis=2).min(axis=1))
 
 
-def _lag(stamp: FloatArray, tip: FloatArray, time: FloatArray, way: FloatArray) -> tuple[float, FloatArray]:
-    """The constant delay [s] that explains the motion best, and how far the tip is then from where it was commanded at that time [m]."""
+def _lag(stamp: FloatArray, tip: FloatArray, time: FloatArray, path: FloatArray) -> tuple[float, FloatArray]:
+    """The constant delay [s] that explains the motion best, and the distances of the tip from its delayed command [m]."""
 
-    def off(lag: float) -> FloatArray:
-        at_time = np.stack([np.interp(stamp - lag, time, way[:, axis]) for axis in range(3)], axis=1)
+    def distances(lag: float) -> FloatArray:
+        at_time = np.stack([np.interp(stamp - lag, time, path[:, axis]) for axis in range(3)], axis=1)
         return np.asarray(np.linalg.norm(tip - at_time, axis=1))
 
     lags = np.arange(-0.05, _MAX_LAG, 0.001)
-    best = float(lags[int(np.argmin([np.sum(off(lag) ** 2) for lag in lags]))])
-    return best, off(best)
+    best = float(lags[int(np.argmin([np.sum(distances(lag) ** 2) for lag in lags]))])
+    return best, distances(best)
 
 
 def _make_stop(bench: LiveCell, kind: str, seed: int, delay: float) -> Json:
-    """Begin a push and, `delay` [s] after the tool has been lowered, cancel it or let the arm fall silent."""
+    """Begin a push and, `delay` [s] after the tool has been lowered, cancel it or stop the arm's joint states."""
     phases: list[int] = []
     goal = _random_push(bench, seed)
     bench.heard = heard = Heard()
@@ -276,10 +277,10 @@ def _tables(summary: Json) -> str:
     rows = {**summary["objects"], "all": summary["all"]}
     if summary["all"]["asked"]:
         parts.append(
-            "Deviation of the measured tool, from lowering to the stop of the push: off the commanded path, and off where it was commanded "
+            "Deviation of the measured tool, from lowering to the stop of the push: from the commanded path, and from the commanded place "
             "to be at that time less a constant lag.\n\n"
             + markdown_table(
-                ("object", "pushes", "re-centred", "object moved", "off path RMS [mm]", "max", "at time RMS [mm]", "max", "lag [ms]"),
+                ("object", "pushes", "re-centred", "object moved", "to path RMS [mm]", "max", "at time RMS [mm]", "max", "lag [ms]"),
                 [
                     (
                         name,
@@ -349,7 +350,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     table.set_xlabel("y [m]")
     table.set_ylabel("x [m]")
     table.set_title("tool during the pushes, and the workspace", fontsize=10)
-    for key, label in (("cross_max_m", "off the path"), ("late_max_m", "at its time, lag removed")):
+    for key, label in (("cross_max_m", "to the path"), ("late_max_m", "at its time, lag removed")):
         values = np.sort(summary[key]) * 1e3
         if len(values):
             colour = COLOURS["gauss_newton" if key == "cross_max_m" else "fast_gradient"]
@@ -367,18 +368,19 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     if summary["stops"]:
         label_below(holds, 2)
     save(figure, folder / "pushing.png")
-    return {"pushing.png": "Way of the tool in all pushes; largest deviation of each; time from cancel or silence to the hold."}
+    return {"pushing.png": "Path of the tool in all pushes; largest deviation of each; time from cancel or silence to the hold."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="pushing",
+    place=110,
     title="Pushing",
     question=(
-        "Does the arm push as planned, within all limits, and does it stop in time? The executor node drives the simulated cell, each a "
-        "process, in real time; the object is seen by its true pose with 0.5 mm and 0.3 degrees of noise, since perception is measured "
-        f"elsewhere. `pushes`: {_N_PUSHES} random pushes a case. `cancel` and `silence`: {_N_STOPS} pushes a case that are canceled, or "
-        "during which the arm's joint states stop coming; the time counts from the request, or from the last joint state that the "
-        "executor was told, to the receipt of the command to hold."
+        "Does the arm push as planned, within all limits, and does it stop in time? The executor node drives the simulated cell, each "
+        "a process, in real time. The object is reported at its true pose with 0.5 mm and 0.3 degrees of noise, since perception is "
+        f"measured elsewhere. `pushes`: {_N_PUSHES} random pushes a case. `cancel` and `silence`: {_N_STOPS} pushes a case that are "
+        "canceled, or during which the arm's joint states stop; the time counts from the request, or from the last joint state that "
+        "the executor received, to the receipt of the command to hold."
     ),
     variants=_VARIANTS,
     run=_run,

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.types import PoseTrack, PushRecord
 from push_ident_sim.recordings.truth import load_truth
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
     COLOURS,
     dots,
@@ -19,10 +21,10 @@ from push_ident_sim.studies.common.drawing import (
     new_figure,
     save,
 )
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import MODELS, error_row, fit_errors, grouped, pooled
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _N_TRAIN = 2
 _N_TEST = 5
@@ -31,7 +33,7 @@ _N_TEST = 5
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     first = _N_TRAIN * int(case.variant.removeprefix("pair-"))
-    return fit_errors([_ends(record) for record in train[first : first + _N_TRAIN]], test[:_N_TEST], thing, "gauss_newton", settings)[1]
+    return fit_errors([_ends(record) for record in train[first : first + _N_TRAIN]], test[:_N_TEST], thing, DEFAULT_SOLVER, settings)[1]
 
 
 def _ends(record: PushRecord) -> PushRecord:
@@ -80,13 +82,14 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     return {"real-protocol.png": "Two training pushes of which only the end poses are known; every dot one test push, bars the means."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="real-protocol",
+    place=40,
     title="The protocol of the robot experiment",
     question=(
-        "Two training pushes with one noisy pose before and one after each, and nothing between; five test pushes. The pushes are "
-        "simulated here, not a robot's. Each ground truth gives four disjoint pairs of training pushes. Test ends are the means of "
-        "the frames at rest."
+        "Two training pushes with one noisy pose before and one after each, and none in between; five test pushes. The pushes are "
+        "simulated here, not made by a robot. Each ground truth gives four disjoint pairs of training pushes. Test ends are the means "
+        "of the frames at rest."
     ),
     variants=tuple(f"pair-{i}" for i in range(4)),
     run=_run,

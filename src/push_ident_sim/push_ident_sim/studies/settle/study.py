@@ -1,4 +1,4 @@
-"""Whether the live cell settles a diagnosis by itself: push, diagnose, make the push that is asked for, diagnose again."""
+"""Whether the live cell settles a diagnosis by itself: push, diagnose, make the proposed push, diagnose again."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from push_ident.nodes.client import CellClient
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import DiagnoseGap, ExecutePush
 from push_ident_msgs.msg import GapReport
-from push_ident_sim.injected import EFFECTS
+from push_ident_sim.injected import INJECTED
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _VARIANTS: Final = ("none", "table_tilt", "table_anisotropy", "pusher_friction", "position_dependent_friction", "pose_latency")
-"""Injected effects: seen by different means."""
+"""Injected effects, identified from different features of the pushes."""
 _FIRST: Final = 6
 """Random pushes before the first diagnosis."""
 _MOST: Final = 4
-"""Pushes that a diagnosis may ask for."""
+"""Largest number of pushes that a diagnosis may request."""
 _TRIES: Final = 12
 _PAUSE: Final = 2.0
 """After a push that was refused [s]."""
@@ -44,7 +45,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     os.environ["ROS_DOMAIN_ID"] = str(rng.randint(1, 100))
     cell: dict[str, object] = {"object": case.object_name, "seed": case.model, "noise_seed": case.model}
     if case.variant != "none":
-        cell[f"effects.{case.variant}"] = list(EFFECTS[case.variant].typical()[case.variant])
+        cell[f"effects.{case.variant}"] = list(INJECTED[case.variant].typical()[case.variant])
     commands = node_commands("sim", parameters={"sim_cell_node": cell})
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -68,7 +69,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         asked: list[Json] = []
         while not _is_settled(reports[-1]) and reports[-1].has_next_push and len(asked) < _MOST:
             result = _make(client, _goal_of(reports[-1], object_id))
-            asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_distance2})
+            asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_mahalanobis2})
             made += result.error_code == PushCode.NONE
             client.wait_for_map(object_id, made)
             reports.append(_diagnose(client, object_id))
@@ -87,7 +88,7 @@ def _is_settled(report: GapReport) -> bool:
 
 
 def _make(client: CellClient, goal: ExecutePush.Goal) -> ExecutePush.Result:
-    """Make a push, slower where the arm cannot make it as fast, which the planner of pushes does not know."""
+    """Make a push, slower where the arm cannot make it as fast: the ranking of pushes does not know the limits of the arm."""
     for _ in range(_SLOWER):
         result = client.execute_push(goal)
         if result.error_code != PushCode.LIMIT:
@@ -165,11 +166,9 @@ def _tables(summary: Json) -> str:
         ]
         for r in summary["cases"]
     ]
-    head = ["object", "injected", f"after {_FIRST} random pushes", "pushes asked for", "in the end", "found", "right"]
+    head = ["object", "injected", f"after {_FIRST} random pushes", "requested pushes", "in the end", "found", "right"]
     mean = f"{np.mean(summary['asked']):.1f}" if summary["asked"] else "–"
-    text = (
-        f"Settled: {summary['settled']} of {summary['n']}, after {mean} pushes that were asked for on average; right: {summary['right']}."
-    )
+    text = f"Settled: {summary['settled']} of {summary['n']}, after {mean} requested pushes on average; right: {summary['right']}."
     return markdown_table(head, rows) + "\n\n" + text
 
 
@@ -179,20 +178,21 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
         counts = [sum(r["asked"] == n and r["right"] is right for r in summary["cases"]) for n in range(_MOST + 1)]
         below = [sum(r["asked"] == n and r["right"] is not right for r in summary["cases"]) if not right else 0 for n in range(_MOST + 1)]
         axes.bar(range(_MOST + 1), counts, bottom=below, color=colour, label=label)
-    axes.set_xlabel("pushes asked for")
+    axes.set_xlabel("requested pushes")
     axes.set_ylabel("cases")
     label_below(axes, 2)
     save(figure, folder / "settle.png")
-    return {"settle.png": "How many pushes the diagnosis asked for until it was settled."}
+    return {"settle.png": "Number of pushes that the diagnosis requested until it was settled."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="settle",
-    title="Settling a diagnosis by pushing on",
+    place=120,
+    title="Settling an open diagnosis by further pushes",
     question=(
-        "Can the cell find out by itself what the simulation leaves out? All nodes run live on the simulated cell, with an effect injected "
-        f"at its typical size and depth images for eyes. After {_FIRST} random pushes `diagnose_gap` is asked; while its verdict is open, "
-        f"the push that it proposes is made by `execute_push`, at most {_MOST} times, and it is asked again."
+        "Can the cell find the cause of the gap without help? All nodes run live on the simulated cell, with an effect injected at its "
+        f"typical size and with depth images. After {_FIRST} random pushes `diagnose_gap` is called. While its verdict is open, "
+        f"`execute_push` makes the push that it proposes, at most {_MOST} times, and it is called again."
     ),
     variants=_VARIANTS,
     run=_run,

@@ -1,4 +1,4 @@
-"""How the error on unseen pushes falls with the number of training pushes (Song & Boularias 2020, Fig. 4 b)."""
+"""How the error on held-out pushes falls with the number of training pushes (Song & Boularias 2020, Fig. 4 b)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident_sim.recordings.truth import load_truth
+from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import (
     COLOURS,
     dots,
@@ -19,10 +20,10 @@ from push_ident_sim.studies.common.drawing import (
     new_figure,
     save,
 )
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row, fit_errors, grouped, history_with_end, learning_curve, pooled
 
-__all__ = ["EXPERIMENT"]
+__all__ = ["STUDY"]
 
 _METHODS = ("gauss_newton", "fast_gradient")
 _NUMBERS = (1, 2, 4, 8)
@@ -58,7 +59,7 @@ def _of_number(number: int, results: Sequence[CaseResult]) -> Json:
 
 
 def _solve(results: Sequence[CaseResult]) -> Json:
-    """What the solves took, and the mean error against the simulations spent on each push."""
+    """Time and simulations of the solves, and the mean error against the simulations spent on each push."""
     number = int(results[0].case.variant.rsplit("-", 1)[1])
     most = max(r.values["curve"]["n_simulations"][-1] for r in results) / number
     grid = np.unique(np.geomspace(1, max(most, 2.0), 25).round())
@@ -98,7 +99,7 @@ def _tables(summary: Json) -> str:
             markdown_table(head, overall),
             f"By object, `{first}`:",
             markdown_table(head, by_object),
-            "Over single pushes, nothing left out:",
+            "Over single pushes, all included:",
             markdown_table(["", "median [mm]", "90 % [mm]", "largest [mm]", "median solve [s]", "how the solves ended"], spread),
         ]
     )
@@ -144,17 +145,18 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     label_below(steps, 4)
     steps.set_title("while the solver works", fontsize=10)
     save(figure, folder / "training.png")
-    return {"training.png": "Error on unseen pushes by the number of training pushes, and as the solvers spend simulations."}
+    return {"training.png": "Error on held-out pushes by the number of training pushes, and against the simulations of the solvers."}
 
 
-EXPERIMENT = Experiment(
+STUDY = Experiment(
     name="training",
+    place=30,
     title="More training pushes",
     question=(
-        "How well does the identified model predict pushes it has not seen, after 1, 2, 4 and 8 training pushes? "
-        "The first pushes of each ground truth are for training; the 12 test pushes are always the same. Beside it: equal cells with "
-        "the scalars fitted to the same pushes (`scalar`), equal cells with nominal values (`uniform`), and the true maps (`truth`), "
-        "whose error is what noise of the poses and the difference of the two engines leave."
+        "How well does the identified model predict held-out pushes after 1, 2, 4 and 8 training pushes? The first pushes of each "
+        "ground truth are the training pushes; the 12 test pushes are always the same. For comparison: equal cells with the scalars "
+        "fitted to the same pushes (`scalar`), equal cells with nominal values (`uniform`), and the true maps (`truth`). The error of "
+        "the true maps comes from the noise of the poses and the difference of the two engines."
     ),
     variants=tuple(f"{method}-{n}" for method in _METHODS for n in _NUMBERS),
     run=_run,

@@ -1,0 +1,93 @@
+"""Last stage: the outcome in words, where the gap lies, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, competing_explanations, separating_push
+from push_ident.diagnosis.residual_groups import group_residuals
+from push_ident.diagnosis.result import Diagnosis, Verdict
+from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
+from push_ident.diagnosis.wording import (
+    sentence_of_effects,
+    sentence_of_negligible,
+    sentence_of_nothing,
+    sentence_of_outliers,
+    sentence_of_unknown,
+    sentence_of_unsupported,
+)  # fmt: skip
+from push_ident.pushing.push import PushSettings
+
+__all__ = ["explain"]
+
+Progress = Callable[[str], None]
+
+_ANYWHERE = (-1.0, 1.0, -1.0, 1.0)
+"""Workspace of a proposed push where the caller gave no limits [m]."""
+
+
+def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progress: Progress) -> Diagnosis:
+    """The outcome of a diagnosis; where a gate was not passed, it abstains.
+
+    Args:
+        state: after all other stages.
+        push_settings: limits of the push that is proposed.
+        on_progress: called with what is under way.
+    """
+    policy, validation, decision = state.settings.policy, state.validation, state.decision
+    if validation is None or decision is None:
+        return _abstention(state)
+    on_progress("looking for the next push")
+    return Diagnosis(
+        verdict=decision.verdict,
+        sentence=_sentence(state, validation, decision),
+        gates=state.gates,
+        policy=policy,
+        effects=decision.effects,
+        confusion_sets=decision.confusion_sets,
+        gap=validation.gap,
+        selection=validation.selection,
+        where=group_residuals(validation.base_residuals, policy.residuals),
+        next_push=_propose(state, validation, push_settings),
+        check=check_without_a_push([*decision.confusion_sets, decision.effects[-1].name]) if decision.effects else "",
+        wrench=validation.wrench,
+        base_residuals=validation.base_residuals,
+        residual_ratio=validation.residuals.residual_ratio[0],
+        excess_autocorrelation=validation.residuals.excess_autocorrelation[0],
+    )
+
+
+def _abstention(state: DiagnosisState) -> Diagnosis:
+    failed = next(gate for gate in state.gates if not gate.passed)
+    sentence = f"These data cannot be diagnosed: {failed.found}. {failed.remedy}"
+    return Diagnosis(Verdict.NOT_TRUSTWORTHY, sentence, state.gates, state.settings.policy, check=failed.remedy)
+
+
+def _sentence(state: DiagnosisState, validation: Validation, decision: Decision) -> str:
+    gap = validation.gap
+    if validation.cause_is_unknown:
+        groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
+        sentence = sentence_of_unknown(gap, validation.wrench, validation.residuals, groups, state.settings.policy.unknown)
+    elif decision.effects:
+        sentence = sentence_of_effects(decision.effects, decision.confusion_sets, gap)
+    else:
+        sentence = sentence_of_nothing(gap)
+    if decision.negligible:
+        sentence += sentence_of_negligible(decision.negligible)
+    if validation.unsupported is not None:
+        sentence += sentence_of_unsupported(validation.unsupported.name, [state.source_of(push) for push in validation.unsupported.pushes])
+    if state.outliers:
+        sentence += sentence_of_outliers(state.outliers)
+    return sentence
+
+
+def _propose(state: DiagnosisState, validation: Validation, push_settings: PushSettings | None) -> SeparatingPush | None:
+    """The push that would resolve a tie, or confirm what was found, from where the object lies now."""
+    policy, last = state.settings.policy, state.records[-1]
+    explanations = competing_explanations(validation.selection, policy.selection)
+    if len(explanations) < 2:
+        return None
+    limits = push_settings or PushSettings(pusher_radius=last.pusher.radius, workspace=_ANYWHERE)
+    return separating_push(explanations, np.array(last.poses.pose[-1]), limits, policy.next_push)

@@ -1,0 +1,94 @@
+"""The outcome of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.next_push import SeparatingPush
+from push_ident.diagnosis.policy import DecisionPolicy
+from push_ident.diagnosis.residual_groups import ResidualGroup
+from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.identification.fit import Fit
+
+__all__ = ["Diagnosis", "FoundEffect", "Gate", "Verdict"]
+
+
+class Verdict(Enum):
+    """The conclusion; the values are those of the JSON contract."""
+
+    NO_GAP = "no_gap"
+    NAMED = "named"
+    ONE_OF = "one_of"
+    SEVERAL = "several"
+    UNKNOWN = "unknown"
+    NOT_TRUSTWORTHY = "not_trustworthy"
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A check that data or numerics have to pass before a verdict is given."""
+
+    passed: bool
+    found: str
+    """What was checked, with its number."""
+    remedy: str
+    """What to do where it is not passed."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """An effect that the pushes support, with its size."""
+
+    name: str
+    parameters: dict[str, float]
+    std: dict[str, float]
+    log_bayes_factor: float
+    """In the step in which it was added, beside the effects found before it [nat]; NaN for a negligible one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The outcome."""
+
+    verdict: Verdict
+    sentence: str
+    """A summary for an engineer, in a few sentences."""
+    gates: tuple[Gate, ...]
+    policy: DecisionPolicy = field(default_factory=DecisionPolicy)
+    """Under which it was made."""
+    effects: tuple[FoundEffect, ...] = ()
+    confusion_sets: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Of effects that were found: those that may be there in their place."""
+    gap: Gap | None = None
+    """On held-out pushes; None where the diagnosis abstains, as the following."""
+    selection: Selection | None = None
+    where: dict[str, list[ResidualGroup]] = field(default_factory=dict)
+    """Residuals of the base model in groups."""
+    next_push: SeparatingPush | None = None
+    """The push that would resolve what is open; None where no safe push would."""
+    check: str = ""
+    """What would resolve it without a push."""
+    wrench: SmoothWrench | None = None
+    """The smooth wrench of unknown cause, where one was fitted."""
+    base_residuals: FrameResiduals | None = None
+    """Residuals of the base model in every frame; `where` is this in groups."""
+    residual_ratio: float = np.nan
+    """Of the residuals beside all effects that were named."""
+    excess_autocorrelation: float = np.nan
+    """Of the same residuals."""
+
+    @property
+    def confusion_set(self) -> tuple[str, ...]:
+        """All effects that may be there in place of one that was found."""
+        return tuple(dict.fromkeys(name for names in self.confusion_sets.values() for name in names))
+
+    @property
+    def fit(self) -> Fit | None:
+        """Maps with the effects that were found."""
+        return self.selection.fit if self.selection else None

@@ -1,0 +1,181 @@
+"""Third stage: which effects are there. Scores propose, refits decide by log evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from push_ident.diagnosis.camera import OUTLINE_ERRORS
+from push_ident.diagnosis.fits import fit_effects, polished, with_another
+from push_ident.diagnosis.gates import check_outline
+from push_ident.diagnosis.policy import SelectionPolicy
+from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
+from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
+from push_ident.diagnosis.state import DiagnosisState
+from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fit import Fit
+from push_ident.physics.effect import Law
+from push_ident.physics.effects import EFFECTS
+
+__all__ = ["choose_refits", "required_log_bayes_factor", "select", "select_effects"]
+
+Progress = Callable[[str], None]
+
+
+def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
+    """The stage: effects beside the base model, and the gate of a traced outline beside them."""
+    if state.abstains or state.base is None:
+        return state
+    policy = state.settings.policy
+    selection = select_effects(state.base, policy.selection, on_progress)
+    outline = [name for name in OUTLINE_ERRORS if name in state.base.names]
+    selected = replace(state, fit_gates=(*state.fit_gates, *check_outline(selection.fit, outline, policy.gates)))
+    return selected if selected.abstains else replace(selected, selection=selection)
+
+
+def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | None = None) -> Selection:
+    """Add effects while one is detected; drop one that another made needless. A negligible one joins the base model.
+
+    Args:
+        base: converged.
+        policy: margins.
+        on_progress: called with what is under way.
+    """
+    report = on_progress or (lambda text: None)
+    selection = Selection(base, base)
+    while True:
+        step = _make_step(selection, policy, report)
+        best = step.best
+        if best is None or not best.log_bayes_factor >= required_log_bayes_factor(selection, policy):
+            return replace(selection, steps=(*selection.steps, step))
+        if (freed := _freed(selection, best, policy)) is not selection:
+            selection = freed
+            continue
+        if _is_negligible(best, policy):
+            report(f"{best.name} is negligible: it joins the base model")
+            return select_effects(polished(fit_effects(selection.base, (*selection.base.names, best.name))), policy, on_progress)
+        n_found, selection = len(selection.found), replace(selection, steps=(*selection.steps, step))
+        if n_found >= policy.max_effects:
+            return selection
+        larger = _with_best(selection, best, policy)
+        if larger is selection:
+            return selection
+        selection = larger
+
+
+def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> float:
+    """Log Bayes factor from which one more effect counts [nat]."""
+    if not selection.found:
+        return policy.min_log_bayes_factor
+    approximate = [c.log_bayes_factor for name, (_, c) in selection.added.items() if EFFECTS[name].law is Law.APPROXIMATE]
+    return max(policy.min_log_bayes_factor_next, policy.next_share * sum(approximate))
+
+
+def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, is_first: bool) -> list[EffectScore]:
+    """Effects that are worth a refit, in the order of their scores.
+
+    Args:
+        scores: the most promising first.
+        policy: margins.
+        is_first: whether no effect was found yet.
+    """
+    if not scores:
+        return []
+    promises = {score.name: score.expected_log_bayes_factor for score in scores}
+    least = policy.min_promise_first if is_first else policy.min_promise_next
+    enough = max(policy.min_promise_first + policy.promise_share * scores[0].expected_log_bayes_factor, least)
+    best = [score.name for score in scores[: policy.max_refits] if promises[score.name] > enough]
+    chosen = set(best)
+    for name in best:
+        # Scores of these effects mislead about one another.
+        group = (name, *EFFECTS[name].refit_with)
+        if any(promises.get(member, -np.inf) > 0 for member in group):
+            chosen.update(group)
+    return [score for score in scores if score.name in chosen]
+
+
+def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) -> Step:
+    """Score all absent effects beside a selection, and refit those that are worth it."""
+    fit = selection.fit
+    report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
+    information = effect_information(fit)
+    scores = tuple(score_effects(information, policy))
+    chosen = choose_refits(scores, policy, is_first=fit is selection.base)
+    if chosen:
+        report(f"refitting with {', '.join(score.name for score in chosen)}")
+    # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
+    worth = required_log_bayes_factor(selection, policy) - policy.tie_margin if selection.found else -np.inf
+    candidates = _ranked(map_in_threads(partial(_refit, fit, worth), chosen), policy.tie_margin)
+    return Step(fit, information, scores, tuple(candidates))
+
+
+def _refit(fit: Fit, worth: float, score: EffectScore) -> Candidate:
+    start = np.concatenate([fit.effect_unknowns, score.start])
+    own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, worth)
+    return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
+
+
+def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidate]:
+    """The best first; a special case before the effect that contains it, unless that one is better by more than a tie."""
+    ranked = sorted(candidates, key=lambda c: -c.log_bayes_factor)
+    for place, candidate in enumerate(ranked):
+        is_special_case = ranked[0].name in EFFECTS[candidate.name].special_case_of
+        if is_special_case and candidate.log_bayes_factor > ranked[0].log_bayes_factor - tie_margin:
+            return [candidate, *ranked[:place], *ranked[place + 1 :]]
+    return ranked
+
+
+def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Selection:
+    """The selection with its fit repeated from the maps beside the best effect, where the fit was stuck; else the selection itself."""
+    freed = fit_effects(best.fit, selection.fit.names)
+    if freed.log_evidence <= selection.fit.log_evidence + policy.stuck_gain:
+        return selection
+    freed = polished(freed)
+    return replace(selection, base=freed if selection.fit is selection.base else selection.base, fit=freed)
+
+
+def _is_negligible(candidate: Candidate, policy: SelectionPolicy) -> bool:
+    """Whether an effect with an exact law is smaller than the accuracy of a cell."""
+    effect, fit = EFFECTS[candidate.name], candidate.fit
+    values = fit.effects.values[fit.effects.slice_of(candidate.name)]
+    return effect.law is Law.EXACT and float(np.linalg.norm(values)) < policy.negligible.get(effect.parameters[0].unit, 0.0)
+
+
+def _with_best(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Selection:
+    """The selection with the best effect of its last step; the selection itself where that explains no more in the end."""
+    larger, swaps = _swapped(polished(best.fit), selection.steps, policy)
+    kept = _without_needless(selection.base, larger, policy)
+    if kept.log_evidence <= selection.fit.log_evidence:
+        return selection
+    return replace(selection, fit=kept, swaps=swaps if kept is larger else ())
+
+
+def _swapped(fit: Fit, steps: Sequence[Step], policy: SelectionPolicy) -> tuple[Fit, tuple[RivalFit, ...]]:
+    """Try rivals of earlier effects in their place: beside a new effect one of them may explain more. The best fit, and the others."""
+    trials = [
+        (step.best.name, rival)
+        for step in steps[:-1]
+        if step.best and step.best.name in fit.names
+        for rival in step.candidates[1:]
+        if rival.name not in fit.names and rival.log_bayes_factor > policy.swap_candidate_share * step.best.log_bayes_factor
+    ]
+    fits = map_in_threads(lambda trial: with_another(fit, trial[0], trial[1].name, trial[1].fit), trials)
+    others = [(place, rival.name, other) for (place, rival), other in zip(trials, fits, strict=True)]
+    place, name, best = max(others, key=lambda other: other[2].log_evidence, default=("", "", fit))
+    if best.log_evidence > fit.log_evidence + policy.min_swap_gain:
+        # Rivals of other effects were not fitted beside the one that is there now.
+        others = [(name, place, fit), *((name, n, other) for p, n, other in others if p == place and other is not best)]
+        fit = polished(best)
+    return fit, tuple(RivalFit(n, p, other, fit.log_evidence - other.log_evidence) for p, n, other in others)
+
+
+def _without_needless(base: Fit, fit: Fit, policy: SelectionPolicy) -> Fit:
+    """Drop an effect found earlier that explains nothing any more."""
+    for name in [n for n in fit.names if n not in base.names][:-1]:
+        rest = fit_effects(fit, [n for n in fit.names if n != name])
+        if rest.log_evidence > fit.log_evidence - policy.drop_share * policy.min_log_bayes_factor:
+            return polished(rest)
+    return fit

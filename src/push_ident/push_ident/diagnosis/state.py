@@ -1,0 +1,94 @@
+"""The state of a diagnosis: what is known after a stage. Every stage takes one and returns a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
+from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.identification.fit import Fit
+from push_ident.types import PushRecord
+
+__all__ = ["Decision", "DiagnosisState", "UnsupportedEffect", "Validation"]
+
+
+@dataclass(frozen=True, slots=True)
+class UnsupportedEffect:
+    """An effect that only one push, or those that were held out with it, supports."""
+
+    name: str
+    """Of the effect; of several that were added at once, joined by "and"."""
+    pushes: tuple[int, ...]
+    """Numbers of the pushes that support it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """What held-out pushes confirm."""
+
+    selection: Selection
+    """Effects that held-out pushes support; none where the cause is unknown."""
+    gap: Gap
+    """With those effects, or with the wrench."""
+    base_residuals: FrameResiduals
+    """Of the base model."""
+    residuals: FrameResiduals
+    """Beside all effects that were named before the cause counted as unknown."""
+    cause_is_unknown: bool = False
+    wrench: SmoothWrench | None = None
+    """The smooth wrench that was fitted; where the cause is unknown, only one that held-out pushes support."""
+    unsupported: UnsupportedEffect | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The verdict and what it names."""
+
+    verdict: Verdict
+    effects: tuple[FoundEffect, ...]
+    negligible: tuple[FoundEffect, ...]
+    """Detected, but below the accuracy of a cell: part of the base model."""
+    confusion_sets: dict[str, tuple[str, ...]]
+    """Of effects that were found: those that may be there in their place."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisState:
+    """Pushes, settings in force, and the results of the stages so far."""
+
+    records: tuple[PushRecord, ...]
+    """Pushes that the diagnosis uses."""
+    requested: DiagnosisSettings
+    """As the caller gave them."""
+    settings: DiagnosisSettings
+    """In force: adapted to a camera and to the noise of the poses."""
+    from_camera: bool = False
+    """Whether poses and outline come from a camera."""
+    rest_noise_known: bool = False
+    """Whether frames at rest show how the errors of neighbouring frames are correlated."""
+    data_gates: tuple[Gate, ...] = ()
+    fit_gates: tuple[Gate, ...] = ()
+    outliers: tuple[str, ...] = ()
+    """Sources of pushes that were set aside."""
+    base: Fit | None = None
+    selection: Selection | None = None
+    validation: Validation | None = None
+    decision: Decision | None = None
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """All that were checked so far."""
+        return (*self.data_gates, *self.fit_gates)
+
+    @property
+    def abstains(self) -> bool:
+        """Whether a gate was not passed, so that no verdict can be given."""
+        return not all(gate.passed for gate in self.gates)
+
+    def source_of(self, push: int) -> str:
+        """Where a push, by its number, comes from."""
+        return self.records[push].source or f"push {push}"

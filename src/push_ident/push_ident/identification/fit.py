@@ -1,0 +1,200 @@
+"""A fit of unknowns to pushes, its evidence, and fits under several amplitudes of the maps' prior.
+
+Nobody knows beforehand whether an object is even or uneven. Under a prior that expects strong contrast, a few bad poses make uneven maps
+out of an even object; under a weak one, a hammer is never identified. So the maps are fitted under priors of several amplitudes, which
+their log evidence compares (Laplace's approximation):
+
+    log p(pushes | amplitude) = -cost - 1/2 log det H + 1/2 log det P + const
+
+with the Hessian H of the cost and the precision P of the prior, all unknowns in units of their prior standard deviation (MacKay,
+"Bayesian interpolation", Neural Computation 1992).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from push_ident.identification.levenberg_marquardt import MAX_ITERATIONS, minimise
+from push_ident.identification.observation import NoiseModel
+from push_ident.identification.problem import Evaluation, FitProblem
+from push_ident.identification.result import ModelPosterior
+from push_ident.identification.unknowns import Unknowns
+from push_ident.physics.effect_values import EffectValues
+from push_ident.physics.simulation import SimulationSettings
+from push_ident.types import Float64Array, ObjectModel, SolveStatus
+
+__all__ = ["AMPLITUDES", "AmplitudePolicy", "Fit", "FitOptions", "fit_amplitudes"]
+
+AMPLITUDES: Final = (1.0, 0.3, 0.1)
+"""Prior standard deviation of the log maps, relative to `Prior.mass_map_std` and `Prior.friction_map_std`; the largest first."""
+_NEGLIGIBLE: Final = 7.0
+"""Difference of log evidence [nat], odds of 1100 to 1: an amplitude so far below the best ends a chained search, since smaller ones fit
+worse still."""
+_QUANTILE: Final = 0.8
+_EXPECTED_QUANTILE: Final = 4.642
+"""Chi squared with 3 degrees of freedom is below it with probability `_QUANTILE`."""
+_LEAST_FREEDOM: Final = 0.25
+"""Share of the residuals that count as degrees of freedom at least, however many unknowns the pushes determine [-]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How pushes are simulated and compared with observations in a fit."""
+
+    noise: NoiseModel | None = None
+    """Of the observed poses; the defaults of `NoiseModel` where None."""
+    numerics: SimulationSettings | None = None
+    """Of the simulation; the defaults of `SimulationSettings` where None."""
+    max_iterations: int = MAX_ITERATIONS
+    """Of Gauss-Newton, for each fit."""
+    seed: int = 0
+    """Of solvers that draw at random."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """The unknowns that fit a set of pushes best."""
+
+    problem: FitProblem
+    x: Float64Array
+    """Unknowns of the problem, shape (problem.size,)."""
+    end: Evaluation
+    """At `x`."""
+    status: SolveStatus
+    amplitude: float = 1.0
+    """Of the maps' prior, relative to that of the caller."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fitted effects."""
+        return self.unknowns.effects.names
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """Unknowns of the object."""
+        return self.problem.unknowns
+
+    @property
+    def parameters(self) -> Unknowns:
+        """`unknowns` under the name of the code before."""
+        return self.problem.unknowns
+
+    @property
+    def z(self) -> Float64Array:
+        """Values of `unknowns`, shape (unknowns.size,)."""
+        return self.problem.object_unknowns(self.x)
+
+    @property
+    def effect_unknowns(self) -> Float64Array:
+        """The block `effects` of `z`, shape (n_values,)."""
+        return self.z[self.unknowns.slice_of("effects")]
+
+    @property
+    def model(self) -> ObjectModel:
+        """The fitted object."""
+        return self.unknowns.model(self.z)
+
+    @property
+    def effects(self) -> EffectValues:
+        """The fitted effects."""
+        return self.unknowns.effects_at(self.z)
+
+    @property
+    def log_evidence(self) -> float:
+        """Up to a constant of the pushes [nat]: compare fits of the same pushes only."""
+        prior = np.eye(self.unknowns.size)
+        if (frozen := self.unknowns.frozen_cost) is not None:
+            prior = prior + frozen.hessian
+        return -self.end.cost - 0.5 * float(np.linalg.slogdet(self.end.hessian)[1] - np.linalg.slogdet(prior)[1])
+
+    @property
+    def covariance(self) -> Float64Array:
+        """Posterior covariance of `z`, shape (unknowns.size, unknowns.size)."""
+        covariance = self._inverse_hessian
+        return np.asarray(0.5 * (covariance + covariance.T))
+
+    @property
+    def _inverse_hessian(self) -> Float64Array:
+        """Block of the inverse Hessian that belongs to `z`: not symmetric to the last bit."""
+        n = self.unknowns.size
+        return np.asarray(np.linalg.inv(self.end.hessian)[:n, :n])
+
+    @property
+    def inflated_covariance(self) -> Float64Array:
+        """`covariance` times the reduced chi-square where that exceeds 1, not symmetric to the last bit.
+
+        A fit worse than its noise shows that the model lacks something: then nothing is known as well as the curvature suggests.
+        """
+        return self._inverse_hessian * max(1.0, self.reduced_chi2)
+
+    @property
+    def posterior(self) -> ModelPosterior:
+        """As a Gaussian; the total mass is that of the prior."""
+        return replace(ModelPosterior.of_prior(self.unknowns), z=self.z, covariance=self.covariance)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Squared residual per degree of freedom, about 1 where the model is right; from a quantile of the frames, so that a few wrong
+        poses do not count."""
+        n_residuals = self.end.residual.size
+        used = self.unknowns.size - float(np.trace(self._inverse_hessian)) + 3 * len(self.problem.records)
+        size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), _QUANTILE))
+        return size2 / _EXPECTED_QUANTILE * n_residuals / max(n_residuals - used, _LEAST_FREEDOM * n_residuals)
+
+    def minimum_at(self, amplitude: float) -> Float64Array:
+        """Minimum of the cost under another amplitude if the motion were linear in the unknowns: a start that saves steps."""
+        prior = self.problem.unit_prior
+        scale = np.ones(self.problem.size)
+        scale[: self.unknowns.size] = self.unknowns.amplitude_unit(amplitude / self.amplitude)
+        data = self.end.hessian - np.diag(prior)
+        slope = self.end.gradient - prior * self.x
+        return np.asarray(np.linalg.solve(scale[:, None] * data * scale + np.diag(prior), scale * (data @ self.x - slope)))
+
+
+@dataclass(frozen=True, slots=True)
+class AmplitudePolicy:
+    """How the fits under the amplitudes are made."""
+
+    max_iterations: int = MAX_ITERATIONS
+    """Of each fit."""
+    chained: bool = True
+    """Each fit starts where the one before expects its minimum, and the search ends when an amplitude has negligible evidence or the budget
+    is spent. False: all fits start at one point and know nothing of each other."""
+    warm_starts: Sequence[Float64Array] = ()
+    """Results of an earlier chained search for the first of the same pushes, one per amplitude."""
+    run_all: Callable[[Callable[[float], Fit], Iterable[float]], Iterable[Fit]] = map
+    """Runs fits that are not chained: `map`, or a parallel version of it."""
+
+
+def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Array, policy: AmplitudePolicy) -> list[Fit]:
+    """Fit the same pushes under several amplitudes of the maps' prior.
+
+    Args:
+        problem_at: the problem under an amplitude.
+        start: of the first fit, or of all where they are not chained, shape (problem.size,).
+        policy: how the fits are made.
+
+    Returns:
+        One fit per amplitude, the largest amplitude first; fewer where a chained search ended.
+    """
+
+    def fit(amplitude: float) -> Fit:
+        problem = problem_at(amplitude)
+        return Fit(problem, *minimise(problem, start, policy.max_iterations), amplitude)
+
+    if not policy.chained:
+        return list(policy.run_all(fit, AMPLITUDES))
+    fits: list[Fit] = []
+    for i, amplitude in enumerate(AMPLITUDES):
+        problem = problem_at(amplitude)
+        x0 = fits[-1].minimum_at(amplitude) if fits else start
+        if i < len(policy.warm_starts):
+            x0 = problem.continued(x0, policy.warm_starts[i])
+        fits.append(Fit(problem, *minimise(problem, x0, policy.max_iterations), amplitude))
+        if fits[-1].log_evidence < max(f.log_evidence for f in fits) - _NEGLIGIBLE or problem.meter.spent:
+            break
+    return fits

@@ -1,0 +1,361 @@
+"""The unknowns of an object in named blocks, their prior, and how the moving body depends on them.
+
+Mass and friction of a cell are positive, so their logarithms are the unknowns. Neighbouring cells are similar, so each logarithm is a
+Gaussian process over the object (Matern 3/2). In the coordinates `z` of its leading modes the prior is a unit normal:
+
+    m_i = M w_i,   w = softmax(a),   a = A z_a                     masses, M the total mass
+    mu_i = mu_0 exp(s) e_i / (w' e),   e = exp(b),   b = A z_b     support friction, map and scale
+    mu_p = mu_p0 exp(p)                                            friction of the pusher
+
+The scale s belongs to the friction of the whole object, mu_0 exp(s) M g, whatever the maps are. Without this separation a heavy end with
+more friction would change the friction of the whole object.
+
+Effects that the base model leaves out (`physics/effects/`) may be unknowns too: each parameter is its nominal value plus z_e times its
+prior standard deviation.
+
+The total mass M scales every force and changes no motion, so M is no unknown here: see `total_mass`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import InputError
+from push_ident.identification.prior import Prior
+from push_ident.identification.quadratic import Quadratic
+from push_ident.physics.effect_values import EffectValues, effect_values
+from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
+from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape
+
+__all__ = ["Block", "Layout", "Mechanics", "Unknowns"]
+
+_FROZEN_PRECISION: Final = 1e8
+"""Precision about zero of a frozen unknown, in units of its prior: a standard deviation of 1e-4 prior standard deviations, below any
+effect on a motion. A finite number keeps one layout of the vector for free and frozen unknowns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A named group of unknowns. Each unknown counts in units of its prior standard deviation, with mean zero."""
+
+    name: str
+    std: Float64Array
+    """Prior standard deviation of the quantity that each unknown changes, shape (size,)."""
+    low: Float64Array
+    """Least change of the quantity from its nominal value, shape (size,); -inf where nothing bounds it."""
+    high: Float64Array
+    """Greatest change, shape (size,)."""
+    frozen: BoolArray
+    """Unknowns that keep their nominal value, shape (size,)."""
+
+    @classmethod
+    def of(cls, name: str, std: ArrayLike, low: ArrayLike = -np.inf, high: ArrayLike = np.inf, frozen: Collection[int] = ()) -> Block:
+        """A block; `low` and `high` may be one number for all of it, `frozen` are numbers within the block."""
+        deviation = np.atleast_1d(np.array(std, dtype=np.float64))
+        mask = np.zeros(len(deviation), dtype=bool)
+        mask[list(frozen)] = True
+        least, greatest = (np.broadcast_to(np.asarray(v, dtype=np.float64), deviation.shape) for v in (low, high))
+        return cls(name, deviation, least, greatest, mask)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.std)
+
+
+class Layout:
+    """Where each block of a vector of unknowns is: the only place that adds up sizes.
+
+    Args:
+        blocks: in their order, each name once.
+    """
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        self.blocks = tuple(blocks)
+        ends = np.cumsum([0, *(block.size for block in blocks)]).tolist()
+        self._slices = {block.name: slice(start, stop) for block, start, stop in zip(blocks, ends, ends[1:], strict=False)}
+        self.size: int = ends[-1]
+
+    def slice_of(self, name: str) -> slice:
+        """Place of a block. Raises InputError for a name that the layout does not have."""
+        if name not in self._slices:
+            raise InputError(f"There is no block {name!r} of unknowns, expected one of {', '.join(self._slices)}.")
+        return self._slices[name]
+
+    def moved(self, x: Float64Array, target: Layout) -> Float64Array:
+        """The vector of another layout with the values of those blocks that both have at one size, zero elsewhere."""
+        y = np.zeros(target.size)
+        for block in target.blocks:
+            own = self._slices.get(block.name)
+            if own is not None and own.stop - own.start == block.size:
+                y[target.slice_of(block.name)] = x[own]
+        return y
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """The moving body for given unknowns, with its derivative."""
+
+    shape: ObjectShape
+    body: BodyParameters
+    pusher_friction: float
+    effects: EffectValues
+    derivative: Float64Array
+    """d(body parameters, limits of the cells, values of the effects) / dz, shape (8 + n_cells + n_values, size), rows as the columns of
+    `Motion.jacobian`."""
+
+    @property
+    def limit_derivative(self) -> Float64Array:
+        """The rows of the cells' friction limits, shape (n_cells, size)."""
+        return self.derivative[PARAM_LIMIT : PARAM_LIMIT + len(self.shape.cells)]
+
+    def simulate(self, scenario: PushScenario, *, settings: SimulationSettings | None = None, jacobian: bool = False) -> Motion:
+        """As `simulate_body`."""
+        return simulate_body(
+            self.shape, self.body, self.pusher_friction, scenario, settings=settings, effects=self.effects, jacobian=jacobian
+        )
+
+
+class Unknowns:
+    """The unknowns `z` of one object, in the blocks `maps`, `effects`, `friction_scale` and `pusher_friction`.
+
+    Args:
+        shape: outline and cells of the object.
+        prior: nominal values and standard deviations.
+        maps: False leaves equal cells, with only the scales free (the `scalar` model).
+        modes: of a map, where they are known already (from a file), shape (n_cells, n_modes).
+        effects: names of effects whose parameters are unknown too.
+        effect_std: prior standard deviations of the parameters of an effect, by its name; by default those of the catalogue. Names of
+            effects that are not among `effects` are ignored.
+        frozen_effects: numbers of values of the effects that keep their nominal value.
+
+    Attributes:
+        modes: of a map, shape (n_cells, n_modes): a = modes @ z_a.
+        effects: the effects at their nominal values.
+        layout: where each block is.
+    """
+
+    def __init__(
+        self,
+        shape: ObjectShape,
+        prior: Prior,
+        *,
+        maps: bool = True,
+        modes: Float64Array | None = None,
+        effects: Sequence[str] = (),
+        effect_std: Mapping[str, ArrayLike] | None = None,
+        frozen_effects: Collection[int] = (),
+    ) -> None:
+        self.shape = shape
+        self.prior = prior
+        if modes is None:
+            modes = _leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
+        if modes.ndim != 2 or len(modes) != len(shape.cells):
+            raise InputError(f"`modes` has shape {modes.shape}, expected ({len(shape.cells)}, n_modes) as the cells.")
+        # Always in one memory layout: products over another one differ in the last bit.
+        self.modes = np.ascontiguousarray(modes)
+        self.effects = effect_values(effects)
+        self._given_effect_std = dict(effect_std or {})
+        n, parameters = self.modes.shape[1], self.effects.parameters
+        self.layout = Layout(
+            (
+                Block.of("maps", np.repeat([prior.mass_map_std, prior.friction_map_std], n)),
+                Block.of(
+                    "effects",
+                    self._effect_std(),
+                    [p.low - p.nominal for p in parameters],
+                    [p.high - p.nominal for p in parameters],
+                    frozen_effects,
+                ),
+                Block.of("friction_scale", prior.friction_std),
+                Block.of("pusher_friction", prior.pusher_friction_std),
+            )
+        )
+
+    def _effect_std(self) -> Float64Array:
+        std = np.array([parameter.scale for parameter in self.effects.parameters], dtype=np.float64)
+        for name, given in self._given_effect_std.items():
+            if name in self.effects.names:
+                std[self.effects.slice_of(name)] = given
+        return std
+
+    def with_effects(self, names: Sequence[str], frozen_effects: Collection[int] = ()) -> Unknowns:
+        """The same object under the same prior with other effects."""
+        return Unknowns(
+            self.shape, self.prior, modes=self.modes, effects=names, effect_std=self._given_effect_std, frozen_effects=frozen_effects
+        )
+
+    def at_amplitude(self, amplitude: float) -> Unknowns:
+        """The same unknowns with the prior standard deviations of the maps multiplied by `amplitude`."""
+        prior = self.prior.at_amplitude(amplitude)
+        frozen = np.flatnonzero(self.block("effects").frozen).tolist()
+        return Unknowns(
+            self.shape, prior, modes=self.modes, effects=self.effects.names, effect_std=self._given_effect_std, frozen_effects=frozen
+        )
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """In the order of `z`."""
+        return self.layout.blocks
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.layout.size
+
+    def block(self, name: str) -> Block:
+        """The block of a name."""
+        return next(block for block in self.blocks if block.name == name)
+
+    def slice_of(self, name: str) -> slice:
+        """Place of a block in `z`."""
+        return self.layout.slice_of(name)
+
+    def slice_of_effect(self, name: str) -> slice:
+        """Place of the parameters of one effect in `z`. Raises InputError for an effect that is no unknown."""
+        start, own = self.slice_of("effects").start, self.effects.slice_of(name)
+        return slice(start + own.start, start + own.stop)
+
+    @property
+    def effect_slice(self) -> slice:
+        """Place of the block `effects` under the name of the code before."""
+        return self.slice_of("effects")
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes of each map."""
+        return int(self.modes.shape[1])
+
+    @property
+    def mass_modes(self) -> slice:
+        """Place of the unknowns of the mass map within `z`."""
+        start = self.slice_of("maps").start
+        return slice(start, start + self.n_modes)
+
+    @property
+    def friction_modes(self) -> slice:
+        """Place of the unknowns of the friction map within `z`."""
+        stop = self.slice_of("maps").stop
+        return slice(stop - self.n_modes, stop)
+
+    @cached_property
+    def frozen_cost(self) -> Quadratic | None:
+        """Cost that keeps the frozen unknowns at zero, beside the unit normal prior; None where none is frozen."""
+        frozen = np.concatenate([block.frozen for block in self.blocks])
+        if not np.any(frozen):
+            return None
+        zero = np.zeros(self.size)
+        return Quadratic(zero, zero, np.diag(np.where(frozen, _FROZEN_PRECISION, 0.0)))
+
+    @property
+    def effect_std(self) -> Float64Array:
+        """Prior standard deviation of each value of the effects, shape (n_values,)."""
+        return self.block("effects").std
+
+    def effects_at(self, z: Float64Array) -> EffectValues:
+        """The effects with their values at `z`; values beyond a bound are clipped to it."""
+        return self.effects.with_values(self._effect_values(z)[0])
+
+    def _effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Values of the effects and their derivative by their own unknowns, each shape (n_values,)."""
+        low, high = (np.array([getattr(p, name) for p in self.effects.parameters]) for name in ("low", "high"))
+        std = self.effect_std
+        free = self.effects.values + std * z[self.slice_of("effects")]
+        return np.clip(free, low, high), np.where((free >= low) & (free <= high), std, 0.0)
+
+    @property
+    def map_remainder(self) -> Float64Array:
+        """Prior variance of a unit map that the modes leave out, shape (n_cells,): posteriors add it back."""
+        return np.maximum(0.0, 1.0 - np.sum(self.modes**2, axis=1))
+
+    def amplitude_unit(self, amplitude: float) -> Float64Array:
+        """Unit of each unknown at an amplitude of the maps, in units of the full prior, shape (size,): `amplitude` for maps, else 1."""
+        unit = np.ones(self.size)
+        unit[self.slice_of("maps")] = amplitude
+        return unit
+
+    def _scalar(self, z: Float64Array, name: str) -> np.float64:
+        (value,) = z[self.slice_of(name)]
+        return np.float64(value)
+
+    def model(self, z: Float64Array) -> ObjectModel:
+        """The object at `z`, shape (size,)."""
+        prior = self.prior
+        a = prior.mass_map_std * (self.modes @ z[self.mass_modes])
+        weight = np.exp(a - a.max())
+        weight /= weight.sum()
+        roughness = np.exp(prior.friction_map_std * (self.modes @ z[self.friction_modes]))
+        scale = float(np.exp(prior.friction_std * self._scalar(z, "friction_scale")))
+        return ObjectModel(
+            shape=self.shape,
+            mass=prior.total_mass * weight,
+            friction=prior.friction * scale * roughness / float(weight @ roughness),
+            pusher_friction=float(prior.pusher_friction * np.exp(prior.pusher_friction_std * self._scalar(z, "pusher_friction"))),
+        )
+
+    def log_derivatives(self, model: ObjectModel) -> tuple[Float64Array, Float64Array]:
+        """d log(mass of each cell) / dz and d log(friction of each cell) / dz at the unknowns of `model`, each shape (n_cells, size)."""
+        prior = self.prior
+        d_mass = np.zeros((len(model.mass), self.size))
+        d_friction = np.zeros_like(d_mass)
+        # Of the weights w_i = softmax(a): only differences count.
+        d_mass[:, self.mass_modes] = prior.mass_map_std * (self.modes - model.mass @ self.modes / model.total_mass)
+        d_friction[:, self.friction_modes] = prior.friction_map_std * self.modes
+        load = model.mass * model.friction
+        d_friction -= load @ (d_mass + d_friction) / load.sum()
+        d_friction[:, self.slice_of("friction_scale")] += prior.friction_std
+        return d_mass, d_friction
+
+    def of_maps(self, mass: Float64Array, friction: Float64Array, pusher_friction: float) -> Float64Array:
+        """Unknowns of given maps, shape (size,): exact where every cell has a mode of its own, else the nearest smooth maps.
+
+        Masses may have any common scale. Raises InputError for values that are not positive, which have no logarithm.
+        """
+        if np.any(mass <= 0) or np.any(friction <= 0) or pusher_friction <= 0:
+            raise InputError("Masses and friction coefficients must be positive to have a logarithm; raise those at zero a little.")
+        prior = self.prior
+        z = np.zeros(self.size)
+        log_mass, log_friction = np.log(mass), np.log(friction / prior.friction)
+        scale = np.log(mass @ friction / mass.sum() / prior.friction)
+        z[self.mass_modes] = np.linalg.lstsq(prior.mass_map_std * self.modes, log_mass - log_mass.mean())[0]
+        z[self.friction_modes] = np.linalg.lstsq(prior.friction_map_std * self.modes, log_friction - scale)[0]
+        z[self.slice_of("friction_scale")] = scale / prior.friction_std
+        z[self.slice_of("pusher_friction")] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
+        return z
+
+    def mechanics(self, z: Float64Array) -> Mechanics:
+        """The moving body at `z`, shape (size,), and its derivative by `z`."""
+        model = self.model(z)
+        body = body_of_cells(self.shape, model.mass, model.friction)
+        weight = model.mass / body.mass
+        arms = self.shape.cells.centres - body.centre
+        moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
+        d_mass, d_friction = self.log_derivatives(model)
+        values, d_values = self._effect_values(z)
+        n_cells, n_values = len(weight), len(values)
+        derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, self.size))
+        derivative[PARAM_CENTRE : PARAM_CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
+        derivative[PARAM_INERTIA] = body.mass * ((weight * moment) @ d_mass)
+        derivative[PARAM_LIMIT : PARAM_LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
+        derivative[PARAM_MU, self.slice_of("pusher_friction")] = model.pusher_friction * self.prior.pusher_friction_std
+        derivative[PARAM_LIMIT + n_cells :, self.slice_of("effects")] = np.diag(d_values)
+        return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values), derivative)
+
+
+def _leading_modes(shape: ObjectShape, prior: Prior) -> NDArray[np.float64]:
+    """Modes of a unit Gaussian process over the cells, scaled so that modes @ unit normal has its covariance."""
+    centres = shape.cells.centres
+    diagonal = float(np.linalg.norm(np.ptp(centres, axis=0))) + shape.cells.size
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2) / (prior.correlation_length * diagonal)
+    covariance = (1 + np.sqrt(3) * distance) * np.exp(-np.sqrt(3) * distance)
+    value, vector = np.linalg.eigh(covariance)
+    keep = np.argsort(value)[::-1][: prior.max_modes]
+    return np.asarray(vector[:, keep] * np.sqrt(np.maximum(value[keep], 0.0)))

@@ -1,0 +1,104 @@
+"""Latest pose and shape of every tracked object."""
+
+from __future__ import annotations
+
+import time
+
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+
+from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.se2 import transform_points
+from push_ident.nodes.convert import planar_pose_from_msg, shape_from_msgs
+from push_ident.nodes.discovery import ObjectTopics
+from push_ident.pushing.ports import TrackedObject
+from push_ident.pushing.push import PushCode
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["TrackedObjects"]
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class TrackedObjects:
+    """Subscribes to pose, cells and outline of each object that appears; messages that are refused are logged and dropped."""
+
+    def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
+        self._node = node
+        self._group = callback_group
+        self._cells: dict[str, OccupancyGrid] = {}
+        self._outlines: dict[str, PolygonStamped] = {}
+        self._poses: dict[str, tuple[float, Float64Array, float]] = {}
+        self._shapes: dict[str, ObjectShape] = {}
+        self._topics = ObjectTopics(node, self._subscribe, callback_group=callback_group)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Objects with pose and shape, sorted."""
+        # Other threads add to both: `set` copies in one step.
+        return tuple(sorted(set(self._poses) & set(self._shapes)))
+
+    def get(self, object_id: str, max_age: float) -> TrackedObject:
+        """The object, or the only one when `object_id` is empty.
+
+        Raises PlanningError UNKNOWN_OBJECT when there is none, several, or the pose was received more than `max_age` [s] ago.
+        """
+        known = ", ".join(self.ids) or "none (is perception running?)"
+        if not object_id:
+            if len(self.ids) != 1:
+                raise PlanningError(PushCode.UNKNOWN_OBJECT, f"object_id is empty and the objects seen are: {known}; name one.")
+            object_id = self.ids[0]
+        if object_id not in self.ids:
+            raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}` with pose and cells; seen: {known}.")
+        stamp, pose, received = self._poses[object_id]
+        age = time.monotonic() - received
+        if age > max_age:
+            raise PlanningError(PushCode.UNKNOWN_OBJECT, f"the pose of `{object_id}` was received {age:.1f} s ago, limit {max_age:.1f} s.")
+        return TrackedObject(object_id, self._shapes[object_id], stamp, pose)
+
+    def outlines_of_others(self, object_id: str) -> list[Float64Array]:
+        """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
+        return [transform_points(self._poses[other][1], self._shapes[other].outline) for other in self.ids if other != object_id]
+
+    def _subscribe(self, object_id: str) -> None:
+        def topic(name: str) -> str:
+            return f"objects/{object_id}/{name}"
+
+        def subscribe(kind: type, name: str, qos: QoSProfile, store: dict) -> None:  # type: ignore[type-arg]
+            def on_message(msg: object) -> None:
+                store[object_id] = msg
+                self._update_shape(object_id)
+
+            self._node.create_subscription(kind, topic(name), on_message, qos, callback_group=self._group)
+
+        subscribe(OccupancyGrid, "cells", _LATCHED, self._cells)
+        subscribe(PolygonStamped, "outline", _LATCHED, self._outlines)
+        self._node.create_subscription(
+            PoseWithCovarianceStamped,
+            topic("pose"),
+            lambda msg: self._on_pose(object_id, msg),
+            qos_profile_sensor_data,
+            callback_group=self._group,
+        )
+
+    def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
+        try:
+            stamp, pose, _ = planar_pose_from_msg(msg)
+        except InputError as error:
+            self._warn(f"objects/{object_id}/pose dropped: {error}")
+            return
+        self._poses[object_id] = (stamp, pose, time.monotonic())
+
+    def _update_shape(self, object_id: str) -> None:
+        if object_id not in self._cells:
+            return
+        try:
+            self._shapes[object_id] = shape_from_msgs(self._cells[object_id], self._outlines.get(object_id))
+        except InputError as error:
+            self._warn(f"shape of objects/{object_id} dropped: {error}")
+
+    def _warn(self, text: str) -> None:
+        self._node.get_logger().warning(text, throttle_duration_sec=5.0)

@@ -1,0 +1,388 @@
+"""Cuts the streams of a cell into pushes: the same rules for a bag, which is there as a whole, and for messages as they arrive.
+
+1. A push is an interval of time. A push record gives it. Without one it is a run of pusher samples without a pause over `gap`.
+2. A push owns the time between the midpoints to the intervals before and after it, those of failed pushes included.
+3. Of the poses that it owns, a push takes those up to `gap` around its interval. Where there is none at or before its start, it takes the
+   last one before; where there is none at or after its end, the first one after.
+4. It takes the pusher samples and forces within its interval.
+5. A failed push, one with fewer than 2 pusher samples, or one with fewer than 2 poses of an object gives no record.
+
+Each topic arrives in order, but nothing orders one topic among the others: after a stall, or from a bag that is played fast, poses may be
+seconds ahead of the pusher. Nothing here depends on the order across streams: a push is complete when every stream that still delivers
+has passed it. A stream that falls behind itself means that time was set back.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+
+__all__ = ["LIVE_CAPACITY", "CutPush", "PushCutter", "PushInterval"]
+
+LIVE_CAPACITY: Final = 20_000
+"""Samples of a stream that a live cell keeps: ten minutes at 30 Hz."""
+_JUMP_BACK: Final = 1.0
+"""A stamp this much older than the latest of its own stream means that time was set back [s]."""
+_MAX_RECORDS: Final = 100
+"""Push records of a live cell that are kept for pusher samples still to come."""
+_SILENT_CALLS: Final = 3
+"""A stream without a sample between so many calls of `finished` has delivered all it had. A node handles one waiting message of each
+topic between two calls of a timer, so that no message can be waiting then."""
+_ROUNDING: Final = 5e-7
+"""Stamps and ends of intervals went through different roundings [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class PushInterval:
+    """When a push took place."""
+
+    push_id: int
+    """Of its push record; 0 for a run of pusher samples."""
+    object_id: str
+    """Of its push record; empty for a run of pusher samples."""
+    start: float
+    """[s]"""
+    end: float
+    error_code: int
+    """0: the push was made as planned; others as in action/ExecutePush."""
+
+
+@dataclass(frozen=True, slots=True)
+class CutPush:
+    """One push, complete."""
+
+    interval: PushInterval
+    records: list[PushRecord]
+    """One for each object that has a shape and enough poses; empty for a failed push."""
+    left_out: dict[str, str]
+    """Objects that have a shape but no record, and why."""
+
+
+@dataclass(slots=True)
+class _Samples:
+    """Samples of one stream, in order of time."""
+
+    capacity: int | None
+    time: list[float] = field(default_factory=list)
+    value: list[Any] = field(default_factory=list)
+
+    def append(self, time: float, value: Any) -> None:
+        self.time.append(time)
+        self.value.append(value)
+        if self.capacity is not None and len(self.time) >= 2 * self.capacity:
+            self._drop(len(self.time) - self.capacity)
+
+    def select(self, chosen: NDArray[np.intp]) -> tuple[Float64Array, list[Any]]:
+        return np.array([self.time[i] for i in chosen], dtype=np.float64), [self.value[i] for i in chosen]
+
+    def forget(self, before: float) -> None:
+        """Drop what is older than `before`, except the last of it."""
+        self._drop(max(bisect_left(self.time, before) - 1, 0))
+
+    def _drop(self, count: int) -> None:
+        del self.time[:count]
+        del self.value[:count]
+
+
+@dataclass(slots=True)
+class _Stream:
+    """How far one topic has come."""
+
+    latest: float = -math.inf
+    silent: int = 0
+    """Calls of `finished` since its last sample."""
+    is_behind: bool = False
+    """Time was set back, but this topic has not yet delivered all from before."""
+
+
+@dataclass(slots=True)
+class _Run:
+    """Pusher samples without a pause, or the interval of a record where no runs are looked for."""
+
+    start: float
+    end: float
+    record: PushInterval | None = None
+
+
+class PushCutter:
+    """Collects the streams of one cell and hands out complete pushes.
+
+    Args:
+        gap: pause of the pusher that ends a push [s].
+        capacity: samples of each stream to keep at least; None keeps all.
+        find_runs: whether a run of pusher samples without a push record is a push. False for a complete bag that has push records; true for
+            a live cell, where a push is not kept back until its record arrives.
+    """
+
+    def __init__(self, gap: float = 0.5, *, capacity: int | None = LIVE_CAPACITY, find_runs: bool = True) -> None:
+        self._gap = gap
+        self._capacity = capacity
+        self._find_runs = find_runs
+        self._radius = 0.0
+        self._shapes: dict[str, ObjectShape] = {}
+        self._poses: dict[str, _Samples] = {}
+        self._pusher = _Samples(capacity)
+        self._wrench = _Samples(capacity)
+        self._open: _Run | None = None
+        self._ended: deque[_Run] = deque()
+        self._last_end = -math.inf
+        """Of the last run that has ended [s]."""
+        self._handed_out_until = -math.inf
+        """End of the last push that was handed out [s]."""
+        self._now = -math.inf
+        self._streams: dict[str, _Stream] = {}
+        self._cuts: deque[float] = deque()
+        self._records: deque[PushInterval] = deque(maxlen=None if capacity is None else _MAX_RECORDS)
+        self.run = 1
+        """Counts how often time was set back, from 1."""
+
+    # ---- what comes in
+
+    @property
+    def now(self) -> float:
+        """Latest stamp [s]; -inf before the first."""
+        return self._now
+
+    def set_radius(self, radius: float) -> None:
+        """Radius of the pusher [m]."""
+        self._radius = radius
+
+    def set_shape(self, object_id: str, shape: ObjectShape) -> None:
+        """Cells and outline of an object."""
+        self._shapes[object_id] = shape
+
+    def add_pose(self, object_id: str, stamp: float, pose: Float64Array, covariance: Float64Array) -> bool:
+        """A pose of an object, (x, y, yaw) in the table frame, with its 3 x 3 covariance.
+
+        Returns whether it was taken. This and the other streams drop stamps that do not increase, and what is left from before time was
+        set back.
+        """
+        taken = self._take(f"pose of {object_id}", stamp)
+        if taken:
+            self._poses.setdefault(object_id, _Samples(self._capacity)).append(stamp, (pose, covariance))
+        return taken
+
+    def add_wrench(self, stamp: float, force: Float64Array) -> bool:
+        """Force of the pusher on the object [N], shape (2,), table frame."""
+        taken = self._take("wrench", stamp)
+        if taken:
+            self._wrench.append(stamp, (float(force[0]), float(force[1])))
+        return taken
+
+    def add_pusher(self, stamp: float, position: Float64Array) -> bool:
+        """Position of the pusher [m], shape (2,), table frame; a pause before it ends the run before."""
+        if not self._take("pusher", stamp):
+            return False
+        self._pusher.append(stamp, (float(position[0]), float(position[1])))
+        if self._find_runs:
+            self._extend_run(stamp)
+        return True
+
+    def add_record(self, record: PushInterval) -> None:
+        """A push record; the pusher samples of its interval may still be on their way. One that covers no time is ignored."""
+        if record.end <= record.start:
+            return
+        if not self._find_runs:
+            self._ended.append(_Run(record.start, record.end, record))
+            return
+        self._records.append(record)
+        if self._take("push record", record.end) and record.end > self._last_end:
+            self._cuts.append(record.end)
+
+    def _extend_run(self, stamp: float) -> None:
+        while self._cuts and stamp > self._cuts[0] + _ROUNDING:
+            self._cuts.popleft()
+            self._end_run()
+        if self._open is not None and stamp - self._open.end > self._gap:
+            self._end_run()
+        if self._open is None:
+            self._open = _Run(stamp, stamp)
+        self._open.end = stamp
+
+    def _end_run(self) -> None:
+        if self._open is not None:
+            self._last_end = self._open.end
+            self._ended.append(self._open)
+            self._open = None
+
+    def _take(self, name: str, stamp: float) -> bool:
+        """Whether a sample belongs to what is collected now."""
+        stream = self._streams.setdefault(name, _Stream())
+        stream.silent = 0
+        if stamp < stream.latest - _JUMP_BACK:
+            if not stream.is_behind:
+                self._set_back(stamp)
+            stream.is_behind = False
+        elif stamp <= stream.latest:
+            return False
+        elif stream.is_behind:
+            stream.is_behind = self._now < stream.latest
+        stream.latest = stamp
+        if not stream.is_behind:
+            self._now = max(self._now, stamp)
+        return not stream.is_behind
+
+    def _set_back(self, stamp: float) -> None:
+        self._forget_all()
+        self._now = stamp
+        self.run += 1
+        for stream in self._streams.values():
+            stream.is_behind = stream.latest > stamp + _JUMP_BACK
+
+    def reset(self) -> None:
+        """Begin anew: forget everything that was buffered, keep the shapes."""
+        self._forget_all()
+        self._streams.clear()
+
+    def _forget_all(self) -> None:
+        self._poses.clear()
+        self._pusher, self._wrench = _Samples(self._capacity), _Samples(self._capacity)
+        self._ended.clear()
+        self._cuts.clear()
+        self._records.clear()
+        self._open = None
+        self._last_end = self._handed_out_until = self._now = -math.inf
+
+    # ---- what is complete
+
+    def partial(self, object_id: str) -> PushRecord | None:
+        """The push under way as far as it has come; None while there is none, or too little of it."""
+        if self._open is None or object_id not in self._shapes:
+            return None
+        interval = PushInterval(0, "", self._open.start, self._open.end, 0)
+        before = self._interval(self._ended[-1]).end if self._ended else self._handed_out_until
+        found = self._cut(object_id, interval, (_midpoint(before, interval.start), math.inf))
+        return found if isinstance(found, PushRecord) else None
+
+    def finished(self, *, flush: bool = False) -> list[CutPush]:
+        """Pushes that are complete, oldest first. Each is handed out once.
+
+        A push is complete when an object was observed after it and stamps have passed the time in which poses belong to it, or when the
+        next one is nearer. Streams that went silent are not waited for; to notice them, call this at regular times, not at every sample.
+        `flush` takes what there is.
+        """
+        for stream in self._streams.values():
+            stream.silent += 1
+        passed = math.inf if flush else self._passed
+        if self._open is not None and (passed > self._open.end + self._gap or (self._cuts and passed >= self._cuts[0] - _ROUNDING)):
+            self._end_run()
+        while self._cuts and passed > self._cuts[0] + _ROUNDING:
+            self._cuts.popleft()
+        pushes = []
+        while self._ended:
+            interval, window = self._interval(self._ended[0]), self._window()
+            if not (flush or passed > window[1] or (self._observed_after(interval.end) and passed > interval.end + self._gap)):
+                break
+            self._ended.popleft()
+            pushes.append(self._cut_push(interval, window))
+            self._handed_out_until = interval.end
+            self._forget(interval.end)
+        return pushes
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether the pusher is pushing, as far as is known."""
+        return self._open is not None
+
+    @property
+    def is_awaiting(self) -> bool:
+        """Whether a push has ended after which no object was observed yet."""
+        return bool(self._ended) and not self._observed_after(self._interval(self._ended[0]).end)
+
+    @property
+    def _passed(self) -> float:
+        """Up to when everything has arrived [s]."""
+        return min((s.latest for s in self._streams.values() if s.silent <= _SILENT_CALLS and not s.is_behind), default=self._now)
+
+    def _observed_after(self, end: float) -> bool:
+        return any(poses.time and poses.time[-1] >= end for poses in self._poses.values())
+
+    def _interval(self, run: _Run) -> PushInterval:
+        """Rule 1. Of several records that overlap a run, one of a failed push counts first."""
+        if run.record is not None:
+            return run.record
+        overlapping = [record for record in self._records if record.start < run.end and run.start < record.end]
+        failed = [record for record in overlapping if record.error_code]
+        return (failed or overlapping or [PushInterval(0, "", run.start, run.end, 0)])[0]
+
+    def _window(self) -> tuple[float, float]:
+        """Rule 2, for the oldest push that was not handed out."""
+        interval = self._interval(self._ended[0])
+        following = self._ended[1] if len(self._ended) > 1 else self._open
+        after = math.inf if following is None else self._interval(following).start
+        return _midpoint(self._handed_out_until, interval.start), _midpoint(interval.end, after)
+
+    def _cut_push(self, interval: PushInterval, window: tuple[float, float]) -> CutPush:
+        push = CutPush(interval, [], {})
+        for object_id in self._shapes:
+            found = self._cut(object_id, interval, window)
+            if isinstance(found, PushRecord):
+                push.records.append(found)
+            else:
+                push.left_out[object_id] = found
+        return push
+
+    def _cut(self, object_id: str, interval: PushInterval, window: tuple[float, float]) -> PushRecord | str:
+        """The record of one object, or why there is none: rules 3 to 5."""
+        start, end = interval.start, interval.end
+        samples = _within(np.array(self._pusher.time), start, end)
+        poses = self._poses.get(object_id) or _Samples(self._capacity)
+        chosen = _choose_poses(np.array(poses.time), (start, end), window, self._gap)
+        if reason := _unusable(interval.error_code, int(np.count_nonzero(samples)), len(chosen)):
+            return reason
+        time, positions = self._pusher.select(np.flatnonzero(samples))
+        felt, forces = self._wrench.select(np.flatnonzero(_within(np.array(self._wrench.time), start, end)))
+        stamps, observed = poses.select(chosen)
+        return PushRecord(
+            object_id=object_id,
+            shape=self._shapes[object_id],
+            poses=PoseTrack(stamps, np.array([pose for pose, _ in observed]), np.array([covariance for _, covariance in observed])),
+            pusher=PusherPath(time, np.array(positions), self._radius),
+            wrench=WrenchTrack(felt, np.array(forces)) if len(felt) else None,
+            source=f"push at {time[0]:.2f} s",
+        )
+
+    def _forget(self, before: float) -> None:
+        """Drop samples that no later push can need."""
+        if self._capacity is not None:
+            for samples in (*self._poses.values(), self._wrench, self._pusher):
+                samples.forget(before)
+
+
+def _midpoint(end: float, start: float) -> float:
+    return 0.5 * (end + start)
+
+
+def _unusable(error_code: int, n_pusher: int, n_poses: int) -> str:
+    """Why an interval gives no record; empty when it does."""
+    if error_code:
+        return f"its push record has error code {error_code}"
+    if n_pusher < 2:
+        return f"{n_pusher} pusher poses, expected at least 2"
+    if n_poses < 2:
+        return f"{n_poses} object poses, expected at least the two end poses"
+    return ""
+
+
+def _within(time: Float64Array, start: float, end: float) -> BoolArray:
+    return (time >= start - _ROUNDING) & (time <= end + _ROUNDING)
+
+
+def _choose_poses(time: Float64Array, span: tuple[float, float], window: tuple[float, float], gap: float) -> NDArray[np.intp]:
+    """Frames of a push: during it, at rest around it, and where there are none at rest the nearest one on that side."""
+    start, end = span
+    own = (time > window[0]) & (time <= window[1])
+    taken = own & (time >= start - gap) & (time <= end + gap)
+    if not (taken & (time <= start)).any():
+        taken[np.flatnonzero(own & (time < start))[-1:]] = True
+    if not (taken & (time >= end)).any():
+        taken[np.flatnonzero(own & (time > end))[:1]] = True
+    return np.flatnonzero(taken)

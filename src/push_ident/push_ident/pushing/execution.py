@@ -1,0 +1,473 @@
+"""Carrying out a push: choose it, plan it, move the arm under watch, detect the contact, retreat where it fails, and report it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.frames import TABLE_FRAME, object_frame
+from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.pushing.motion import ArmMotion, ArmPlan, MotionSettings, plan_push, plan_retreat
+from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
+from push_ident.pushing.watch import ArmWatch, WatchLimits
+from push_ident.types import Float64Array
+
+__all__ = ["ExecutedPush", "ExecutionSettings", "Mode", "PushExecution", "PushOutcome", "PushRequest", "Purpose", "phase_of"]
+
+_POLL: Final = 0.01
+"""[s] between two looks for the pose of an object."""
+_PLANS: Final = 20
+"""Pushes that are planned, random or recentring ones, before the request is refused as unreachable."""
+_FEEDBACK_PERIOD: Final = 0.1
+"""[s]"""
+_STANDSTILL: Final = 0.15
+"""[s] until an arm that was held stands."""
+_DRIFT: Final = 0.002
+"""How much further out an object may move that was outside the workspace at the start [m]."""
+
+
+class Mode(IntEnum):
+    """How a push is chosen; the numbers are those of the goal of action/ExecutePush."""
+
+    CONTACT = 0
+    RANDOM = 1
+    RECENTRE = 2
+
+
+class Purpose(IntEnum):
+    """Why a push was made; the numbers are those of msg/PushRecord."""
+
+    REQUESTED = 0
+    RECENTRE = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PushRequest:
+    """A push as a client requests it; see action/ExecutePush."""
+
+    mode: int
+    object_id: str = ""
+    frame_id: str = ""
+    """Of contact point and direction: the table frame (also if empty), or the frame of the object."""
+    contact_point: tuple[float, float] = (0.0, 0.0)
+    """[m]"""
+    direction: float = 0.0
+    """[rad]"""
+    distance: float = 0.0
+    """[m]; 0: the default."""
+    speed: float = 0.0
+    """[m/s]; 0: the default."""
+    seed: int = 0
+    """Of a random push."""
+    dry_run: bool = False
+    """Plan only."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExecutionSettings:
+    """Numbers of the execution. Fields, and those of the parts, are parameters of the executor."""
+
+    push: PushSettings
+    motion: MotionSettings
+    limits: WatchLimits = field(default_factory=WatchLimits)
+    recentre: bool = True
+    """Whether an object near the edge is first pushed towards the middle, where the request allows it."""
+    push_distance: float = 0.06
+    """Where a request gives none [m]."""
+    push_speed: float = 0.15
+    """Where a request gives none [m/s]."""
+    pose_timeout: float = 1.0
+    """Oldest object pose, by time of receipt, that a push may start from [s]."""
+    lost_timeout: float = 1.0
+    """An object whose last pose was received longer ago during a push is lost [s]."""
+    min_object_shift: float = 0.002
+    """Smaller shifts of the object count as no contact [m]."""
+    min_object_turn: float = 0.0175
+    """Smaller turns of the object count as no contact [rad]."""
+
+
+@dataclass(slots=True)
+class ExecutedPush:
+    """A push that is to be made, and later its course. Times in seconds of the clock of the cell."""
+
+    purpose: Purpose
+    before: TrackedObject
+    plan: ArmPlan
+    push_id: int = 0
+    """0: it has not begun."""
+    started: float = 0.0
+    contact: float | None = None
+    """When the measured tool passed the planned point of contact."""
+    ended: float = 0.0
+    error: PlanningError | None = None
+    """Why it failed."""
+    _last: tuple[float, float] | None = None
+
+    def observe(self, state: ArmState) -> None:
+        """Process one state of the lowered tool: the contact is where it passes the planned point."""
+        push, stamp = self.plan.push, state.stamp
+        travel = float((state.pose_tip_in_table[:2, 3] - push.tool_at_contact) @ push.heading)
+        if self.contact is None and self._last is not None and self._last[1] < 0.0 <= travel:
+            stamp_before, travel_before = self._last
+            self.contact = stamp_before + (stamp - stamp_before) * travel_before / (travel_before - travel)
+        self._last = (stamp, travel)
+
+    def times(self) -> tuple[float, float, float]:
+        """Start, stop and end of the push [s]. A phase that was not reached has the time of the end."""
+        end = min(self.started + self.plan.rested, self.ended)
+        return min(self.started + self.plan.lowered, end), min(self.started + self.plan.stop, end), end
+
+
+@dataclass(slots=True)
+class PushOutcome:
+    """What became of a request."""
+
+    plan: ArmPlan | None = None
+    push_id: int = 0
+    """0: nothing moved."""
+    recentre_push_id: int = 0
+    """Of the recentring push before it; 0: none."""
+    error: PlanningError | None = None
+
+
+PlanFrom = Callable[[np.ndarray], ArmPlan]
+
+
+class PushExecution:
+    """Carries out requests, one at a time.
+
+    Args:
+        ports: of the cell.
+        on_push: called with every push that has begun, once it has ended.
+        on_warning: called with texts for the operator.
+    """
+
+    def __init__(
+        self, ports: ExecutionPorts, *, on_push: Callable[[ExecutedPush], None], on_warning: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self._ports, self._on_push, self._on_warning = ports, on_push, on_warning
+        self._watch = ArmWatch(ports)
+        self._one_at_a_time = threading.Lock()
+        self._stopped = threading.Event()
+        self.is_pushing = False
+        """Whether the tool is lowered for a push now."""
+        self.n_pushes = 0
+        """Pushes that have begun."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no request is being carried out."""
+        return not self._one_at_a_time.locked()
+
+    @property
+    def peak_force(self) -> float:
+        """Largest horizontal force of the last motion [N]."""
+        return self._watch.peak_force
+
+    def stop(self, timeout: float) -> None:
+        """Hold the arm if it moves, and refuse requests from now on; returns when nothing is under way, after `timeout` [s] at most."""
+        self._stopped.set()
+        if self._one_at_a_time.acquire(timeout=timeout):
+            self._one_at_a_time.release()
+
+    def close_hand(self, timeout: float) -> str:
+        """Close the hand; why it is not a closed fist, empty when it is."""
+        if not self._one_at_a_time.acquire(blocking=False):
+            return "a push is under way; wait for it or cancel it."
+        try:
+            return self._ports.hand.close_fist(timeout, self._stopped.is_set)
+        finally:
+            self._one_at_a_time.release()
+
+    def execute(self, request: PushRequest, settings: ExecutionSettings, client: Client) -> PushOutcome:
+        """Carry out one request; what fails is in `PushOutcome.error`."""
+        outcome = PushOutcome()
+        if not self._one_at_a_time.acquire(blocking=False):
+            outcome.error = PlanningError(PushCode.BUSY, "another push is under way; wait for it or cancel it.")
+            return outcome
+        try:
+            _Execution(self, self._ports, self._watch, request, settings, client, outcome).run()
+        except PlanningError as error:
+            outcome.error = error
+        except InputError as error:
+            outcome.error = PlanningError(PushCode.INVALID_GOAL, str(error))
+        finally:
+            self._one_at_a_time.release()
+        return outcome
+
+    def check_open(self) -> None:
+        """Raise PlanningError CANCELED once `stop` was called."""
+        if self._stopped.is_set():
+            raise PlanningError(PushCode.CANCELED, "the node was stopped; the arm holds.")
+
+    def begin(self) -> int:
+        """Number of a push that begins."""
+        self.n_pushes += 1
+        return self.n_pushes
+
+    def report(self, push: ExecutedPush) -> None:
+        """Hand out a push that has ended."""
+        self._on_push(push)
+
+    def warn(self, text: str) -> None:
+        """Tell the operator."""
+        self._on_warning(text)
+
+
+@dataclass(slots=True)
+class _Execution:
+    """One request under way."""
+
+    owner: PushExecution
+    ports: ExecutionPorts
+    watch: ArmWatch
+    request: PushRequest
+    settings: ExecutionSettings
+    client: Client
+    outcome: PushOutcome
+
+    def run(self) -> None:
+        """Raises PlanningError when the request is refused or the push fails."""
+        request, settings = self.request, self.settings
+        self.client.feedback(Phase.PLAN, 0.0)
+        if request.mode not in tuple(Mode):
+            expected = ", ".join(f"MODE_{mode.name} ({mode.value})" for mode in Mode)
+            raise PlanningError(PushCode.INVALID_GOAL, f"mode is {request.mode}, expected one of {expected}.")
+        if not request.dry_run:
+            self.watch.check_ready()
+        target = self.ports.objects.get(request.object_id, settings.pose_timeout)
+        if not request.dry_run and self._should_recentre(target):
+            self._refuse_impossible(target)
+            self._recentre(target)
+            target = self.ports.objects.get(target.object_id, settings.pose_timeout)
+
+        def plan_from(q: np.ndarray) -> ArmPlan:
+            return self._plan(target, q)
+
+        plan = self.outcome.plan = plan_from(self._posture())
+        if request.dry_run:
+            return
+        purpose = Purpose.RECENTRE if request.mode == Mode.RECENTRE else Purpose.REQUESTED
+        push = ExecutedPush(purpose, target, plan)
+        try:
+            self._make(push, plan_from, lambda elapsed: phase_of(push.plan, elapsed))
+        finally:
+            self.outcome.plan, self.outcome.push_id = push.plan, push.push_id
+
+    # ---- recentring
+
+    def _should_recentre(self, target: TrackedObject) -> bool:
+        """Only where the requested push is the same wherever the object lies."""
+        follows = self.request.mode == Mode.RANDOM or (
+            self.request.mode == Mode.CONTACT and self.request.frame_id == object_frame(target.object_id)
+        )
+        return self.settings.recentre and follows and is_near_edge(target.shape, target.pose, self.settings.push)
+
+    def _refuse_impossible(self, target: TrackedObject) -> None:
+        """Raise PlanningError INVALID_GOAL for a push that is impossible wherever the object lies: nothing may move for it."""
+        if self.request.mode != Mode.CONTACT:
+            return
+        try:
+            self._requested_push(target)
+        except PlanningError as error:
+            if error.code == PushCode.INVALID_GOAL:
+                raise
+
+    def _recentre(self, target: TrackedObject) -> None:
+        """Push the object towards the middle, where such a push is possible."""
+
+        def plan_from(q: np.ndarray) -> ArmPlan:
+            return self._plan_recentring(target, q)
+
+        try:
+            push = ExecutedPush(Purpose.RECENTRE, target, plan_from(self._posture()))
+        except PlanningError as error:
+            if error.code != PushCode.UNREACHABLE:
+                raise
+            self.owner.warn(f"`{target.object_id}` is near the edge of the workspace and stays there: {error}")
+            return
+        try:
+            self._make(push, plan_from, lambda elapsed: Phase.RECENTRE)
+        except PlanningError as error:
+            raise PlanningError(error.code, f"while the object was pushed back to the middle: {error}") from None
+        finally:
+            self.outcome.recentre_push_id = push.push_id
+
+    # ---- planning
+
+    def _posture(self) -> Float64Array:
+        return self.ports.arm.next_state(self.settings.limits.arm_timeout).q
+
+    def _plan(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
+        if self.request.mode == Mode.RECENTRE:
+            return self._plan_recentring(target, q_now)
+        if self.request.mode == Mode.CONTACT:
+            return plan_push(self.ports.arm.planner, q_now, self._requested_push(target), self.settings.motion)
+        settings, obstacles = self.settings.push, self.ports.objects.outlines_of_others(target.object_id)
+        rng = np.random.default_rng(self.request.seed)
+        draws = (sample_push(target.shape, target.pose, rng, settings, obstacles) for _ in range(_PLANS))
+        plan, refusal = self._first_plan(draws, q_now)
+        if plan is None:
+            raise PlanningError(PushCode.UNREACHABLE, f"none of {_PLANS} random pushes fits the arm; the last: {refusal}")
+        return plan
+
+    def _plan_recentring(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
+        obstacles = self.ports.objects.outlines_of_others(target.object_id)
+        pushes = recentring_pushes(target.shape, target.pose, self.settings.push, obstacles)
+        plan, refusal = self._first_plan((push for _, push in zip(range(_PLANS), pushes, strict=False)), q_now)
+        if plan is None:
+            why = refusal or "no contact allows a push towards the middle"
+            raise PlanningError(PushCode.UNREACHABLE, f"`{target.object_id}` cannot be pushed towards the middle: {why}")
+        return plan
+
+    def _first_plan(self, pushes: Iterable[PushPlan2D], q_now: np.ndarray) -> tuple[ArmPlan | None, PlanningError | None]:
+        """The first push that the arm can make, or the last refusal."""
+        refusal: PlanningError | None = None
+        for push in self._while_wanted(pushes):
+            try:
+                return plan_push(self.ports.arm.planner, q_now, push, self.settings.motion), None
+            except PlanningError as error:
+                refusal = error
+        return None, refusal
+
+    def _while_wanted(self, pushes: Iterable[PushPlan2D]) -> Iterable[PushPlan2D]:
+        for push in pushes:
+            self._check_wanted()
+            yield push
+
+    def _requested_push(self, target: TrackedObject) -> PushPlan2D:
+        request, settings = self.request, self.settings
+        point, direction = self._contact_in_table(target)
+        distance, speed = request.distance or settings.push_distance, request.speed or settings.push_speed
+        obstacles = self.ports.objects.outlines_of_others(target.object_id)
+        return push_from_goal(target.shape, target.pose, point, direction, distance, speed, settings.push, obstacles)
+
+    def _contact_in_table(self, target: TrackedObject) -> tuple[Float64Array, float]:
+        """Contact point [m] and heading [rad] of the request in the table frame."""
+        request, own_frame = self.request, object_frame(target.object_id)
+        point = np.array(request.contact_point)
+        if request.frame_id in ("", TABLE_FRAME):
+            return point, float(request.direction)
+        if request.frame_id == own_frame:
+            return transform_points(target.pose, point[None])[0], float(request.direction + target.pose[2])
+        raise PlanningError(PushCode.INVALID_GOAL, f"frame_id is `{request.frame_id}`, expected `{TABLE_FRAME}` or `{own_frame}`.")
+
+    # ---- moving
+
+    def _make(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
+        """Make one push, planned once more where the arm was moved, and report it once it has begun, however it ends.
+
+        `phase_at` gives the phase to report for a time since the start [s].
+        """
+        was_pushing = False
+        try:
+            try:
+                self._move(push, plan_from, phase_at)
+            finally:
+                was_pushing, self.owner.is_pushing = self.owner.is_pushing, False
+            self._check_contact(push)
+        except PlanningError as failure:
+            push.error = failure
+        push.ended = self.ports.clock.now()
+        if was_pushing and push.error is not None and push.error.code == PushCode.OBJECT_LOST:
+            push.error = PlanningError(push.error.code, f"{push.error} {self._retreat(push)}")
+        if push.push_id:
+            self.owner.report(push)
+        if push.error is not None:
+            raise push.error
+
+    def _move(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
+        reported: tuple[Phase | None, float] = (None, -np.inf)
+
+        def on_start(motion: ArmMotion, started: float) -> None:
+            assert isinstance(motion, ArmPlan)
+            push.push_id, push.plan, push.started = self.owner.begin(), motion, started
+
+        def on_look(elapsed: float, state: ArmState) -> None:
+            nonlocal reported
+            self.owner.is_pushing = push.plan.lowered <= elapsed <= push.plan.rested
+            if self.owner.is_pushing:
+                push.observe(state)
+                self._check_object(push)
+            phase = phase_at(elapsed)
+            if phase != reported[0] or elapsed - reported[1] > _FEEDBACK_PERIOD:
+                reported = (phase, elapsed)
+                self.client.feedback(phase, elapsed / push.plan.duration)
+
+        limits = self.settings.limits
+        self.watch.run(push.plan, limits, replan=plan_from, check_wanted=self._check_wanted, on_start=on_start, on_look=on_look)
+
+    def _retreat(self, push: ExecutedPush) -> str:
+        """Leave after a push that was broken off, if a checked path leads home; the outcome as a sentence."""
+        motion_settings, heading = self.settings.motion, push.plan.push.heading
+
+        def plan_from(q: np.ndarray) -> ArmMotion:
+            return plan_retreat(self.ports.arm.planner, q, heading, motion_settings)
+
+        self.ports.clock.sleep(_STANDSTILL)
+        try:
+            self.watch.run(
+                plan_from(self._posture()),
+                self.settings.limits,
+                replan=plan_from,
+                check_wanted=self._check_wanted,
+                on_start=lambda motion, started: None,
+                on_look=lambda elapsed, state: self.client.feedback(Phase.RETREAT, 1.0),
+            )
+        except PlanningError as error:
+            return f"The arm holds: {error}"
+        return "The arm went home."
+
+    # ---- checks
+
+    def _check_wanted(self) -> None:
+        self.owner.check_open()
+        if self.client.is_cancel_requested:
+            raise PlanningError(PushCode.CANCELED, "canceled on request; the arm holds.")
+
+    def _check_object(self, push: ExecutedPush) -> None:
+        """Raise PlanningError OBJECT_LOST when there are no poses of the object any more, or its origin has left the workspace."""
+        patience = self.settings.limits.patience(self.settings.lost_timeout)
+        try:
+            now = self.ports.objects.get(push.before.object_id, patience)
+        except PlanningError as error:
+            raise PlanningError(PushCode.OBJECT_LOST, f"lost during the push: {error}") from None
+        excess, before = (self.settings.push.excess(pose[None, :2]) for pose in (now.pose, push.before.pose))
+        if excess > before + _DRIFT:
+            x, y = now.pose[:2]
+            raise PlanningError(PushCode.OBJECT_LOST, f"`{now.object_id}` left the workspace: it is at ({x:.3f}, {y:.3f}) m.")
+
+    def _check_contact(self, push: ExecutedPush) -> None:
+        """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived after the push."""
+        before, stop, clock = push.before, push.started + push.plan.stop, self.ports.clock
+        deadline = clock.monotonic() + self.settings.pose_timeout
+        after = self.ports.objects.get(before.object_id, np.inf)
+        while after.stamp <= stop:
+            self.owner.check_open()
+            if clock.monotonic() > deadline:
+                raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{before.object_id}` after the push.")
+            clock.sleep(_POLL)
+            after = self.ports.objects.get(before.object_id, np.inf)
+        shift = float(np.linalg.norm(after.pose[:2] - before.pose[:2]))
+        turn = abs(float(wrap_angle(after.pose[2] - before.pose[2])))
+        if shift <= self.settings.min_object_shift and turn <= self.settings.min_object_turn:
+            raise PlanningError(
+                PushCode.NO_CONTACT, f"`{before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
+            )
+
+
+def phase_of(plan: ArmPlan, elapsed: float) -> Phase:
+    """Phase of a push at a time since its start [s]."""
+    if elapsed < plan.lowered:
+        return Phase.APPROACH
+    if elapsed < plan.stop:
+        return Phase.PUSH
+    return Phase.REST if elapsed < plan.rested else Phase.RETREAT

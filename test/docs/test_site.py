@@ -1,0 +1,105 @@
+"""The documents: the site builds without a warning and needs no network, and what the documents at the root promise holds."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md", "changelog/README.md")
+ELSEWHERE = ("camera.yaml", "joint_limits.yaml")
+"""Files that documents name and that are made by a command or belong to an arm."""
+PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "**Consequences**: ")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built in strict mode: a broken link, anchor, reference or equation fails."""
+    target = tmp_path_factory.mktemp("site")
+    # Not --quiet: it drops the warnings before strict mode counts them.
+    call = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(target)]
+    environ = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(call, cwd=ROOT, env=environ, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return target
+
+
+def test_pages_load_nothing_from_the_network(site: Path) -> None:
+    loads = re.compile(
+        r"<(?:script|img|iframe|source)\b[^>]*\bsrc=[\"']?(?:https?:)?//[^>]*>|<link\b[^>]*\bhref=[\"']?(?:https?:)?//[^>]*>"
+    )
+    found = {page.name: match for page in site.rglob("*.html") for match in loads.findall(page.read_text(encoding="utf-8"))}
+    assert not found
+
+
+def test_reference_has_every_command_node_message_and_effect(site: Path) -> None:
+    from push_ident.physics.effects import EFFECTS
+
+    pages = {
+        name: (site / "reference" / f"{name}.html").read_text(encoding="utf-8") for name in ("commands", "nodes", "messages", "effects")
+    }
+    messages = [path.stem for path in (ROOT / "src" / "push_ident_msgs").glob("*/*.*") if path.suffix in (".msg", ".srv", ".action")]
+    expected = {
+        "commands": ["identify", "predict", "diagnose", "fleet", "export", "replay", "import", "up", "simulate", "bench", "demo", "doctor"],
+        "nodes": ["perception_node", "objects/&lt;id&gt;/mass_friction_map", "execute_push", "joint_acceleration_limits"],
+        "messages": messages,
+        "effects": list(EFFECTS),
+    }
+    missing = {page: [name for name in names if name not in pages[page]] for page, names in expected.items()}
+    assert not any(missing.values()), missing
+
+
+def test_links_of_the_documents_at_the_root_lead_somewhere() -> None:
+    broken = []
+    for name in ROOT_DOCUMENTS:
+        document = ROOT / name
+        for link in re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8")):
+            if "://" not in link and not (document.parent / link).exists():
+                broken.append(f"{name}: {link}")
+    assert not broken
+
+
+def test_files_that_documents_name_exist() -> None:
+    """A file or folder in backticks is one of the repository, given by the end of its path."""
+    paths = [path for folder in ("src", "test", "tools", "docs", "bags", "changelog") for path in (ROOT / folder).rglob("*")]
+    known = {f"/{path.relative_to(ROOT)}" + ("/" if path.is_dir() else "") for path in (*paths, *ROOT.iterdir())}
+    documents = [ROOT / name for name in ROOT_DOCUMENTS[:4]]
+    documents += [path for folder in ("decisions", "how-to", "concepts") for path in (ROOT / "docs" / folder).glob("*.md")]
+    missing = []
+    for document in documents:
+        for name in re.findall(r"`((?:[\w-]+/)*[\w-]+(?:\.py|\.yaml|\.toml|/))`", document.read_text(encoding="utf-8")):
+            if name not in ELSEWHERE and not any(path.endswith(f"/{name}") for path in known):
+                missing.append(f"{document.name}: {name}")
+    assert not missing
+
+
+def test_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 700
+
+
+@pytest.mark.parametrize("record", sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md")), ids=lambda path: path.stem)
+def test_record_of_a_decision_is_complete(record: Path) -> None:
+    text = record.read_text(encoding="utf-8")
+    assert text.startswith(f"# {int(record.name[:4])}. ")
+    assert [part for part in PARTS if f"\n{part}" not in text] == []
+
+
+def test_records_of_decisions_are_numbered_without_a_gap() -> None:
+    numbers = [int(path.name[:4]) for path in sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_script_of_the_guide_writes_a_bag_that_is_read_as_its_source(tmp_path: Path) -> None:
+    from push_ident.offline.loading import load_pushes
+
+    source = next((ROOT / "bags").glob("*/metadata.yaml")).parent
+    script = ROOT / "docs" / "examples" / "write_a_bag.py"
+    subprocess.run([sys.executable, script, source, tmp_path / "own"], check=True, timeout=300)
+    before, after = load_pushes([source]).records, load_pushes([tmp_path / "own"]).records
+    assert [len(record.poses.time) for record in after] == [len(record.poses.time) for record in before]
+    assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=1e-6)

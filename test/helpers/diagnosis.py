@@ -1,0 +1,67 @@
+"""Pushes with effects, and stand-ins for fits and residuals, for the tests of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from helpers.objects import hammer, random_records
+from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.identification.fit import Fit
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import simulate
+from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord
+
+_HAMMER = hammer(1)
+TRUTH = ObjectModel(_HAMMER.shape, _HAMMER.mass, _HAMMER.friction, 0.3)
+"""The object that is pushed."""
+NOISE = np.array([1e-3, 1e-3, np.radians(0.5)])
+"""Standard deviation of the poses [m, m, rad]."""
+
+
+def simulated_pushes(n: int, seed: int, effects: dict[str, list[float]] | None = None, *, noise: Float64Array = NOISE) -> list[PushRecord]:
+    """Random pushes of `TRUTH` with some effects and white noise; their sources are "push 0", "push 1" and so on."""
+    rng = np.random.default_rng([seed, 7])
+    records = []
+    for order, record in enumerate(random_records(TRUTH, n, seed)):
+        time = record.poses.time
+        pose = simulate(TRUTH, PushScenario(record.pusher, record.poses.pose[0], time, order), effects=effects).pose
+        observed = pose + rng.normal(size=pose.shape) * noise
+        track = PoseTrack(time, observed, np.broadcast_to(np.diag(noise**2), (len(time), 3, 3)))
+        records.append(replace(record, poses=track, order=order, source=f"push {order}"))
+    return records
+
+
+def with_correlated_noise(records: list[PushRecord], rho: float, seed: int) -> list[PushRecord]:
+    """The same pushes with more noise, of twice the standard deviation, whose errors are correlated from frame to frame."""
+    rng = np.random.default_rng(seed)
+    noisy = []
+    for record in records:
+        noise = rng.normal(size=record.poses.pose.shape)
+        for k in range(1, len(noise)):
+            noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
+        track = PoseTrack(record.poses.time, record.poses.pose + 2.0 * NOISE * noise, 5.0 * record.poses.covariance)
+        noisy.append(replace(record, poses=track))
+    return noisy
+
+
+def traced_by_camera(records: list[PushRecord]) -> list[PushRecord]:
+    """The same pushes of an object whose outline a camera traced."""
+    return [replace(record, shape=replace(record.shape, traced_by_camera=True)) for record in records]
+
+
+def stub_fit(*names: str, log_evidence: float = 0.0) -> Fit:
+    """A fit of which only the effects and the log evidence are known."""
+    return cast(Any, SimpleNamespace(names=names, log_evidence=log_evidence))
+
+
+def frame_residuals(standardized: Float64Array) -> FrameResiduals:
+    """Standardized residuals of some pushes, shape (n_pushes, n_frames, 3), and nothing else; under the model they would be white."""
+    n_pushes, n_frames, _ = standardized.shape
+    n = n_pushes * n_frames
+    zero, white = np.zeros(n), np.random.default_rng(1).normal(size=(400, n, 3))
+    push = np.repeat(np.arange(n_pushes), n_frames)
+    return FrameResiduals(standardized.reshape(n, 3), np.zeros((n, 3)), push, zero, zero, zero, zero, np.zeros((n, 2)), white)

@@ -1,0 +1,36 @@
+"""Poses and outlines from a camera: which errors belong to the base model, and which pushes are outliers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from helpers.diagnosis import frame_residuals
+from push_ident.diagnosis.camera import OUTLINE_ERRORS, POSE_ERRORS, camera_settings, outlier_pushes
+from push_ident.diagnosis.policy import CameraPolicy, DecisionPolicy, SelectionPolicy
+from push_ident.diagnosis.settings import DiagnosisSettings
+
+
+def test_errors_of_a_camera_join_the_base_model_once() -> None:
+    settings = camera_settings(DiagnosisSettings(base_effects=("wear", *POSE_ERRORS[:1])))
+    assert settings.base_effects[:2] == ("wear", POSE_ERRORS[0])
+    assert sorted(settings.base_effects) == sorted({"wear", *OUTLINE_ERRORS, *POSE_ERRORS})
+
+
+def test_camera_raises_margins_and_noise_and_lowers_none() -> None:
+    strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(tie_margin=99.0)))
+    policy = camera_settings(strict).policy
+    assert policy.selection.tie_margin == 99.0
+    assert policy.selection.min_log_bayes_factor == policy.camera.min_log_bayes_factor
+    assert policy.for_camera() == policy
+    assert camera_settings(strict).noise.floor_position >= strict.noise.floor_position
+
+
+def test_pushes_that_disagree_with_all_others_are_outliers_unless_they_are_many() -> None:
+    policy, noise = CameraPolicy(), np.random.default_rng(2).normal(size=(8, 30, 3))
+    assert outlier_pushes(frame_residuals(noise), policy) == ()
+    few, many = noise.copy(), noise.copy()
+    few[[2, 5]] *= 3.0
+    many[[2, 5, 6]] *= 3.0
+    assert outlier_pushes(frame_residuals(few), policy) == (2, 5)
+    # So many pushes have a common cause.
+    assert outlier_pushes(frame_residuals(many), policy) == ()

@@ -1,0 +1,67 @@
+"""Gates: data and numerics that cannot be trusted, each with a small case of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from helpers.diagnosis import simulated_pushes
+from push_ident.diagnosis.gates import check_data, check_pushes
+from push_ident.diagnosis.policy import GatePolicy
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.state import DiagnosisState
+from push_ident.identification.observation import NoiseModel
+from push_ident.types import PoseTrack, PushRecord
+
+
+def failed(records: list[PushRecord], policy: GatePolicy | None = None) -> list[str]:
+    return [gate.found for gate in check_data(records, NoiseModel(), policy or GatePolicy()) if not gate.passed]
+
+
+def with_frames(record: PushRecord, kept: np.ndarray) -> PushRecord:
+    poses = record.poses
+    return replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
+
+
+def test_good_pushes_pass_all_gates() -> None:
+    assert failed(simulated_pushes(4, 1)) == []
+
+
+def test_too_few_pushes_fail() -> None:
+    records = simulated_pushes(4, 1)
+    (found,) = failed(records, GatePolicy(min_pushes=5))
+    assert found == "4 of 4 pushes touch the object"
+
+
+def test_missing_frames_fail() -> None:
+    rng = np.random.default_rng(0)
+    records = [with_frames(record, np.flatnonzero(rng.random(len(record.poses.time)) > 0.4)) for record in simulated_pushes(4, 1)]
+    (found,) = failed(records)
+    assert found.endswith("% of the frames are missing")
+
+
+def test_poses_that_jump_and_come_back_fail_and_a_step_that_stays_does_not() -> None:
+    records = simulated_pushes(4, 1)
+    turned = []
+    for record in records:
+        pose = record.poses.pose.copy()
+        pose[5::10, 2] += np.pi
+        turned.append(replace(record, poses=replace(record.poses, pose=pose)))
+    assert any("jump away" in found for found in failed(turned))
+    stepped = []
+    for record in records:
+        pose = record.poses.pose.copy()
+        pose[len(pose) // 2 :, 0] += 0.1
+        stepped.append(replace(record, poses=replace(record.poses, pose=pose)))
+    assert not any("jump away" in found for found in failed(stepped))
+
+
+def test_stage_keeps_the_pushes_that_touch_the_object() -> None:
+    records = simulated_pushes(4, 1)
+    away = replace(records[1], pusher=replace(records[1].pusher, position=records[1].pusher.position + 5.0))
+    settings = DiagnosisSettings()
+    state = check_pushes(DiagnosisState((records[0], away, *records[2:]), settings, settings))
+    assert not state.abstains
+    assert [record.source for record in state.records] == ["push 0", "push 2", "push 3"]
+    assert state.source_of(1) == "push 2"

@@ -1,0 +1,50 @@
+"""Errors on held-out pushes, before and after effects are added."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import simulated_pushes
+from push_ident.diagnosis.fits import fit_base, fit_effects
+from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.policy import ValidationPolicy
+from push_ident.diagnosis.settings import DiagnosisSettings
+
+
+def test_gap_is_measured_at_every_stage() -> None:
+    policy = ValidationPolicy()
+    base = fit_base(simulated_pushes(3, 1), DiagnosisSettings())
+    fit = fit_effects(base, ("table_tilt",))
+    gap = measure_gap(base, fit, policy, between={"itself": fit})
+    np.testing.assert_array_equal(gap.stages["itself"], gap.after)
+    nothing = measure_gap(base, base, policy, between={"itself": fit})
+    assert gap.before.shape == gap.after.shape == (3,) and nothing.stages == {}
+    log_bayes_factor = fit.log_evidence - base.log_evidence
+    np.testing.assert_allclose(gap.log_bayes_factor_without, [log_bayes_factor - gap.log_density_gain, np.zeros(3)], atol=1e-9)
+    assert gap.folds == ((0,), (1,), (2,)) and nothing.log_bayes_factor_without.shape == (0, 3)
+    pairs = measure_gap(base, base, ValidationPolicy(max_folds=2))
+    assert pairs.folds == ((0, 2), (1,)) and pairs.before.shape == (3,)
+
+
+def gap_of(before: list[float], after: list[float], noise: float, log_density_gain: float = 1.0) -> Gap:
+    n = len(before)
+    return Gap(np.array(before), np.array(after), np.full(n, noise), np.full(n, log_density_gain), np.zeros((n, 1)))
+
+
+def test_shrink_is_the_share_of_the_gap_above_noise_that_is_closed_and_not_a_number_without_one() -> None:
+    gap = gap_of([5e-3, 4.5e-3, 5.5e-3, 5e-3], [2e-3] * 4, 1e-3)
+    assert gap.is_above_noise and gap.shrink == pytest.approx(0.75)
+    low, high = gap.shrink_interval
+    assert low < 0.75 < high
+    scattered = gap_of([1e-3, 6e-3, 0.2e-3, 0.4e-3], [1e-3] * 4, 1e-3)
+    assert not scattered.is_above_noise and np.isnan(scattered.shrink) and np.isnan(scattered.shrink_interval).all()
+
+
+def test_effects_are_worse_only_where_neither_error_nor_density_improves() -> None:
+    better = gap_of([3e-3, 3e-3], [2e-3, 2e-3], 1e-3, log_density_gain=-1.0)
+    assert not better.is_worse
+    worse = replace(better, after=np.array([4e-3, 4e-3]))
+    assert worse.is_worse and not replace(worse, log_density_gain=np.ones(2)).is_worse

@@ -1,0 +1,117 @@
+"""Selection of effects: which are refitted, what counts, and which rivals remain in a tie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import simulated_pushes, stub_fit
+from push_ident.diagnosis.fits import fit_base
+from push_ident.diagnosis.next_push import competing_explanations
+from push_ident.diagnosis.policy import SelectionPolicy
+from push_ident.diagnosis.scores import EffectScore
+from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select_effects
+from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.identification.fit import Fit
+from push_ident.types import SolveStatus
+
+POLICY = SelectionPolicy()
+
+
+def step_of(**log_bayes_factors: float) -> Step:
+    fit = stub_fit()
+    return Step(fit, None, (), tuple(Candidate(name, fit, value) for name, value in log_bayes_factors.items()))
+
+
+def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_was_added() -> None:
+    """Of three steps, the second found a cause beside which the first one's runner-up is the better one."""
+    steps = (step_of(table_tilt=40.0, wear=35.0, tether=20.0), step_of(tether=15.0, wear=2.0), step_of(restitution=1.0))
+    selection = Selection(stub_fit(), stub_fit("wear", "tether"), steps)
+    added = {name: (steps.index(step), c.log_bayes_factor) for name, (step, c) in selection.added.items()}
+    assert added == {"wear": (0, 35.0), "tether": (1, 15.0)}
+
+
+@pytest.mark.parametrize(
+    ("rival", "found", "its", "is_tied"),
+    [
+        ("wear", 200.0, 185.0, True),
+        ("wear", 200.0, 175.0, False),
+        ("pose_latency", 200.0, 195.0, True),
+        ("pose_latency", 200.0, 185.0, False),
+        ("pose_latency", 20.0, 15.0, True),
+        ("pose_latency", 20.0, 13.0, False),
+        ("pose_latency", 10.0, 2.0, True),
+        ("pose_latency", 10.0, 0.5, False),
+    ],
+)
+def test_rivals_are_tied_within_a_margin_that_is_a_share_for_approximate_laws_and_everything_for_weak_effects(
+    rival: str, found: float, its: float, is_tied: bool
+) -> None:
+    selection = Selection(stub_fit(), stub_fit("pusher_lag"), (step_of(pusher_lag=found, **{rival: its}),))
+    assert [tied.name for tied in selection.tied_rivals(POLICY)] == ([rival] if is_tied else [])
+
+
+def test_rivals_of_an_earlier_effect_come_from_fits_beside_all_others() -> None:
+    """In the first step latency is far behind; beside the second effect it is near, and outline_error is not."""
+    base, fit = stub_fit(), stub_fit("pusher_lag", "camera_rotation")
+    steps = (step_of(pusher_lag=100.0, pose_latency=80.0, outline_error=70.0), step_of(camera_rotation=50.0, camera_scale=20.0))
+    swaps = (RivalFit("pose_latency", "pusher_lag", fit, 2.0), RivalFit("outline_error", "pusher_lag", fit, 30.0))
+    selection = Selection(base, fit, steps, swaps)
+    assert [(rival.replaces, rival.name) for rival in selection.tied_rivals(POLICY)] == [("pusher_lag", "pose_latency")]
+    assert list(competing_explanations(selection, POLICY)) == ["pusher_lag", "pose_latency"]
+
+
+def test_effect_that_contains_the_found_one_is_no_rival_but_its_general_case() -> None:
+    selection = Selection(stub_fit(), stub_fit("table_tilt"), (step_of(table_tilt=50.0, tether=49.0, wear=48.0),))
+    assert [rival.name for rival in selection.rivals] == ["wear"]
+    assert selection.special_cases(POLICY.tie_margin) == {"table_tilt": "tether"}
+
+
+def test_stages_are_the_fits_between_the_base_model_and_all_that_was_found() -> None:
+    base, lag, both = stub_fit("outline_error"), stub_fit("outline_error", "pusher_lag"), stub_fit("outline_error", "pusher_lag", "wear")
+    steps = tuple(Step(fit, None, (), ()) for fit in (base, lag, both))
+    assert Selection(base, both, steps).stages == {"pusher_lag": lag}
+    assert Selection(base, lag, steps[:2]).stages == {} and Selection(base, base, steps).stages == {}
+
+
+def test_approximate_laws_raise_what_the_next_effect_needs_and_exact_ones_do_not() -> None:
+    policy = SelectionPolicy(min_log_bayes_factor=5.0, min_log_bayes_factor_next=12.0, next_share=0.15)
+
+    def required(**found: float) -> float:
+        steps = tuple(step_of(**{name: value}) for name, value in found.items())
+        return required_log_bayes_factor(Selection(stub_fit(), stub_fit(*found), steps), policy)
+
+    assert required() == 5.0
+    assert required(camera_scale=900.0) == 12.0
+    assert required(table_tilt=900.0) == pytest.approx(135.0)
+    assert required(camera_scale=900.0, table_tilt=200.0) == pytest.approx(30.0)
+
+
+def test_effect_beside_another_is_refitted_only_where_it_promises_something() -> None:
+    def chosen(is_first: bool, **expected: float) -> list[str]:
+        scores = [EffectScore(name, value, np.zeros(1), np.eye(1), np.inf) for name, value in expected.items()]
+        return [score.name for score in choose_refits(scores, POLICY, is_first=is_first)]
+
+    assert chosen(True, wear=3.0, restitution=-1.0) == ["wear", "restitution"]
+    assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
+    assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
+    assert chosen(True) == []
+
+
+def test_effects_whose_scores_mislead_about_one_another_are_refitted_together() -> None:
+    scores = [EffectScore(n, v, np.zeros(1), np.eye(1), np.inf) for n, v in {"pose_latency": 90.0, "wear": 5.0, "pusher_lag": -5.0}.items()]
+    assert [score.name for score in choose_refits(scores, POLICY, is_first=True)] == ["pose_latency", "pusher_lag"]
+
+
+def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None:
+    """A base fit that has not found its optimum is easily beaten by anything that begins at another place."""
+    good = fit_base(simulated_pushes(6, 1), DiagnosisSettings())
+    displaced = good.x.copy()
+    displaced[: good.unknowns.size] += np.random.default_rng(0).normal(size=good.unknowns.size)
+    stuck = Fit(good.problem, displaced, good.problem.evaluate(displaced), SolveStatus.STALLED)
+    assert stuck.log_evidence < good.log_evidence - 20.0
+    selection = select_effects(stuck, POLICY)
+    assert not selection.found
+    assert selection.base is selection.fit
+    assert selection.base.log_evidence > good.log_evidence - 2.0

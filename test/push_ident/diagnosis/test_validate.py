@@ -1,0 +1,65 @@
+"""What held-out pushes confirm, and when the cause is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import frame_residuals, stub_fit
+from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
+from push_ident.diagnosis.selection import Selection, Step
+from push_ident.diagnosis.state import UnsupportedEffect
+from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.diagnosis.validate import residuals_exceed_noise, supported_selection, wrench_explains_more
+
+
+@pytest.mark.parametrize(
+    ("log_bayes_factors", "kept", "unsupported"),
+    [
+        ([[5.0, 9.0, 4.0], [3.0, 7.0, 2.0]], ("pusher_lag", "wear"), None),
+        ([[5.0, 9.0, 4.0], [3.0, -1.5, 2.0]], ("pusher_lag",), UnsupportedEffect("wear", (1, 4))),
+        ([[5.0, 9.0, -2.0], [3.0, -1.5, 2.0]], (), UnsupportedEffect("pusher_lag", (2,))),
+    ],
+)
+def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
+    log_bayes_factors: list[list[float]], kept: tuple[str, ...], unsupported: UnsupportedEffect | None
+) -> None:
+    base, lag, both = stub_fit(), stub_fit("pusher_lag"), stub_fit("pusher_lag", "wear")
+    selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
+    zero, policy = np.zeros(5), ValidationPolicy()
+    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), ((0, 3), (1, 4), (2,)), np.array(log_bayes_factors))
+    supported, found = supported_selection(selection, gap, policy)
+    assert supported.found == kept and found == unsupported
+    assert unsupported is None or len(supported.steps) == len(kept) + 1
+    # What predicts held-out pushes worse is rejected, whatever its evidence.
+    worse = replace(gap, log_density_gain=-np.ones(3))
+    assert supported_selection(selection, worse, policy)[0].found == ()
+    neither = Selection(base, base, selection.steps[:1])
+    assert supported_selection(neither, replace(worse, log_bayes_factor_without=np.zeros((0, 3))), policy) == (neither, None)
+
+
+def test_several_effects_have_to_beat_the_wrench_and_a_single_one_must_only_not_be_beaten() -> None:
+    def explains_more(log_bayes_factor: float, *names: str) -> bool:
+        selection = Selection(stub_fit(), stub_fit(*names, log_evidence=40.0))
+        wrench = SmoothWrench(cast(Any, None), log_bayes_factor, {}, {})
+        return wrench_explains_more(wrench, selection, UnknownPolicy(named_share=0.8), tie_margin=6.0)
+
+    assert [explains_more(value, "tether", "wear") for value in (33.0, 35.0)] == [False, True]
+    assert [explains_more(value, "tether") for value in (45.0, 49.0, 51.0)] == [False, False, True]
+
+
+def test_residuals_that_are_larger_or_smoother_than_noise_show_something_unknown() -> None:
+    rng = np.random.default_rng(2)
+    noise, slow = rng.normal(size=(14, 30, 3)), np.sin(np.linspace(0.0, 9.0, 30))[:, None] * np.ones((14, 1, 3))
+    right, smooth, large = frame_residuals(noise), frame_residuals(0.8 * noise + 0.6 * slow), frame_residuals(1.2 * noise)
+    policy = UnknownPolicy()
+    assert not residuals_exceed_noise(right, right, policy, noise_is_known=True)
+    assert residuals_exceed_noise(right, smooth, policy, noise_is_known=True)
+    assert residuals_exceed_noise(right, large, policy, noise_is_known=True)
+    # Errors of a camera depend on the pose, so that they are as smooth; beside a strong effect its law may leave as much.
+    assert not residuals_exceed_noise(right, smooth, policy, noise_is_known=False)
+    assert not residuals_exceed_noise(frame_residuals(5.0 * noise), smooth, policy, noise_is_known=True)

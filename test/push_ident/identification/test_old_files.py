@@ -1,0 +1,44 @@
+"""Files of earlier versions load, with the numbers that they state.
+
+The files in `files/` were written before the prior lost its fields on the camera (`outline_std`, `camera_share`).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from push_ident.identification.model_file import load_model
+from push_ident.identification.online import OnlineIdentifier
+from push_ident.identification.state_file import load_state, save_state
+
+FILES = Path(__file__).parent / "files"
+
+
+def test_model_of_an_earlier_version_states_the_same_maps() -> None:
+    written = json.loads((FILES / "model_1.json").read_text())
+    assert {"outline_std", "camera_share"} < set(written["prior"])
+    object_id, posterior = load_model(FILES / "model_1.json")
+    assert object_id == "o1"
+    assert posterior.model.mass.tolist() == written["mass"]
+    assert posterior.model.friction.tolist() == written["friction"]
+    assert posterior.model.pusher_friction == written["pusher_friction"]
+
+
+def test_state_of_an_earlier_version_continues(tmp_path: Path) -> None:
+    kept = load_state(FILES / "state_2.json")
+    assert (kept.object_id, kept.state.n_pushes, len(kept.state.records)) == ("o1", 2, 1)
+    assert kept.record.n == 2
+    assert [score.number for score in kept.record.latest] == [1, 2]
+    assert all(score.cell_error > 0 and score.mahalanobis2 > 0 for score in kept.record.latest)
+    online = OnlineIdentifier(kept.state, window=1)
+    before = kept.state.posterior.covariance
+    online.add(kept.state.records[0])
+    assert online.n_pushes == 3
+    assert np.trace(online.posterior.covariance) < np.trace(before)
+    save_state(tmp_path / "again.json", kept.state, object_id=kept.object_id, sources=kept.sources, record=kept.record, pushes=kept.pushes)
+    again, written = (json.loads(path.read_text()) for path in (tmp_path / "again.json", FILES / "state_2.json"))
+    assert again["starts"] == written["starts"]
+    assert again["record"] == written["record"]

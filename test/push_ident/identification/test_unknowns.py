@@ -1,0 +1,105 @@
+"""The unknowns are named blocks: where they are, what bounds and freezes them, and what another vector takes over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.objects import hammer, random_records
+from push_ident.errors import InputError
+from push_ident.identification.fit import Fit
+from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.prior import Prior
+from push_ident.identification.problem import FitProblem, without_first_pose
+from push_ident.identification.unknowns import Block, Layout, Unknowns
+from push_ident.physics.effects import EFFECTS
+from push_ident.types import SolveStatus
+
+SHAPE = hammer(1).shape
+PRIOR = Prior(max_modes=4)
+
+
+def test_blocks_follow_each_other_and_cover_the_vector() -> None:
+    unknowns = Unknowns(SHAPE, PRIOR, effects=("tool_offset", "pusher_lag"))
+    assert [block.name for block in unknowns.blocks] == ["maps", "effects", "friction_scale", "pusher_friction"]
+    places = np.concatenate([np.arange(unknowns.size)[unknowns.slice_of(block.name)] for block in unknowns.blocks])
+    assert places.tolist() == list(range(unknowns.size))
+    assert (unknowns.mass_modes, unknowns.friction_modes) == (slice(0, 4), slice(4, 8))
+    assert unknowns.slice_of_effect("pusher_lag") == slice(10, 11)
+    with pytest.raises(InputError, match="friction_scale"):
+        unknowns.slice_of("masses")
+
+
+def test_each_block_changes_its_own_quantity() -> None:
+    unknowns = Unknowns(SHAPE, PRIOR, effects=("pusher_lag",))
+    plain, z = unknowns.model(np.zeros(unknowns.size)), np.zeros(unknowns.size)
+    z[unknowns.slice_of("friction_scale")] = 1.0
+    assert unknowns.model(z).friction == pytest.approx(plain.friction * np.exp(PRIOR.friction_std))
+    z = np.zeros(unknowns.size)
+    z[unknowns.slice_of("pusher_friction")] = -1.0
+    assert unknowns.model(z).pusher_friction == pytest.approx(PRIOR.pusher_friction * np.exp(-PRIOR.pusher_friction_std))
+    z = np.zeros(unknowns.size)
+    z[unknowns.mass_modes.start] = 1.0
+    assert unknowns.model(z).total_mass == pytest.approx(plain.total_mass)
+    assert not np.allclose(unknowns.model(z).mass, plain.mass)
+
+
+def test_values_of_effects_stay_within_their_bounds() -> None:
+    unknowns = Unknowns(SHAPE, PRIOR, effects=("pusher_lag",))
+    (parameter,) = EFFECTS["pusher_lag"].parameters
+    z = np.zeros(unknowns.size)
+    z[unknowns.slice_of("effects")] = 1e6
+    assert unknowns.effects_at(z).values == pytest.approx([parameter.high])
+    assert unknowns.block("effects").high == pytest.approx([parameter.high - parameter.nominal])
+
+
+def test_accuracy_of_a_sensor_replaces_the_prior_of_the_catalogue_and_survives_other_effects() -> None:
+    unknowns = Unknowns(SHAPE, PRIOR, effects=("pusher_lag", "outline_error"), effect_std={"outline_error": (4e-4,)})
+    assert unknowns.effect_std == pytest.approx([EFFECTS["pusher_lag"].parameters[0].scale, 4e-4])
+    assert unknowns.with_effects(("outline_error",)).effect_std == pytest.approx([4e-4])
+    assert unknowns.at_amplitude(0.1).effect_std == pytest.approx(unknowns.effect_std)
+
+
+def test_amplitude_scales_the_maps_only() -> None:
+    unknowns = Unknowns(SHAPE, PRIOR, effects=("pusher_lag",))
+    small, z = unknowns.at_amplitude(0.3), np.random.default_rng(0).normal(size=unknowns.size)
+    assert small.block("maps").std == pytest.approx(0.3 * unknowns.block("maps").std)
+    assert small.model(z).mass == pytest.approx(unknowns.model(unknowns.amplitude_unit(0.3) * z).mass)
+    assert small.model(z).pusher_friction == unknowns.model(z).pusher_friction
+
+
+def test_frozen_values_keep_their_nominal_value_and_cost_no_evidence() -> None:
+    records = random_records(hammer(1), 2, 1)
+    base, free, frozen = (
+        _fit(FitProblem(records, unknowns))
+        for unknowns in (
+            Unknowns(SHAPE, PRIOR),
+            Unknowns(SHAPE, PRIOR, effects=("tool_offset",)),
+            Unknowns(SHAPE, PRIOR, effects=("tool_offset",), frozen_effects=(0, 1)),
+        )
+    )
+    assert frozen.effects.values == pytest.approx([0.0, 0.0], abs=1e-7)
+    assert frozen.log_evidence == pytest.approx(base.log_evidence, abs=0.05)
+    assert free.log_evidence != pytest.approx(base.log_evidence, abs=0.05)
+    assert frozen.status is SolveStatus.CONVERGED
+
+
+def test_another_layout_takes_over_the_blocks_that_it_shares() -> None:
+    one = Layout((Block.of("a", [1.0, 1.0]), Block.of("b", [1.0]), Block.of("c", [1.0])))
+    other = Layout((Block.of("c", [1.0]), Block.of("a", [1.0, 1.0]), Block.of("b", [1.0, 1.0]), Block.of("d", [1.0])))
+    assert one.moved(np.array([1.0, 2.0, 3.0, 4.0]), other).tolist() == [4.0, 1.0, 2.0, 0.0, 0.0, 0.0]
+
+
+def test_first_poses_are_a_block_of_the_problem() -> None:
+    problem = FitProblem(random_records(hammer(1), 3, 1), Unknowns(SHAPE, PRIOR))
+    x = np.arange(float(problem.size))
+    assert problem.layout.blocks[-1].name == "first_poses"
+    assert problem.layout.size == problem.size
+    assert x[problem.slice_of_first_pose(1)].tolist() == problem.first_pose_unknowns(x)[1].tolist()
+    shorter = without_first_pose(x, problem.unknowns, 1)
+    assert problem.without([1]).first_pose_unknowns(shorter).tolist() == problem.first_pose_unknowns(x)[[0, 2]].tolist()
+    assert problem.continued(np.zeros(problem.size), x[:-3])[:-3].tolist() == x[:-3].tolist()
+
+
+def _fit(problem: FitProblem) -> Fit:
+    return Fit(problem, *minimise(problem, np.zeros(problem.size)))

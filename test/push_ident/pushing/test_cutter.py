@@ -1,0 +1,322 @@
+"""Streams are cut into the same pushes, live and from a bag."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers.objects import hammer_shape
+from push_ident.bags.pushes import split_pushes
+from push_ident.bags.reader import BagContents, ObjectTrack, Samples
+from push_ident.errors import BagError
+from push_ident.pushing.cutter import CutPush, PushCutter, PushInterval
+from push_ident.types import PushRecord
+
+COVARIANCE = np.diag([1e-6, 1e-6, 1e-4])
+
+
+def play(pose_times: list[float], pusher_times: list[float], *, flush: bool = False) -> list[CutPush]:
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.set_radius(0.01)
+    pushes = []
+    for time, kind in sorted([(t, "pose") for t in pose_times] + [(t, "pusher") for t in pusher_times]):
+        if kind == "pose":
+            cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+        else:
+            cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+        pushes += cutter.finished()
+    return pushes + cutter.finished(flush=flush)
+
+
+def times(start: float, end: float, rate: float = 20.0) -> list[float]:
+    return list(np.arange(start, end, 1 / rate))
+
+
+def test_pause_of_the_pusher_separates_pushes() -> None:
+    pushes = play(times(0, 10), times(2, 3) + times(6, 7))
+    assert len(pushes) == 2
+    first, second = pushes[0].records[0], pushes[1].records[0]
+    assert first.pusher.time[[0, -1]] == pytest.approx([2.0, 2.95])
+    assert first.poses.time[0] >= 1.5 and first.poses.time[-1] <= 3.5
+    assert second.poses.time[0] >= 5.5 and second.poses.time[-1] <= 7.5
+
+
+def test_object_hidden_around_a_push_has_its_last_pose_before_and_its_first_pose_after() -> None:
+    (push,) = play(times(0, 1) + times(5, 6), times(2, 3))
+    assert push.records[0].poses.time == pytest.approx([0.95, 5.0])
+
+
+def test_pose_nearer_to_another_push_is_not_taken() -> None:
+    pushes = play([*times(0, 1), 5.5, *times(9, 10)], times(2, 3) + times(5, 6))
+    assert pushes[0].records == [] and pushes[1].records[0].poses.time == pytest.approx([5.5, 9.0])
+
+
+def test_unfinished_push_grows() -> None:
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    lengths = []
+    for time in times(0, 2):
+        cutter.add_pose("o1", time, np.zeros(3), COVARIANCE)
+        if time > 1:
+            cutter.add_pusher(time, np.array([time, 0.0]))
+            record = cutter.partial("o1")
+            lengths.append(0 if record is None else len(record.pusher.time))
+    assert lengths == sorted(lengths) and lengths[-1] > 10
+    assert cutter.finished() == []
+
+
+def test_end_of_the_stream_needs_a_flush_and_is_handed_out_once() -> None:
+    assert play(times(0, 3), times(2, 3)) == []
+    assert len(play(times(0, 3), times(2, 3), flush=True)) == 1
+
+
+def test_reset_forgets_the_unfinished_push() -> None:
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.add_pusher(5.0, np.zeros(2))
+    cutter.reset()
+    assert cutter.finished(flush=True) == [] and cutter.partial("o1") is None
+
+
+@pytest.mark.parametrize("ahead", ["pose", "pusher"])
+def test_order_among_topics_does_not_matter(ahead: str) -> None:
+    """After a stall, or from a bag played fast, one topic may be seconds ahead of the others."""
+    pose_times, pusher_times = times(0, 10), times(2, 3) + times(6, 7)
+    expected = play(pose_times, pusher_times)
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.set_radius(0.01)
+    kinds = {"pose": pose_times, "pusher": pusher_times}
+    messages = [(ahead, t) for t in kinds.pop(ahead)] + [(kind, t) for kind, values in kinds.items() for t in values]
+    pushes = []
+    for number, (kind, time) in enumerate(messages):
+        if number == len(messages) // 2:
+            cutter.add_record(PushInterval(1, "o1", 2.0, times(2, 3)[-1], 0))
+            cutter.add_record(PushInterval(2, "o1", 6.0, times(6, 7)[-1], 0))
+        if kind == "pose":
+            assert cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+        else:
+            assert cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+    for _ in range(5):
+        pushes += cutter.finished()
+    assert cutter.run == 1
+    assert len(pushes) == len(expected) == 2
+    for cut, whole in zip(pushes, expected, strict=True):
+        (push,), (other,) = cut.records, whole.records
+        assert np.array_equal(push.poses.time, other.poses.time) and np.array_equal(push.pusher.time, other.pusher.time)
+
+
+def test_push_that_failed_is_left_out_as_from_a_bag() -> None:
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.set_radius(0.01)
+    for time in times(0, 10):
+        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+    for time in times(2, 3) + times(6, 7):
+        cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+    cutter.add_record(PushInterval(1, "o1", 2.0, 2.95, -5))
+    cutter.add_record(PushInterval(2, "o1", 6.0, times(6, 7)[-1], 0))
+    failed, made = cutter.finished(flush=True)
+    assert failed.records == [] and "error code -5" in failed.left_out["o1"]
+    assert made.records[0].pusher.time[0] == 6.0
+
+
+def test_push_is_not_handed_out_before_its_forces_have_arrived() -> None:
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.add_wrench(0.0, np.zeros(2))
+    for time in times(0, 5):
+        cutter.add_pose("o1", time, np.zeros(3), COVARIANCE)
+        if 1 <= time <= 2:
+            cutter.add_pusher(time, np.array([time, 0.0]))
+    assert cutter.finished() == []
+    for time in times(0.05, 5):
+        cutter.add_wrench(time, np.array([time, 0.0]))
+    pushes = [push for _ in range(5) for push in cutter.finished()]
+    assert len(pushes) == 1 and pushes[0].records[0].wrench is not None and len(pushes[0].records[0].wrench.time) == 21
+
+
+def test_looped_bag_drops_what_a_slower_topic_still_had_to_say_of_the_run_before() -> None:
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    for time in times(0, 10):
+        cutter.add_pose("o1", time, np.zeros(3), COVARIANCE)
+    for time in times(2, 7):
+        cutter.add_pusher(time, np.zeros(2))
+    assert cutter.add_pose("o1", 0.0, np.zeros(3), COVARIANCE) and cutter.run == 2
+    assert not cutter.add_pusher(7.05, np.zeros(2))
+    assert cutter.add_pusher(2.0, np.zeros(2)) and cutter.run == 2
+    assert cutter.now == 2.0
+
+
+@dataclass
+class Cell:
+    """What the topics of a cell deliver, each in order of time."""
+
+    poses: dict[str, list[float]]
+    pusher: list[float]
+    wrench: list[float]
+    records: list[PushInterval]
+
+    def messages(self) -> dict[str, list[tuple[float, Callable[[PushCutter], object]]]]:
+        """For each topic: stamps, and how a cutter takes what came then."""
+        topics: dict[str, list[tuple[float, Callable[[PushCutter], object]]]] = {
+            f"pose {name}": [
+                (t, partial(PushCutter.add_pose, object_id=name, stamp=t, pose=pose_at(t), covariance=COVARIANCE)) for t in stamps
+            ]
+            for name, stamps in self.poses.items()
+        }
+        topics["pusher"] = [(t, partial(PushCutter.add_pusher, stamp=t, position=position_at(t))) for t in self.pusher]
+        topics["wrench"] = [(t, partial(PushCutter.add_wrench, stamp=t, force=position_at(-t))) for t in self.wrench]
+        # A record is published after its push, here as late as 0.3 s.
+        topics["record"] = [(r.end + 0.3, partial(PushCutter.add_record, record=r)) for r in self.records]
+        return {name: messages for name, messages in topics.items() if messages}
+
+    def from_bag(self, object_id: str) -> list[PushRecord]:
+        """The pushes of one object as a bag with the same samples gives them."""
+        objects = {}
+        for name, stamps in self.poses.items():
+            poses, covariances = np.array([pose_at(t) for t in stamps]).reshape(-1, 3), np.array([COVARIANCE] * len(stamps))
+            objects[name] = ObjectTrack(hammer_shape(), np.array(stamps), poses, covariances)
+        contents = BagContents(
+            path=Path("bag"),
+            origin_ns=0,
+            objects=objects,
+            pusher=Samples(np.array(self.pusher), np.array([position_at(t) for t in self.pusher])),
+            pusher_radius=0.01,
+            wrench=Samples(np.array(self.wrench), np.array([position_at(-t) for t in self.wrench])) if self.wrench else None,
+            push_intervals=tuple(self.records),
+            camera_in_table=None,
+            n_depth=0,
+            topics={},
+        )
+        try:
+            return split_pushes(contents, object_id)
+        except BagError:
+            return []
+
+
+def pose_at(time: float) -> np.ndarray:
+    return np.array([np.sin(time), np.cos(3 * time), 0.1 * time])
+
+
+def position_at(time: float) -> np.ndarray:
+    return np.array([np.sin(5 * time), np.cos(7 * time)])
+
+
+def add_pose(cutter: PushCutter, object_id: str, stamp: float) -> bool:
+    return cutter.add_pose(object_id, stamp, pose_at(stamp), COVARIANCE)
+
+
+def live_cutter(cell: Cell) -> PushCutter:
+    cutter = PushCutter()
+    cutter.set_radius(0.01)
+    for name in cell.poses:
+        cutter.set_shape(name, hammer_shape())
+    return cutter
+
+
+def play_in_time(cell: Cell) -> list[CutPush]:
+    """Messages in order of time, with a call of `finished` each 0.1 s as the nodes make it."""
+    cutter, pushes, looked = live_cutter(cell), [], 0.0
+    topics = enumerate(cell.messages().values())
+    merged = sorted(((time, number, take) for number, topic in topics for time, take in topic), key=lambda message: message[:2])
+    for time, _, take in merged:
+        while looked + 0.1 < time:
+            looked += 0.1
+            pushes += cutter.finished()
+        take(cutter)
+    return pushes + cutter.finished(flush=True)
+
+
+def play_shuffled(cell: Cell, rng: np.random.Generator) -> list[CutPush]:
+    """Each topic in order, at a pace of its own: between two calls of `finished` it delivers one message or a backlog."""
+    cutter, pushes = live_cutter(cell), []
+    waiting = {name: deque(take for _, take in messages) for name, messages in cell.messages().items()}
+    pace = {name: int(rng.choice([1, 1, 3, 30])) for name in waiting}
+    while any(waiting.values()):
+        for name in rng.permutation(sorted(waiting)):
+            for _ in range(min(int(rng.integers(1, pace[name] + 1)), len(waiting[name]))):
+                waiting[name].popleft()(cutter)
+        pushes += cutter.finished()
+    return pushes + cutter.finished(flush=True)
+
+
+def random_cell(rng: np.random.Generator, *, with_records: bool, hurried: bool) -> Cell:
+    """Runs of the pusher with pauses, two objects, forces; if `hurried`, pauses under a second and hidden objects."""
+    start, pusher, records = float(rng.uniform(0, 3)), [], []
+    for number in range(int(rng.integers(1, 6))):
+        run = start + np.cumsum(rng.uniform(0.01, 0.3, int(rng.integers(1, 30))))
+        pusher += run.tolist()
+        if with_records and len(run) > 1:
+            records.append(PushInterval(number + 1, "a", float(run[0]), float(run[-1]), 0))
+        start = float(run[-1] + (rng.choice([rng.uniform(0.51, 1.0), rng.uniform(1.0, 6.0)]) if hurried else rng.uniform(1.05, 6.0)))
+    poses = {}
+    for name in ("a", "b"):
+        stamps = np.cumsum(rng.uniform(0.01, 0.2, int((start + 2) / 0.1)))
+        for _ in range(int(rng.integers(0, 4)) if hurried else 0):
+            hidden = float(rng.uniform(0, start))
+            stamps = stamps[(stamps < hidden) | (stamps > hidden + float(rng.uniform(0.2, 4.0)))]
+        poses[name] = stamps.tolist()
+    wrench = np.cumsum(rng.uniform(0.02, 0.1, int(start / 0.06))).tolist() if rng.uniform() < 0.7 else []
+    if with_records:
+        # Where a bag has records, samples without one are no push; a live cell cannot know that no record will come.
+        pusher = [t for t in pusher if any(r.start <= t <= r.end for r in records)]
+    return Cell(poses, pusher, wrench, records)
+
+
+def assert_same_pushes(live: list[CutPush], cell: Cell) -> None:
+    for object_id in cell.poses:
+        got = [record for push in live for record in push.records if record.object_id == object_id]
+        expected = cell.from_bag(object_id)
+        assert len(got) == len(expected)
+        for record, other in zip(got, expected, strict=True):
+            for track in ("poses", "pusher", "wrench"):
+                one, two = getattr(record, track), getattr(other, track)
+                assert (one is None) == (two is None)
+                for name in [field.name for field in fields(one)] if one else ():
+                    assert np.array_equal(getattr(one, name), getattr(two, name)), f"{track}.{name}"
+
+
+@pytest.mark.parametrize("with_records", [False, True], ids=["cut at pauses", "cut at push records"])
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_live_streams_in_any_order_and_a_bag_give_the_same_pushes(with_records: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cell = random_cell(rng, with_records=with_records, hurried=True)
+    if cell.pusher:
+        for _ in range(3):
+            assert_same_pushes(play_shuffled(cell, rng), cell)
+
+
+@pytest.mark.parametrize("with_records", [False, True], ids=["cut at pauses", "cut at push records"])
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_live_streams_in_time_and_a_bag_give_the_same_pushes(with_records: bool, seed: int) -> None:
+    """A live push is handed out before the next one is known: pushes over a second apart, of objects in view, do not depend on that."""
+    cell = random_cell(np.random.default_rng(seed), with_records=with_records, hurried=False)
+    if cell.pusher:
+        assert_same_pushes(play_in_time(cell), cell)
+
+
+def test_record_that_comes_in_time_gives_the_interval_as_in_a_bag() -> None:
+    """The record covers more than the pusher samples, and two pushes follow without a pause; a third one failed."""
+    pusher = [*times(2.0, 3.0), *times(3.2, 4.0), *times(8.0, 9.0)]
+    records = [PushInterval(1, "a", 1.9, 3.0, 0), PushInterval(2, "a", 3.1, 4.05, 0), PushInterval(3, "a", 7.95, 9.1, -5)]
+    cell = Cell({"a": times(0, 12)}, pusher, times(0, 12), records)
+    cutter = live_cutter(cell)
+    for topic in ("record", "pusher", "wrench", "pose a"):
+        for _, take in cell.messages()[topic]:
+            take(cutter)
+    pushes = cutter.finished(flush=True)
+    assert_same_pushes(pushes, cell)
+    assert [push.interval.error_code for push in pushes] == [0, 0, -5]
