@@ -39,7 +39,7 @@ def test_bag_played_through_live_nodes_gives_the_map_found_offline(bag: Path, tm
     products = [np.array(x["map"]["mass_friction"]) for x in (a, b)]
     products = [p / p.sum() for p in products]
     deviation = np.array(b["map"]["mass_friction_std"]) / np.sum(b["map"]["mass_friction"])
-    # The same data, warm-started push by push: well within what the pushes tell.
+    # The same data, warm-started push by push: well within the uncertainty of the fit.
     assert np.max(np.abs(products[0] - products[1]) / deviation) < 0.5
     assert (tmp_path / "live" / "model.json").exists()
 
@@ -57,7 +57,7 @@ def test_demo_sees_pushes_identifies_and_predicts_in_the_live_simulated_cell(tmp
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     content = json.loads((tmp_path / "demo.json").read_text())
     assert len(content["training"]) == 1 and len(content["per_push"]) == 1
-    # One push tells little; but the pose, the outline and the prediction must hang together.
+    # One push determines little, but the pose, the outline and the prediction must hang together.
     assert content["per_push"][0]["predicted_m"] < 0.02
     folder = next(path for path in tmp_path.iterdir() if path.is_dir())
     assert {"bag", "model.json", "map.png", "result.json", "log"} <= {path.name for path in folder.iterdir()}

@@ -19,7 +19,7 @@ TOPICS = {
     "joint_trajectory": "joint_trajectory",
     "wrench": "pusher/wrench",
 }
-"""Launch argument: topic of the bag contract that it stands for."""
+"""Launch argument and the topic of the bag contract that it replaces."""
 
 
 def generate_launch_description() -> LaunchDescription:

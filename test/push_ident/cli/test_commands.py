@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -16,12 +18,26 @@ from push_ident import __version__
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
+from push_ident.cli.main import main
 
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 
 
 def run(*args: object) -> subprocess.CompletedProcess[str]:
+    """One command in a process of its own."""
     return subprocess.run([*CLI, *map(str, args)], capture_output=True, text=True, timeout=120)
+
+
+def run_here(*args: object) -> subprocess.CompletedProcess[str]:
+    """One command in this process: the same function, without the seconds of a start."""
+    output, error, code = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(output), redirect_stderr(error):
+        patch.setattr(sys, "argv", ["push-ident", *map(str, args)])
+        try:
+            main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+    return subprocess.CompletedProcess(args, code, output.getvalue(), error.getvalue())
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +103,7 @@ def _no_pusher(path: Path, bag: Path) -> Path:
 )
 @pytest.mark.parametrize("command", ["identify", "replay"])
 def test_bad_bag_ends_in_one_clear_line(make, says: str, command: str, bag: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    done = run(command, make(tmp_path / "bad", bag))
+    done = run_here(command, make(tmp_path / "bad", bag))
     assert done.returncode not in (0, None)
     assert says in done.stderr
     assert "Traceback" not in done.stdout + done.stderr
@@ -95,24 +111,29 @@ def test_bad_bag_ends_in_one_clear_line(make, says: str, command: str, bag: Path
 
 
 def test_version_is_that_of_the_package() -> None:
-    assert run("--version").stdout.split() == ["push-ident", __version__]
+    assert run_here("--version").stdout.split() == ["push-ident", __version__]
+
+
+def test_refusal_of_a_process_has_its_exit_status_and_one_line(tmp_path: Path) -> None:
+    done = run("identify", tmp_path / "absent")
+    assert done.returncode == 1 and done.stdout.strip() == "" and len(done.stderr.strip().splitlines()) == 1
 
 
 def test_train_numbers_out_of_range_are_refused(bag: Path) -> None:
-    done = run("identify", bag, "--train", "0,17")
+    done = run_here("identify", bag, "--train", "0,17")
     assert done.returncode == 1
     assert "names push 17" in done.stderr
 
 
 def test_bag_cut_in_half_can_be_salvaged_and_identified(bag: Path, tmp_path: Path) -> None:
     cut = _cut(tmp_path / "cut", bag)
-    saved = run("salvage", cut, "--out", tmp_path / "saved")
+    saved = run_here("salvage", cut, "--out", tmp_path / "saved")
     assert saved.returncode == 0, saved.stderr
-    assert run("identify", tmp_path / "saved").returncode == 0
+    assert run_here("identify", tmp_path / "saved").returncode == 0
 
 
 def test_example_depth_bag_is_tracked_and_identified(tmp_path: Path) -> None:
-    done = run("identify", EXAMPLE_BAG, "--train", "0,1,2", "--json", tmp_path / "r.json")
+    done = run_here("identify", EXAMPLE_BAG, "--train", "0,1,2", "--json", tmp_path / "r.json")
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "r.json").read_text())
     assert 50 <= content["n_cells"] <= 150

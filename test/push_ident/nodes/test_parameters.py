@@ -92,10 +92,10 @@ def test_refused_settings_leave_the_old_value(make, name, value):
 
 
 def test_accepted_settings_are_reported_and_kept(make):
-    told = []
-    node, parameters = make(on_change=told.append)
+    reported = []
+    node, parameters = make(on_change=reported.append)
     assert node.set_parameters([RosParameter("speed", value=0.3)])[0].successful
-    assert told == [{"speed": 0.3}] and parameters["speed"] == 0.3
+    assert reported == [{"speed": 0.3}] and parameters["speed"] == 0.3
 
 
 def test_values_that_do_not_go_together_are_refused(make):
@@ -128,8 +128,8 @@ def test_rows_that_follow_from_a_list_of_names_are_declared_too(context, capfd):
         assert not node.set_parameters([RosParameter("right.speed", value=0.9)])[0].successful
     finally:
         node.destroy_node()
-    told = capfd.readouterr().err
-    assert "up.speed is not one of tested" in told and "left.speed" not in told.split("up.speed")[0]
+    reported = capfd.readouterr().err
+    assert "up.speed is not one of tested" in reported and "left.speed" not in reported.split("up.speed")[0]
 
 
 def test_asking_for_an_unknown_parameter_names_the_known_ones(make):

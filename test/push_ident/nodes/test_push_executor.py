@@ -164,8 +164,8 @@ def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cel
     low = cell.kinematics.forward(cell.q)[:3, 3]
     cell.tool.clear()
     assert send(cell, **CONTACT).end().error_code == 0
-    way = np.array([[getattr(m.pose.position, axis) for axis in "xyz"] for m in cell.tool])
-    rising = way[: np.argmax(way[:, 2] > 0.1)]
+    path = np.array([[getattr(m.pose.position, axis) for axis in "xyz"] for m in cell.tool])
+    rising = path[: np.argmax(path[:, 2] > 0.1)]
     assert len(rising) > 3 and rising[:, :2] == pytest.approx(np.tile(low[:2], (len(rising), 1)), abs=1e-3)
 
 
@@ -356,7 +356,7 @@ def test_random_push_is_reproduced_by_its_seed(cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("change", "code", "text"),
     [
-        ({"object_id": "cup"}, PushCode.UNKNOWN_OBJECT, "seen: box"),
+        ({"object_id": "cup"}, PushCode.UNKNOWN_OBJECT, "known: box"),
         ({"frame_id": "camera"}, PushCode.INVALID_GOAL, "frame_id is `camera`"),
         ({"direction": float("nan")}, PushCode.INVALID_GOAL, "direction"),
         ({"direction": 0.0}, PushCode.INVALID_GOAL, "does not push into"),

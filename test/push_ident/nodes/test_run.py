@@ -84,7 +84,7 @@ def test_a_node_that_cannot_start_gives_the_reason_in_one_line():
 @pytest.mark.parametrize("command", [("push_ident.nodes", "perception_node"), ("push_ident_sim", "sim_cell_node")], ids=lambda c: c[1])
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 1.0, 2.0])
 def test_interrupt_while_a_node_is_loaded_ends_it_quietly(command, delay, tmp_path):
-    # The import times tell when Python itself is up: before that no code of a package runs.
+    # The import times show when Python has started: before that no code of a package runs.
     said = tmp_path / "stderr"
 
     def listen_to_interrupts():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -140,7 +141,7 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
     for entity in (
         "/table/camera/depth",
         "/table/tool",
-        "/table/objects/o1/seen",
+        "/table/objects/o1/observed",
         "/table/objects/o1/predicted",
         "/table/objects/o1/next_push/tool",
         "/table/objects/o1/next_push/end",
@@ -160,11 +161,11 @@ def test_a_file_that_is_no_recording_is_refused_with_one_line(cell: Cell) -> Non
 
 
 def test_layouts_name_topics_that_the_nodes_publish() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    script = [sys.executable, str(ROOT / "tools" / "document_nodes.py")]
+    page = subprocess.run(script, capture_output=True, text=True, timeout=120, check=True).stdout
     rviz = safe_load((CONFIG / "push_ident.rviz").read_text(encoding="utf-8"))
     displays = [d for group in rviz["Visualization Manager"]["Displays"] for d in (group.get("Displays") or [group])]
     topics = {d["Topic"]["Value"] for d in displays if "Topic" in d}
     topics |= set(json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))["configById"]["3D!table"]["topics"])
     for topic in topics:
-        name = topic.rsplit("/", 1)[-1]
-        assert f"/{name}`" in readme or f"…/{name}`" in readme or f"`{topic[1:]}`" in readme, topic
+        assert f"| publishes | `{re.sub('^objects/[^/]+', 'objects/<id>', topic.removeprefix('/'))}` |" in page, topic

@@ -14,7 +14,7 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.depth import height_inside, points_in_table
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import OBJECT, ROBOT, Cylinder, in_robot, label_pixels
 from push_ident.perception.pipeline import Perception
@@ -290,3 +290,13 @@ def test_an_object_put_elsewhere_half_hidden_has_the_right_pose_or_none_and_the_
         observation = perception.observe(render([p.at(moved) for p in HAMMER], rng=rng, stamp=0.1 * i))
     pose = observation.objects[0].pose
     assert pose is not None and np.linalg.norm((pose - compose(moved, offset))[:2]) < 0.001
+
+
+def test_height_inside_an_outline_is_that_of_its_points_alone() -> None:
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 81), np.linspace(-0.2, 0.2, 81))
+    points = np.stack([x, y, np.where((np.abs(x) < 0.06) & (np.abs(y) < 0.04), 0.05, 0.0)], axis=-1).astype(np.float32)
+    points[:10] = np.nan
+    box = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
+    assert height_inside(points, box) == pytest.approx(0.05)
+    assert height_inside(points, box + 0.12) == 0.0
+    assert height_inside(points, box + 1.0) is None

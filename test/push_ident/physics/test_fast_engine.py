@@ -84,7 +84,7 @@ def test_adjoint_equals_jacobian(mode: str, box: bool) -> None:
 @pytest.mark.parametrize("box", [False, True])
 @pytest.mark.parametrize("mode", SETTINGS)
 def test_every_derivative_equals_central_differences(mode: str, box: bool) -> None:
-    # A perturbation that carries a switch of contact over a step makes the differences themselves unsure; two step lengths tell.
+    # A perturbation that carries a switch of contact over a step makes the differences unreliable; two step lengths tell.
     errors, sure = [], []
     for seed in range(5):
         model, pusher, pose = random_case(seed, box)

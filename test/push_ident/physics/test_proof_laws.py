@@ -105,7 +105,7 @@ def test_impulse_and_energy_balance_in_every_step(mode: str, case: Case) -> None
         if mode != "pyramid":
             assert np.abs(change[:2] + friction.sum(axis=0) - impulse).max() <= 1e-8 * np.abs(impulse).max() + 1e-12
         if len(step.contacts) > 1:
-            continue  # two points of a face: the force does not tell where between them
+            continue  # two points of a face: the force does not determine where between them
         if mode != "pyramid":
             torque = change[2] + float(cross(step.arms, friction).sum())
             assert abs(torque - float(cross(arm, impulse))) <= 1e-9 * np.abs(impulse).max() + 1e-13

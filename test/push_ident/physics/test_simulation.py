@@ -132,7 +132,7 @@ def test_kinetic_energy_never_rises_after_the_pusher_has_stopped() -> None:
 
 
 def test_motion_does_not_depend_on_the_total_mass() -> None:
-    # The reason why poses alone never tell it.
+    # Therefore poses without forces never determine it.
     model = hammer(5)
     heavy = ObjectModel(model.shape, 3.7 * model.mass, model.friction, model.pusher_friction)
     pusher = straight_push((0.05, -0.09), np.pi / 2 + 0.2)

@@ -263,30 +263,30 @@ def test_arm_reports_the_place_where_its_tool_is_not() -> None:
 # --- what is seen --------------------------------------------------------------------------------------------------------
 
 
-def seen(motion: TrueMotion, effects: dict, noise: CameraNoise = EXACT) -> tuple[np.ndarray, np.ndarray]:
+def observed(motion: TrueMotion, effects: dict, noise: CameraNoise = EXACT) -> tuple[np.ndarray, np.ndarray]:
     poses, _, _ = observe_motion(motion, RADIUS, noise, np.random.default_rng(4), InjectedEffects.of(effects))
     return poses.time, poses.pose
 
 
 def test_camera_sees_the_object_elsewhere_later_and_less_often() -> None:
     motion, _ = pushed({}, aside=0.02)
-    time, plain = seen(motion, {})
-    np.testing.assert_allclose(seen(motion, {"camera_translation": (0.002, -0.001)})[1], np.add(plain, [0.002, -0.001, 0.0]), atol=1e-7)
-    turned = seen(motion, {"camera_rotation": 0.1})[1]
+    time, plain = observed(motion, {})
+    np.testing.assert_allclose(observed(motion, {"camera_translation": (0.002, -0.001)})[1], np.add(plain, [0.002, -0.001, 0.0]), atol=1e-7)
+    turned = observed(motion, {"camera_rotation": 0.1})[1]
     np.testing.assert_allclose(turned, np.column_stack([plain[:, :2] @ rotation(0.1).T, plain[:, 2] + 0.1]), atol=1e-7)
-    np.testing.assert_allclose(seen(motion, {"camera_scale": 0.05})[1], plain * [1.05, 1.05, 1.0], atol=1e-7)
-    late = seen(motion, {"pose_latency": 0.1})[1]
+    np.testing.assert_allclose(observed(motion, {"camera_scale": 0.05})[1], plain * [1.05, 1.05, 1.0], atol=1e-7)
+    late = observed(motion, {"pose_latency": 0.1})[1]
     np.testing.assert_allclose(late[10:], plain[:-10], atol=1e-7)
-    kept = seen(motion, {"dropped_frames": 0.4})[0]
+    kept = observed(motion, {"dropped_frames": 0.4})[0]
     assert np.all(np.isin(kept, time)) and len(kept) / len(time) == pytest.approx(0.6, abs=0.1)
-    flips = np.abs(seen(motion, {"pose_flips": 0.2})[1][:, 2] - plain[:, 2]) % (2 * np.pi) > 1.0
+    flips = np.abs(observed(motion, {"pose_flips": 0.2})[1][:, 2] - plain[:, 2]) % (2 * np.pi) > 1.0
     assert flips.mean() == pytest.approx(0.2, abs=0.1)
 
 
 def test_correlated_noise_keeps_its_deviation() -> None:
     noise = CameraNoise(position_std=1e-3, yaw_std=0.01, rest=20.0)
     motion, _ = pushed({})
-    errors = seen(motion, {"noise_correlation": 0.6}, noise)[1][:550]
+    errors = observed(motion, {"noise_correlation": 0.6}, noise)[1][:550]
     np.testing.assert_allclose(errors.std(axis=0), [1e-3, 1e-3, 0.01], rtol=0.15)
     assert [np.corrcoef(e[1:], e[:-1])[0, 1] for e in errors.T] == pytest.approx([0.6] * 3, abs=0.12)
 
@@ -363,9 +363,9 @@ def test_filmed_pushes_can_be_tracked(tmp_path: Path) -> None:
     assert seal(truth) == seal(json.loads(json.dumps(truth)))
     (record,) = load_pushes([tmp_path / "film"]).records
     (motion,) = make_pushes(make_object("toolbox"), [0, 3, 0], TruthSettings(n_train=1, n_test=0, pushes=PushSettings()), in_a_row=True)
-    moved, seen_to_move = (p[-1] - p[0] for p in (motion.pose, record.poses.pose))
+    moved, observed_motion = (p[-1] - p[0] for p in (motion.pose, record.poses.pose))
     # Of the same point of the object: its frames differ.
     first = transform_points(motion.pose[0], np.zeros((1, 2)))[0] - record.poses.pose[0, :2]
     expected = moved[:2] + (np.eye(2) - rotation(moved[2])) @ first
-    np.testing.assert_allclose(seen_to_move[:2], expected, atol=2e-3)
-    assert seen_to_move[2] == pytest.approx(moved[2], abs=0.02)
+    np.testing.assert_allclose(observed_motion[:2], expected, atol=2e-3)
+    assert observed_motion[2] == pytest.approx(moved[2], abs=0.02)

@@ -28,8 +28,8 @@ from push_ident_sim.studies.blind.cases import (
     Scenario,
     Truth,
     draw_truth,
-    make_asked_record,
     make_records,
+    make_requested_record,
 )  # fmt: skip
 from push_ident_sim.studies.blind.scoring import score_case, true_values
 from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
@@ -113,12 +113,12 @@ def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: in
     truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
     plan = sample_push(make_records(truth, "book", model, 1, NOISE)[0].shape, pose, np.random.default_rng(1), TruthSettings().pushes)
     asked = PlannedPush(pose, path_of_plan(plan, TruthSettings()), plan)
-    record = make_asked_record(truth, "book", model, asked, 8, NOISE)
+    record = make_requested_record(truth, "book", model, asked, 8, NOISE)
     assert record is not None and record.order == 8
     before = record.poses.time < 0.3
     assert np.abs(record.poses.pose[before].mean(axis=0) - pose).max() < 0.02
     assert observe_push(record).touched
-    assert make_asked_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
+    assert make_requested_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
 
 
 def test_diagnosis_rejects_an_effect_that_only_one_push_supports() -> None:

@@ -1,4 +1,4 @@
-"""The bag contract: which topic plays which part, whatever namespace it was recorded under."""
+"""The bag contract: which topic has which role, under any namespace."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Entry:
 
 
 class Role(Enum):
-    """A part in the contract, with its default topic and message type."""
+    """A role in the contract, with its default topic and message type."""
 
     DEPTH = _Entry("depth/image_rect", "sensor_msgs/msg/Image")
     CAMERA_INFO = _Entry("depth/camera_info", "sensor_msgs/msg/CameraInfo")
@@ -47,7 +47,7 @@ _PATTERNS: Final = {role: re.compile(r"(?:^|/)" + re.escape(role.value.name).rep
 
 @dataclass(frozen=True, slots=True)
 class TopicRole:
-    """What a recorded topic stands for."""
+    """Role of a recorded topic, and its object."""
 
     role: Role
     object_id: str = ""

@@ -46,7 +46,7 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
 
 
 def fit_effects(
-    base: Fit, names: Sequence[str], start: Float64Array | None = None, expected: float = np.inf, worth: float = -np.inf
+    base: Fit, names: Sequence[str], start: Float64Array | None = None, expected: float = np.inf, required: float = -np.inf
 ) -> Fit:
     """Fit other effects to the same pushes under the same prior, precisely enough for a comparison with other fits; see `polished`.
 
@@ -55,12 +55,12 @@ def fit_effects(
         names: of all effects of the fit.
         start: unknowns of the effects to start from, shape (n_values,); those of `base`, else zero.
         expected: gain of log evidence [nat]. A second start, nearer to zero, is tried where the first gains nothing although it should.
-        worth: gain from which the fit matters [nat]; a fit that cannot reach it ends early.
+        required: least gain at which the fit matters [nat]; a fit that cannot reach it ends early.
     """
     unknowns = base.unknowns.with_effects(names)
     guess = _effects_of({name: base for name in names if name in base.names}, unknowns)
     first = guess if start is None else start
-    needed_cost = base.end.cost - worth
+    needed_cost = base.end.cost - required
     fits = [_refit(base, unknowns, first, needed_cost)]
     if start is not None and expected > _SECOND_START_GAIN and fits[0].end.cost > base.end.cost - 1.0:
         fits.append(_refit(base, unknowns, guess + _SECOND_START * (start - guess), needed_cost))

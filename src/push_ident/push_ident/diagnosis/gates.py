@@ -117,7 +117,7 @@ def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
 
 
 def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
-    """Gates of a traced outline, after all effects were added: a working camera is not off by more.
+    """Gates of a traced outline, after all effects were added: the errors of a working camera are smaller.
 
     Args:
         fit: with the effects that were found.

@@ -171,15 +171,15 @@ def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
     problem = fit.problem
     mechanics = fit.unknowns.mechanics(fit.z)
     errors = []
-    for push, (record, seen) in enumerate(zip(problem.records, problem.observations, strict=True)):
+    for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(
-            PushScenario(record.pusher, problem.first_pose(fit.x, push), seen.time[-1:], record.order),
+            PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time[-1:], record.order),
             settings=problem.settings,
             jacobian=True,
         )
         by_first = motion.jacobian[-1, :, :3]
-        first_root = np.linalg.cholesky(seen.first_covariance)
-        last_root = np.linalg.cholesky(seen.last_covariance)
+        first_root = np.linalg.cholesky(observation.first_covariance)
+        last_root = np.linalg.cholesky(observation.last_covariance)
         draws: Sequence[Float64Array] = [
             by_first @ first_root @ rng.normal(size=3) + last_root @ rng.normal(size=3) for _ in range(n_draws)
         ]

@@ -164,24 +164,24 @@ def _outcomes(
     first = next(iter(models.values()))
     start = true_pose(first.mechanics.effects, push.pose_object_in_table)
     record, _ = imagine_push(first.mechanics, push, start, sensor=sensor, settings=first.settings, order=first.order)
-    seen = observe_push(record, noise) if record is not None else None
-    return {name: _outcome(model, push, seen, first_variance) if seen is not None else None for name, model in models.items()}
+    observation = observe_push(record, noise) if record is not None else None
+    return {name: _outcome(model, push, observation, first_variance) if observation is not None else None for name, model in models.items()}
 
 
-def _outcome(model: _Predictor, push: PlannedPush, seen: Observation, first_variance: Float64Array) -> _Outcome | None:
+def _outcome(model: _Predictor, push: PlannedPush, observation: Observation, first_variance: Float64Array) -> _Outcome | None:
     mechanics = model.mechanics
     # The reported pose is given; with an error of the camera, the object lies elsewhere.
     start = true_pose(mechanics.effects, push.pose_object_in_table)
-    motion = mechanics.simulate(PushScenario(push.pusher, start, seen.time, model.order), settings=model.settings, jacobian=True)
+    motion = mechanics.simulate(PushScenario(push.pusher, start, observation.time, model.order), settings=model.settings, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
     _, by_pose, by_value = reported_poses(mechanics.effects, start[None])
     derivative = mechanics.derivative.copy()
     derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
-    whitened = np.einsum("fij,fjp->fip", seen.whitening, motion.jacobian).reshape(3 * len(seen.time), -1)
+    whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian).reshape(3 * len(observation.time), -1)
     by_first, rows = whitened[:, :3], whitened @ derivative
     covariance = rows @ model.covariance @ rows.T + (by_first * first_variance) @ by_first.T
-    return _Outcome(np.einsum("fij,fj->fi", seen.whitening, motion.pose).ravel(), covariance)
+    return _Outcome(np.einsum("fij,fj->fi", observation.whitening, motion.pose).ravel(), covariance)
 
 
 def _mahalanobis2(a: _Outcome | None, b: _Outcome | None) -> float:

@@ -75,7 +75,7 @@ def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> 
 
 
 def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, is_first: bool) -> list[EffectScore]:
-    """Effects that are worth a refit, in the order of their scores.
+    """Effects whose scores justify a refit, in the order of the scores.
 
     Args:
         scores: the most promising first.
@@ -98,7 +98,7 @@ def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, is_
 
 
 def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) -> Step:
-    """Score all absent effects beside a selection, and refit those that are worth it."""
+    """Score all absent effects beside a selection, and refit those whose scores justify it."""
     fit = selection.fit
     report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
     information = effect_information(fit)
@@ -107,14 +107,14 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     if chosen:
         report(f"refitting with {', '.join(score.name for score in chosen)}")
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
-    worth = required_log_bayes_factor(selection, policy) - policy.tie_margin if selection.found else -np.inf
-    candidates = _ranked(map_in_threads(partial(_refit, fit, worth), chosen), policy.tie_margin)
+    required = required_log_bayes_factor(selection, policy) - policy.tie_margin if selection.found else -np.inf
+    candidates = _ranked(map_in_threads(partial(_refit, fit, required), chosen), policy.tie_margin)
     return Step(fit, information, scores, tuple(candidates))
 
 
-def _refit(fit: Fit, worth: float, score: EffectScore) -> Candidate:
+def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:
     start = np.concatenate([fit.effect_unknowns, score.start])
-    own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, worth)
+    own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, required)
     return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
 
 
@@ -129,9 +129,10 @@ def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidat
 
 
 def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Selection:
-    """The selection with its fit repeated from the maps beside the best effect, where the fit was stuck; else the selection itself."""
+    """The selection with its fit repeated from the maps beside the best effect, where it had stopped at a kink of the cost; else the
+    selection itself."""
     freed = fit_effects(best.fit, selection.fit.names)
-    if freed.log_evidence <= selection.fit.log_evidence + policy.stuck_gain:
+    if freed.log_evidence <= selection.fit.log_evidence + policy.min_restart_gain:
         return selection
     freed = polished(freed)
     return replace(selection, base=freed if selection.fit is selection.base else selection.base, fit=freed)

@@ -101,7 +101,7 @@ class ArmKinematics:
         `position` [m] and the unit vector `axis` have shape (3,), root frame. `x_axis`, a unit vector of
         shape (3,) across `axis`, fixes the spin as well: the tip's x axis lies along it. Returns `(q, converged)`; converged means that
         position [m] and axes [rad] are met to `tolerance` within the joint limits. Damped least squares on the task coordinates; the
-        freedom left draws each step a share `posture_gain` of the way to `neutral`, and so away from the joint limits
+        remaining freedom moves each step by a fraction `posture_gain` towards `neutral`, and so away from the joint limits
         (Nakamura & Hanafusa 1986; Liegeois 1977).
         """
         q = np.clip(self.check_configuration(q_start), self.position_lower, self.position_upper)

@@ -30,7 +30,7 @@ _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCA
 # A subscriber that also keeps all holds the player back until it has room: nothing is lost, however fast the bag is played.
 _RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC})
-_SEEN: Final = frozenset({Role.POSE, Role.DEPTH})
+_OBSERVED: Final = frozenset({Role.POSE, Role.DEPTH})
 _PUSHES: Final = frozenset({Role.PUSHER, Role.WRENCH, Role.PUSH_RECORD})
 _CLOCK_PERIOD_NS: Final = 10_000_000
 _DELIVERY: Final = 120.0
@@ -105,13 +105,13 @@ class BagPlayerNode(Node):
     def _await_listeners(self) -> None:
         expected, patience = self._settings["listeners"], self._settings["wait"]
         deadline = time.monotonic() + patience
-        seen, pushes = self._publishers_of(_SEEN), self._publishers_of(_PUSHES)
+        observed, pushes = self._publishers_of(_OBSERVED), self._publishers_of(_PUSHES)
 
         def lacking() -> str:
-            n = max((p.get_subscription_count() for p in seen), default=expected)
+            n = max((p.get_subscription_count() for p in observed), default=expected)
             if n < expected:
                 return f"{n} of {expected} listen to poses or depth"
-            # Whoever learns from poses needs these from the first one on: a push without its beginning is another push.
+            # A subscriber of poses needs these from the start: a push without its beginning is another push.
             deaf = [p.topic_name for p in pushes if expected and p.get_subscription_count() == 0]
             return f"nobody listens to {', '.join(deaf)}" if deaf else ""
 

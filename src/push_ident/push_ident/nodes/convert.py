@@ -288,7 +288,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
     Args:
         image: `16UC1` or `32FC1`.
         info: Its camera.
-        max_skew: Stamps further apart [s] are refused; None accepts any (a camera that stands still and publishes its info once).
+        max_skew: Stamps further apart [s] are refused; None accepts any (a camera that publishes its info once).
 
     Raises:
         FrameError: Image and info do not belong together, or one is refused for itself.
@@ -310,7 +310,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
 
 
 def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC1") -> tuple[Image, CameraInfo]:
-    """Image and camera info of one depth frame; `16UC1` rounds to millimetres and writes 0 where nothing was seen."""
+    """Image and camera info of one depth frame; `16UC1` rounds to millimetres and writes 0 where nothing was measured."""
     if encoding == "16UC1":
         pixels: NDArray[Any] = np.nan_to_num(np.rint(frame.depth * 1e3), nan=0.0).clip(0, 65535).astype("<u2")
     elif encoding == "32FC1":

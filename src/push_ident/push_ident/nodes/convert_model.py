@@ -6,9 +6,11 @@ from array import array
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import PoseStamped, PoseWithCovariance
+from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovariance
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
 from push_ident.identification.prediction import Prediction
@@ -22,7 +24,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.types import PusherPath, SolveStatus
+from push_ident.types import Float64Array, PusherPath, SolveStatus
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 
@@ -30,6 +32,7 @@ __all__ = [
     "cloud_to_msg",
     "map_status",
     "map_to_msg",
+    "markers_to_msg",
     "path_to_msg",
     "prediction_path_to_msg",
     "prediction_to_msg",
@@ -47,6 +50,10 @@ _STATUS = {
     SolveStatus.SIMULATION_FAILED: MassFrictionMap.STATUS_FAILED,
     SolveStatus.NO_CONTACT: MassFrictionMap.STATUS_PRIOR,
 }
+_LOW, _HIGH = np.array([0.17, 0.25, 0.55]), np.array([0.98, 0.80, 0.15])
+"""Colours of a cell with little friction force and of one with much."""
+_THICKNESS = 0.004
+"""Height of the markers above the table [m]."""
 _CLOUD_FIELDS = ("x", "y", "z", "mass", "friction", "mass_friction", "mass_friction_std")
 
 
@@ -157,6 +164,36 @@ def score_to_msg(score: PushScore, summary: ScoreSummary, object_id: str, stamp:
     msg.header.stamp = stamp_to_msg(stamp)
     msg.header.frame_id = TABLE_FRAME
     return msg
+
+
+def markers_to_msg(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
+    """Cells coloured by their friction force, more transparent where it is less certain; centre of friction as a ball.
+
+    `pose`: of the object in the table frame, shape (3,).
+    """
+    placed: Pose = planar_pose_to_msg(msg.header.stamp, pose, np.eye(3)).pose.pose
+    load, std = np.array(msg.mass_friction), np.array(msg.mass_friction_std)
+    share = load / max(float(load.max()), 1e-12)
+    alpha = np.clip(1.0 - 0.8 * std / np.maximum(load, 1e-12), 0.15, 1.0)
+    cells = _marker(msg, placed, 0, Marker.CUBE_LIST)
+    cells.scale.x = cells.scale.y = 0.95 * msg.cell_size
+    cells.scale.z = _THICKNESS
+    for x, y, s, a in zip(msg.x, msg.y, share, alpha, strict=True):
+        red, green, blue = _LOW + s * (_HIGH - _LOW)
+        cells.points.append(Point(x=float(x), y=float(y), z=0.0))
+        cells.colors.append(ColorRGBA(r=float(red), g=float(green), b=float(blue), a=float(a)))
+    centre = _marker(msg, placed, 1, Marker.SPHERE_LIST)
+    centre.scale.x = centre.scale.y = centre.scale.z = 0.8 * msg.cell_size
+    centre.color = ColorRGBA(r=0.85, g=0.1, b=0.1, a=1.0)
+    centre.points.append(Point(x=msg.centre_of_friction.x, y=msg.centre_of_friction.y, z=_THICKNESS))
+    return MarkerArray(markers=[cells, centre])
+
+
+def _marker(msg: MassFrictionMap, pose: Pose, number: int, kind: int) -> Marker:
+    marker = Marker(ns=msg.object_id, id=number, type=kind, action=Marker.ADD, pose=pose)
+    marker.header.frame_id = TABLE_FRAME
+    marker.header.stamp = msg.header.stamp
+    return marker
 
 
 def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:

@@ -149,7 +149,7 @@ class Parameters:
             raise InputError(f"Parameter {row.name} of {self._node.get_name()} is {value!r}: {why} ({row.description}).") from None
 
     def _overrides(self) -> dict[str, RosParameter]:
-        # rclpy has no public way to list the overrides a node was started with.
+        # rclpy has no public function that lists the overrides a node was started with.
         return dict(getattr(self._node, "_parameter_overrides", {}))
 
     def _check(self, parameters: list[RosParameter]) -> SetParametersResult:

@@ -49,10 +49,10 @@ class TrackedObjects:
         known = ", ".join(self.ids) or "none (is perception running?)"
         if not object_id:
             if len(self.ids) != 1:
-                raise PlanningError(PushCode.UNKNOWN_OBJECT, f"object_id is empty and the objects seen are: {known}; name one.")
+                raise PlanningError(PushCode.UNKNOWN_OBJECT, f"object_id is empty and the known objects are: {known}; name one.")
             object_id = self.ids[0]
         if object_id not in self.ids:
-            raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}` with pose and cells; seen: {known}.")
+            raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}` with pose and cells; known: {known}.")
         stamp, pose, received = self._poses[object_id]
         age = time.monotonic() - received
         if age > max_age:

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError
+from push_ident.geometry.outline import points_in_polygon
 from push_ident.perception.kernels import place_points
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
 
-__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "check_size", "depth_from_buffer", "points_in_table", "rays_in_table"]
+__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "check_size", "depth_from_buffer", "height_inside", "points_in_table", "rays_in_table"]
 
 ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
     "16UC1": (np.dtype(np.uint16), 1e-3),
@@ -50,7 +51,7 @@ def depth_from_buffer(
         raise FrameError(f"Depth encoding is {encoding[:40]!r}, expected one of {', '.join(ACCEPTED_ENCODINGS)}; publish rectified depth.")
     pixel, unit = ACCEPTED_ENCODINGS[encoding]
     if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
-        raise FrameError(f"Depth image is {width} x {height} pixels, expected 1 to {_MAX_SIDE} each way.")
+        raise FrameError(f"Depth image is {width} x {height} pixels, expected 1 to {_MAX_SIDE} per side.")
     if step < width * pixel.itemsize or step % pixel.itemsize:
         raise FrameError(f"Depth step is {step} bytes, expected at least {width * pixel.itemsize} for {width} pixels of {encoding}.")
     if step * height != len(data):
@@ -133,3 +134,14 @@ def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np
     centre, rays = rays_in_table(frame.intrinsics, camera_in_table)
     points: NDArray[np.float32] = place_points(np.asarray(frame.depth, dtype=np.float32), rays, centre)
     return points
+
+
+def height_inside(points: NDArray[np.float32], outline_in_table: Float64Array) -> float | None:
+    """Median height [m], at least 0, of the points over an outline, shape (n_vertices, 2); None where there are none.
+
+    `points`: of every pixel, see `points_in_table`; every second pixel in each direction is used.
+    """
+    some = points[::2, ::2].reshape(-1, 3)
+    some = some[np.isfinite(some[:, 2])].astype(np.float64)
+    inside = some[points_in_polygon(some[:, :2], outline_in_table)]
+    return max(float(np.median(inside[:, 2])), 0.0) if len(inside) else None

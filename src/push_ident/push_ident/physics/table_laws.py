@@ -150,7 +150,11 @@ def _with_memory(others: Equation, remember: Equation, place: int) -> Equation:
     return memories
 
 
-all_planes, all_loads, all_skews, all_pulls, all_memories = _no_plane, _no_load, _no_skew, _no_pull, _no_memory
+all_planes = _no_plane
+all_loads = _no_load
+all_skews = _no_skew
+all_pulls = _no_pull
+all_memories = _no_memory
 for _place, _effect in enumerate(EFFECTS.values()):
     if isinstance(_effect.acts, OnTable):
         if _effect.acts.load is not None:

@@ -218,7 +218,7 @@ class PushExecution:
         self._on_push(push)
 
     def warn(self, text: str) -> None:
-        """Tell the operator."""
+        """Send a text to the operator."""
         self._on_warning(text)
 
 

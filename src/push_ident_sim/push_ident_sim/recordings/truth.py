@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError, PushIdentError
+from push_ident.physics.effect_folders import extra_effect_files
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
@@ -190,7 +191,8 @@ def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | Non
     """File of the pushes of `make_object(name, seed)`; its name differs for other settings, another object or other code."""
     thing = make_object(name, seed)
     values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
-    code = code_digest(files_behind(Path(__file__)))
+    by_equation = {file for file in extra_effect_files() if settings is not None and file.stem in settings.effects.as_dict()}
+    code = code_digest(files_behind(Path(__file__)) | by_equation)
     content = json.dumps([code, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
     return folder / f"{name}-{seed:04d}-{hashlib.sha256(content).hexdigest()[:12]}.npz"
 

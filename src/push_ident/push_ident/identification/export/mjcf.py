@@ -1,4 +1,4 @@
-"""MJCF, the format of MuJoCo. One file; the outline stands in it."""
+"""MJCF, the format of MuJoCo: one file, the outline included."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from push_ident.physics.support import GRAVITY
 __all__ = ["mjcf"]
 
 _NOTE = (
-    "Cells and outline bring their friction along (priority 1), whatever the table and the pusher have.",
-    'A model that this one is attached to needs the option cone="elliptic" too.',
-    "The table can have MuJoCo's default contype and conaffinity; with 2 for both a pusher meets the outline alone.",
+    "The friction of cells and outline (priority 1) overrides that of the table and the pusher.",
+    'A model to which this one is attached needs the option cone="elliptic" as well.',
+    "The table can have MuJoCo's default contype and conaffinity; with 2 for both a pusher touches only the outline.",
 )
 _CARRIED = {
     ExportAs.PUSHER_FRICTION: "the friction of the outline",
-    ExportAs.GRAVITY: "the option gravity, which a model that this one is attached to needs too",
+    ExportAs.GRAVITY: "the option gravity, which a model to which this one is attached needs as well",
 }
 _SOLREF = (0.004, 1.0)
-"""Time constant [s] and damping ratio of a contact. With MuJoCo's own 20 ms the outline gives way to the pusher."""
+"""Time constant [s] and damping ratio of a contact. With MuJoCo's default of 20 ms the outline yields to the pusher."""
 
 
 def mjcf(thing: ObjectDescription) -> Element:

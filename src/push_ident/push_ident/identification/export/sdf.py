@@ -1,4 +1,4 @@
-"""SDF, the format of Gazebo; the outline is a mesh beside it."""
+"""SDF, the format of Gazebo; the outline is a mesh in a second file."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _CARRIED = {
     ExportAs.CELL_ANISOTROPY: "mu, mu2 and fdir1 of the cells",
 }
 _NOTE = (
-    "Gazebo takes the smaller of two coefficients of friction: the table's and the pusher's must be no smaller than the object's.",
-    "The table can have the default collide_bitmask; with 2 the pusher meets the outline alone.",
-    "PyBullet reads neither friction nor inertia of SDF, and no joint to the world: take the URDF for it.",
+    "Gazebo uses the smaller of two coefficients of friction: those of table and pusher must be at least those of the object.",
+    "The table can have the default collide_bitmask; with 2 the pusher touches only the outline.",
+    "PyBullet reads neither friction nor inertia of SDF, and no joint to the world: use the URDF for it.",
 )
 _NO_LIMIT = 1e6
-"""[m, rad]. The format wants limits where there are none."""
+"""Limit of a joint without limits [m, rad]: the format requires one."""
 _CELL_BIT, _OUTLINE_BITS = "1", "3"
 
 

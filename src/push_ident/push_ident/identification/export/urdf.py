@@ -1,6 +1,6 @@
-"""URDF, with the friction where Bullet looks for it; the outline is a mesh beside it.
+"""URDF with the friction in the elements that Bullet reads; the outline is a mesh in a second file.
 
-URDF has no collision filters: cells and outline are kept apart by their places alone (feet within the outline, outline over the table).
+URDF has no collision filters: only their positions separate cells and outline (feet within the outline, outline above the table).
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from push_ident.physics.effect import ExportAs
 __all__ = ["urdf"]
 
 _NOTE = (
-    "Friction stands in `contact`, an extension of Bullet. It multiplies the coefficients of two bodies: give table and pusher 1.",
+    "Friction is in `contact`, an extension of Bullet. Bullet multiplies the coefficients of two bodies: set 1 for table and pusher.",
     "In PyBullet: loadURDF(flags=URDF_USE_INERTIA_FROM_FILE), setPhysicsEngineParameter(enableConeFriction=1), and for all links",
     "changeDynamics(linearDamping=0, angularDamping=0) and setJointMotorControl2(VELOCITY_CONTROL, force=0).",
-    "Bullet swells meshes by 1 mm: make a round pusher 1 mm thinner, and rather a capsule than a cylinder.",
-    "PyBullet cannot tell the state of a body with more than 127 joints.",
+    "Bullet grows meshes by 1 mm: make a round pusher 1 mm thinner, and use a capsule instead of a cylinder.",
+    "PyBullet cannot report the state of a body with more than 127 joints.",
 )
 _CARRIED = {ExportAs.PUSHER_FRICTION: "the friction of the outline"}
 _NO_LIMIT = 1e6
-"""For effort [N], speed [m/s] and way [m]: the format wants limits where there are none."""
+"""Limit of effort [N], speed [m/s] and travel [m] of a joint without limits: the format requires one."""
 
 
 def urdf(thing: ObjectDescription, mesh: str) -> Element:
@@ -30,7 +30,7 @@ def urdf(thing: ObjectDescription, mesh: str) -> Element:
     add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
     if thing.sliding:
         table = SubElement(root, "link", name="table")
-        # Without mass: Bullet then keeps it where it is.
+        # Without mass Bullet keeps it fixed.
         _add_inertial(table, 0.0, 0.0, [0.0, 0.0, 0.0])
         parent = "table"
         chain = [("x", "prismatic", "1 0 0"), ("y", "prismatic", "0 1 0"), ("yaw", "continuous", "0 0 1")]

@@ -1,4 +1,4 @@
-"""Node `identification`: learns the maps of every object while it is pushed, publishes them, and predicts pushes."""
+"""Node `identification`: identifies the maps of every object while it is pushed, publishes them, and predicts pushes."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ PARAMETERS: Final = (
 class IdentificationNode(LifecycleNode):
     """Collects, hands pushes to a worker thread that solves, and publishes what it finds.
 
-    Configured, it has its topics and services and the worker; only active, it takes messages in. Deactivated, it keeps what it knows;
-    cleaned up, it forgets all that is not in `state_directory`.
+    A configured node has its topics, services and worker; only an active node processes messages. A deactivated node keeps its models; a
+    cleaned-up node keeps only what is in `state_directory`.
     """
 
     def __init__(self) -> None:
@@ -94,13 +94,13 @@ class IdentificationNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take messages in."""
+        """Process messages."""
         assert self._configured is not None
         self._configured.resume()
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take no more messages in; a push under way is let go."""
+        """Ignore further messages; a push under way is dropped."""
         assert self._configured is not None
         self._configured.pause()
         return TransitionCallbackReturn.SUCCESS
@@ -116,14 +116,14 @@ class IdentificationNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
-        """Stop the worker; the solve under way is let go."""
+        """Stop the worker; the running solve is abandoned."""
         if self._configured is not None:
             self._configured.close()
             self._configured = None
 
 
 class _Identification:
-    """What a configured node has."""
+    """Sessions, worker and interfaces of a configured node."""
 
     def __init__(self, node: IdentificationNode, settings: Parameters) -> None:
         self._node, self._settings = node, settings
@@ -154,7 +154,7 @@ class _Identification:
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
-        # A frame must not wait for what is only looked at.
+        # The update at a frame must not wait for results that are only displayed.
         self._advice = LatestJobs("advise", self._on_failed_advice, _EXPECTED)
         self._collector = PushCollector(
             node,
@@ -177,11 +177,11 @@ class _Identification:
         self._worker.start()
 
     def resume(self) -> None:
-        """Take messages in."""
+        """Process messages."""
         self._collector.active = True
 
     def pause(self) -> None:
-        """Take no more messages in."""
+        """Ignore further messages."""
         self._collector.pause()
 
     def close(self) -> None:
@@ -197,7 +197,7 @@ class _Identification:
         for entity in self._entities:
             entity.destroy()
 
-    # ---- what comes in
+    # ---- input
 
     def _on_object(self, object_id: str) -> None:
         self._outputs[object_id] = ObjectOutput(self._node, object_id)
@@ -207,19 +207,21 @@ class _Identification:
         if known is None:
             self._sessions[object_id] = self._new_session(ObjectSession(object_id, shape, self._options))
         elif not known.shape.is_same_object(shape):
-            self._node.get_logger().warning(f"object {object_id} is another one now: it begins anew, what was known is put aside")
+            self._node.get_logger().warning(
+                f"object {object_id} has another shape now: it is a new object, and the model of the old one is put aside"
+            )
             self._counts["objects replaced"] += 1
             self._sessions[object_id] = self._new_session(known.replaced_by(shape))
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:
         if session.restored:
-            self._node.get_logger().info(f"object {session.object_id}: goes on from {session.n_pushes} pushes in {session.file}")
+            self._node.get_logger().info(f"object {session.object_id}: continues with {session.n_pushes} pushes from {session.file}")
             self._publish_map(session, 0.0, session.n_pushes)
         return session
 
     def _on_frame(self, object_id: str) -> None:
         with self._wake:
-            # A frame that the worker had no time for is not lost: the next update sees it too.
+            # A frame that the worker had no time for is not lost: the next update includes it.
             self._counts["frames taken together"] += object_id in self._frames
             self._frames.setdefault(object_id, time.monotonic())
             self._wake.notify()
@@ -255,9 +257,9 @@ class _Identification:
         self._collector.refuse("predictions", f"{type(error).__name__}: {error}")
 
     def _finish(self, push: list[PushRecord]) -> None:
-        """Learn from a finished push."""
+        """Update the models with a finished push."""
         if not push:
-            self._collector.refuse("pushes", "a push is left out: no object was seen before and after it; is it hidden?")
+            self._collector.refuse("pushes", "a push is left out: no object has poses before and after it; is it hidden?")
         for record in push:
             session = self._sessions[record.object_id]
             known_again = session.n_known_again
@@ -286,7 +288,7 @@ class _Identification:
                 self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
 
     def _update(self, object_id: str, received: float) -> None:
-        """Learn from the frames of the push under way."""
+        """Update a model with the frames of the push under way."""
         now = time.monotonic()
         if now - self._updated.get(object_id, -np.inf) < self._settings["update_period"]:
             return
@@ -313,12 +315,12 @@ class _Identification:
 
     def _suggest(self, object_id: str) -> None:
         """Publish the push to make next."""
-        session, seen = self._sessions[object_id], self._collector.latest(object_id)
-        if seen is None or not self._collector.radius:
+        session, latest = self._sessions[object_id], self._collector.latest(object_id)
+        if latest is None or not self._collector.radius:
             return
         settings = PushSettings(pusher_radius=self._collector.radius)
         others = self._collector.outlines_of_others(object_id)
-        suggestion = session.suggest(seen[1], settings, others, n_candidates=self._settings["suggest_candidates"])
+        suggestion = session.suggest(latest[1], settings, others, n_candidates=self._settings["suggest_candidates"])
         if suggestion is not None:
             self._outputs[object_id].publish_next_push(*suggestion, session.status)
             self._counts["pushes suggested"] += 1
@@ -340,14 +342,14 @@ class _Identification:
     def _predict_push(self, request: PredictPush.Request, response: PredictPush.Response) -> PredictPush.Response:
         try:
             session = self._chosen(request.object_id)
-            seen, covariance = self._collector.latest(session.object_id), None
+            latest, covariance = self._collector.latest(session.object_id), None
             if request.object_pose.header.frame_id:
                 position_from_msg(request.object_pose)  # refuses another frame
                 pose = planar_pose_of(request.object_pose.pose)
-            elif seen is not None:
-                _, pose, covariance = seen
+            elif latest is not None:
+                _, pose, covariance = latest
             else:
-                raise InputError(f"No pose of object `{session.object_id}` was seen yet; give `object_pose`.")
+                raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
             path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
             prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
         except PushIdentError as error:
@@ -409,6 +411,6 @@ class _Identification:
 
 def main() -> int:
     """Run the node until a signal ends it; the exit code."""
-    # Threads hand over twenty times as often as by default: a frame must not wait for what is only looked at.
+    # Threads hand over twenty times as often as by default: the update at a frame must not wait for results that are only displayed.
     sys.setswitchinterval(_TURN)
     return run_node(IdentificationNode)

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-from geometry_msgs.msg import Point, Pose
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
-from push_ident.nodes.convert import TABLE_FRAME, planar_pose_to_msg, stamp_to_msg
+from push_ident.nodes.convert import stamp_to_msg
 from push_ident.nodes.convert_model import (
     cloud_to_msg,
     map_status,
     map_to_msg,
+    markers_to_msg,
     path_to_msg,
     prediction_path_to_msg,
     prediction_to_msg,
@@ -35,10 +32,6 @@ from push_ident_msgs.msg import PushScore as PushScoreMsg
 __all__ = ["ObjectOutput"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_LOW, _HIGH = np.array([0.17, 0.25, 0.55]), np.array([0.98, 0.80, 0.15])
-"""Colours of a cell that bears little and of one that bears much."""
-_THICKNESS: Final = 0.004
-"""Of the markers above the table [m]."""
 
 
 class ObjectOutput:
@@ -50,18 +43,15 @@ class ObjectOutput:
     """
 
     def __init__(self, node: Node, object_id: str) -> None:
-        def publisher(kind: Any, name: str) -> Publisher:
-            return node.create_publisher(kind, f"objects/{object_id}/{name}", _LATCHED)
-
         self._id = object_id
-        self._map = publisher(MassFrictionMap, "mass_friction_map")
-        self._cloud = publisher(PointCloud2, "mass_friction_cloud")
-        self._markers = publisher(MarkerArray, "markers")
-        self._prediction = publisher(PushPrediction, "prediction")
-        self._prediction_path = publisher(Path, "prediction_path")
-        self._next_push = publisher(Path, "next_push")
-        self._next_prediction = publisher(PushPrediction, "next_push_prediction")
-        self._score = publisher(PushScoreMsg, "push_score")
+        self._map = node.create_publisher(MassFrictionMap, f"objects/{object_id}/mass_friction_map", _LATCHED)
+        self._cloud = node.create_publisher(PointCloud2, f"objects/{object_id}/mass_friction_cloud", _LATCHED)
+        self._markers = node.create_publisher(MarkerArray, f"objects/{object_id}/markers", _LATCHED)
+        self._prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/prediction", _LATCHED)
+        self._prediction_path = node.create_publisher(Path, f"objects/{object_id}/prediction_path", _LATCHED)
+        self._next_push = node.create_publisher(Path, f"objects/{object_id}/next_push", _LATCHED)
+        self._next_prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/next_push_prediction", _LATCHED)
+        self._score = node.create_publisher(PushScoreMsg, f"objects/{object_id}/push_score", _LATCHED)
         self._all = (
             self._map,
             self._cloud,
@@ -81,15 +71,15 @@ class ObjectOutput:
         self._map.publish(msg)
         self._cloud.publish(cloud_to_msg(msg))
         if pose is not None and self._markers.get_subscription_count() > 0:
-            self._markers.publish(_markers(msg, pose))
+            self._markers.publish(markers_to_msg(msg, pose))
 
     @property
     def prediction_is_wanted(self) -> bool:
-        """Whether anybody listens to the prediction of the push under way."""
+        """Whether anybody subscribes to the prediction of the push under way."""
         return bool(self._prediction.get_subscription_count() or self._prediction_path.get_subscription_count())
 
     def publish_prediction(self, prediction: Prediction, status: SolveStatus | None, push_id: int) -> PushPrediction:
-        """Of the push under way, or of one that was asked about."""
+        """Of the push under way, or in answer to a request."""
         msg = prediction_to_msg(prediction, self._id, map_status(status), push_id=push_id)
         self._prediction.publish(msg)
         self._prediction_path.publish(prediction_path_to_msg(msg))
@@ -108,30 +98,3 @@ class ObjectOutput:
         """Withdraw the publishers."""
         for publisher in self._all:
             node.destroy_publisher(publisher)
-
-
-def _markers(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
-    """Cells coloured by the friction they bear, clearer where it is known better; centre of friction as a ball."""
-    placed: Pose = planar_pose_to_msg(msg.header.stamp, pose, np.eye(3)).pose.pose
-    load, std = np.array(msg.mass_friction), np.array(msg.mass_friction_std)
-    share = load / max(float(load.max()), 1e-12)
-    alpha = np.clip(1.0 - 0.8 * std / np.maximum(load, 1e-12), 0.15, 1.0)
-    cells = _marker(msg, placed, 0, Marker.CUBE_LIST)
-    cells.scale.x = cells.scale.y = 0.95 * msg.cell_size
-    cells.scale.z = _THICKNESS
-    for x, y, s, a in zip(msg.x, msg.y, share, alpha, strict=True):
-        red, green, blue = _LOW + s * (_HIGH - _LOW)
-        cells.points.append(Point(x=float(x), y=float(y), z=0.0))
-        cells.colors.append(ColorRGBA(r=float(red), g=float(green), b=float(blue), a=float(a)))
-    centre = _marker(msg, placed, 1, Marker.SPHERE_LIST)
-    centre.scale.x = centre.scale.y = centre.scale.z = 0.8 * msg.cell_size
-    centre.color = ColorRGBA(r=0.85, g=0.1, b=0.1, a=1.0)
-    centre.points.append(Point(x=msg.centre_of_friction.x, y=msg.centre_of_friction.y, z=_THICKNESS))
-    return MarkerArray(markers=[cells, centre])
-
-
-def _marker(msg: MassFrictionMap, pose: Pose, number: int, kind: int) -> Marker:
-    marker = Marker(ns=msg.object_id, id=number, type=kind, action=Marker.ADD, pose=pose)
-    marker.header.frame_id = TABLE_FRAME
-    marker.header.stamp = msg.header.stamp
-    return marker

@@ -1,4 +1,4 @@
-"""Where a camera stands: from parameters, from tf2, or from what it sees of the calibration mark."""
+"""The pose of a camera: from parameters, from tf2, or from depth frames of the calibration mark."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def mark_of(values: dict[str, Any]) -> Mark:
 
 
 class Extrinsics(ABC):
-    """A way to the pose of one camera."""
+    """A source of the pose of one camera."""
 
     refusal = "without_extrinsics"
     """Key in diagnostics of frames without a pose."""
@@ -76,7 +76,7 @@ class Extrinsics(ABC):
 
     @abstractmethod
     def find(self, frame: DepthFrame) -> Float64Array | None:
-        """Optical frame in the table frame, shape (4, 4), or None: ask again with the next frame. Never waits.
+        """Optical frame in the table frame, shape (4, 4), or None: call again with the next frame. Never waits.
 
         Raises:
             PerceptionError: Not to be found with this frame; the text says why.
@@ -128,7 +128,7 @@ class FromMark(Extrinsics):
 
 
 class TfBuffer:
-    """What tf2 tells, where it is installed; one for all cameras."""
+    """Transforms of tf2, where it is installed; one for all cameras."""
 
     def __init__(self, node: Node) -> None:
         """Listen.

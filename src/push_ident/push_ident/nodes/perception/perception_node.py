@@ -1,8 +1,7 @@
-"""Perception as a node: depth frames in, shapes, poses and the workspace occupancy out."""
+"""Node `perception`: depth images to shapes and poses of objects, and the occupancy of the workspace."""
 
 from __future__ import annotations
 
-import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -37,73 +36,17 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     transform_to_msg,
 )
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.parameters import Parameters
 from push_ident.nodes.perception.depth_input import DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
+from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.nodes.run import run_node
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
 from push_ident.perception.robot_history import RobotHistory
-from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["PARAMETERS", "PerceptionNode", "main"]
-
-_DEFAULTS: Final = PerceptionSettings()
-
-_SETTINGS: Final = (
-    Parameter("workspace_low", list(_DEFAULTS.workspace_low), "smallest x and y looked at [m]", -5.0, 5.0),
-    Parameter("workspace_high", list(_DEFAULTS.workspace_high), "largest x and y looked at [m]", -5.0, 5.0),
-    Parameter("min_object_height", _DEFAULTS.min_object_height, "lower things are table [m]", 0.002, 0.5),
-    Parameter("max_object_height", _DEFAULTS.max_object_height, "higher things are robot [m]", 0.01, 1.0),
-    Parameter("min_object_area", _DEFAULTS.min_object_area, "smaller things are ignored [m^2]", 1e-5, 1.0),
-    Parameter("min_step", _DEFAULTS.min_step, "surfaces that meet at a higher step are two objects [m]", 0.002, 1.0),
-    Parameter("mask_margin", _DEFAULTS.mask_margin, "added to tool and arm when they are masked [m]", 0.0, 0.1),
-    Parameter("rest_frames", _DEFAULTS.rest_frames, "frames at rest before an object is taken in", 1, 300),
-    Parameter("rest_distance", _DEFAULTS.rest_distance, "an object that moves less between frames is at rest [m]", 1e-4, 0.05),
-    Parameter("cell_count", _DEFAULTS.cell_count, "cells aimed at per object", 1, 2000),
-    Parameter("grid_resolution", _DEFAULTS.grid_resolution, "edge of a cell of the workspace occupancy [m]", 5e-4, 0.1),
-    Parameter("occupancy_period", _DEFAULTS.occupancy_period, "between two workspace occupancies [s]", 0.05, 60.0),
-    Parameter("search_period", _DEFAULTS.search_period, "between two searches for new or lost objects once one is known [s]", 0.0, 60.0),
-)
-
-_DEFAULT_OF: Final = {row.name: row.default for row in _SETTINGS}
-
-PARAMETERS: Final = (
-    *_SETTINGS,
-    Parameter(
-        "extrinsics", "parameters", "where the poses of all cameras come from", choices=("parameters", "tf", "calibrate"), read_only=True
-    ),
-    Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),
-    Parameter(
-        "camera_quaternion",
-        [0.67815377, 0.67815377, -0.20026847, -0.20026847],
-        "orientation of the optical frame in the table frame, x y z w",
-        -1.0,
-        1.0,
-        read_only=True,
-    ),
-    Parameter(
-        "extra_cameras",
-        [""],
-        "names of further cameras, which add to the shape of an object: each has topics `<name>/depth/image_rect`, "
-        "`<name>/depth/camera_info` and parameters `<name>.camera_position`, `<name>.camera_quaternion`",
-        read_only=True,
-    ),
-    Parameter("tool_radius", 0.02, "radius of the tool that is masked until pusher/shape says otherwise [m]", 0.0, 0.3),
-    Parameter("tool_length", 0.08, "from the tip of the tool to the hand that holds it, until pusher/shape says otherwise [m]", 0.0, 1.0),
-    Parameter("hand_radius", 0.09, "radius of the hand above the tool that is masked [m]", 0.0, 0.5),
-    Parameter("link_radius", 0.1, "thickness of the arm's links that its description gives as meshes [m]", 0.01, 0.5, read_only=True),
-    Parameter("extrinsics_timeout", 10.0, "without extrinsics for so long the node reports an error [s]", 0.1, 3600.0),
-    Parameter(
-        "mark_outline", "0,0 0.15,0 0,0.1", "corners x,y x,y ... of the calibration mark in its own frame, no symmetry [m]", read_only=True
-    ),
-    Parameter("mark_height", 0.03, "of the calibration mark [m]", 0.02, 0.3, read_only=True),
-    Parameter("mark_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the calibration mark in `table`", -10.0, 10.0, read_only=True),
-    Parameter("calibration_frames", 30, "frames at rest that give the extrinsics", 1, 1000, read_only=True),
-    Parameter("calibration_file", "", "where calibrated extrinsics are written as a parameter file; empty: nowhere", read_only=True),
-    Parameter("max_skew", 0.05, "a depth image and a camera info further apart do not belong together [s]", 0.0, 10.0),
-)
 
 _LATCHED: Final = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STALE: Final = 0.5
@@ -114,28 +57,9 @@ _SILENT: Final = 2.0
 """Without a depth image for so long the node reports it [s], receive time."""
 
 
-def _settings(values: dict[str, Any]) -> PerceptionSettings:
-    names = [row.name for row in _SETTINGS]
-    chosen: dict[str, Any] = {name: tuple(values[name]) if isinstance(_DEFAULT_OF[name], list) else values[name] for name in names}
-    return PerceptionSettings(**chosen)
-
-
-def _names_of(values: dict[str, Any]) -> list[str]:
-    """Of the further cameras.
-
-    Raises:
-        InputError: One is no ROS name, or given twice.
-    """
-    names = [name for name in values["extra_cameras"] if name]
-    for name in names:
-        if not re.fullmatch(r"[a-zA-Z][a-zA-Z0-9_]*", name) or names.count(name) > 1:
-            raise InputError(f"extra_cameras has {name!r}, expected different names of letters, digits and _ that begin with a letter.")
-    return names
-
-
 @dataclass(slots=True)
 class _Camera:
-    """One camera: its images, and where it stands as soon as that is known."""
+    """One camera: its images, and its pose as soon as that is known."""
 
     extrinsics: Extrinsics
     input: DepthInput
@@ -143,15 +67,15 @@ class _Camera:
 
 
 class PerceptionNode(Node):
-    """Converts, calls `Perception`, publishes; what goes wrong is counted and told in /diagnostics."""
+    """Converts, calls `Perception`, publishes; faults are counted and reported in /diagnostics."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("perception_node", **kwargs)
         self._configured = Parameters(
             self,
             PARAMETERS,
-            further=lambda values: (row for name in _names_of(values) for row in pose_rows(name)),
-            check=_settings,
+            further=lambda values: (row for name in names_of_further_cameras(values) for row in pose_rows(name)),
+            check=perception_settings,
             on_change=self._on_parameters,
         )
         self._perception: Perception | None = None
@@ -160,7 +84,7 @@ class PerceptionNode(Node):
         self._counter: Counter[str] = Counter()
         self._last_error = ""
         self._logged: dict[str, float] = {}
-        self._last_seen: Observation | None = None
+        self._last_observation: Observation | None = None
         self._notes: dict[str, str] = {}
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._started_at = self._diagnosed_at = self._wall.now()
@@ -187,7 +111,7 @@ class PerceptionNode(Node):
 
     def _on_parameters(self, changed: dict[str, Any]) -> None:
         if self._perception is not None:
-            self._perception.settings = _settings(self._configured.as_dict())
+            self._perception.settings = perception_settings(self._configured.as_dict())
         self._robot.tool_radius = float(changed.get("tool_radius", self._robot.tool_radius))
         self._robot.tool_length = float(changed.get("tool_length", self._robot.tool_length))
 
@@ -238,7 +162,7 @@ class PerceptionNode(Node):
         self._main = _Camera(extrinsics_of(""), input_of("", self._on_frame, self._refuse))
         self._further = {
             name: _Camera(extrinsics_of(name), input_of(name, partial(self._on_further_frame, name), partial(self._leave_out, name)))
-            for name in _names_of(values)
+            for name in names_of_further_cameras(values)
         }
 
     def _on_frame(self, frame: DepthFrame, stamp: Time) -> None:
@@ -250,17 +174,17 @@ class PerceptionNode(Node):
                 self._restart(frame.stamp)
             self._last_stamp = frame.stamp
             followed: list[str] = []
-            seen = self._perception.observe(
+            observation = self._perception.observe(
                 frame, self._robot_at(frame.stamp), lambda objects: followed.extend(self._publish_poses(objects, stamp))
             )
         except PerceptionError as error:
             self._refuse("frames_without_result", str(error))
             return
         self._counter["frames"] += 1
-        self._publish(seen, stamp, followed)
+        self._publish(observation, stamp, followed)
 
     def _begin(self, frame: DepthFrame) -> bool:
-        """Start perception as soon as it is known where the camera stands; the next frame asks again when it is not."""
+        """Start perception as soon as the pose of the camera is known; until then each frame tries again."""
         try:
             self._main.pose = self._main.extrinsics.find(frame)
         except PerceptionError as error:
@@ -268,8 +192,8 @@ class PerceptionNode(Node):
         self._notes["calibration"] = self._main.extrinsics.progress
         if self._main.pose is None:
             return False
-        self._tell_calibration("", self._main)
-        self._perception = Perception(self._main.pose, _settings(self._configured.as_dict()))
+        self._report_calibration("", self._main)
+        self._perception = Perception(self._main.pose, perception_settings(self._configured.as_dict()))
         return True
 
     def _on_further_frame(self, name: str, frame: DepthFrame, stamp: Time) -> None:
@@ -282,18 +206,18 @@ class PerceptionNode(Node):
             self._notes[f"calibration_{name}"] = camera.extrinsics.progress
             if camera.pose is None:
                 return
-            self._tell_calibration(name, camera)
+            self._report_calibration(name, camera)
         self._counter[f"{name}_frames"] += 1
         if self._perception is not None:
             self._perception.add_further_view(name, frame, camera.pose, self._robot_at(frame.stamp))
 
     def _leave_out(self, name: str, kind: str, why: str) -> None:
-        """Tell what is wrong with a further camera; perception goes on without it."""
+        """Report the fault of a further camera; perception continues without it."""
         self._counter[f"{name}_{kind}"] += 1
         self._notes[f"camera_{name}"] = why
         self._log(f"{name}_{kind}", f"Camera {name}: {why}")
 
-    def _tell_calibration(self, name: str, camera: _Camera) -> None:
+    def _report_calibration(self, name: str, camera: _Camera) -> None:
         """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
         found = camera.extrinsics.found if isinstance(camera.extrinsics, FromMark) else None
         if found is None:
@@ -301,7 +225,7 @@ class PerceptionNode(Node):
         self._calibrated += pose_lines(found.camera_in_table, f"{name}." if name else "")
         note = self._notes[f"extrinsics_{name}" if name else "extrinsics"] = (
             f"calibrated from {found.n_frames} frames: outline of the mark {found.outline_residual * 1e3:.2f} mm, "
-            f"its height {found.height_error * 1e3:+.2f} mm, table {found.plane_noise * 1e3:.2f} mm off"
+            f"its height {found.height_error * 1e3:+.2f} mm, noise of the table {found.plane_noise * 1e3:.2f} mm"
         )
         self.get_logger().info(f"Extrinsics {name} {note}. {' '.join(self._calibrated[-2:])}")
         if self._configured["calibration_file"]:
@@ -340,26 +264,26 @@ class PerceptionNode(Node):
             self._latencies.append(self._main.input.silence)
         return tracked
 
-    def _publish(self, seen: Observation, stamp: Time, followed: list[str]) -> None:
-        for object_id, shape in seen.new_shapes.items():
+    def _publish(self, observation: Observation, stamp: Time, followed: list[str]) -> None:
+        for object_id, shape in observation.new_shapes.items():
             self.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
             _, cells_publisher, outline_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
             outline_publisher.publish(outline)
-        if seen.new_shapes:
-            self._note_views(seen.further_views)
-        self._publish_poses((known for known in seen.objects if known.object_id not in followed), stamp)
+        if observation.new_shapes:
+            self._note_views(observation.further_views)
+        self._publish_poses((known for known in observation.objects if known.object_id not in followed), stamp)
         if self._perception is not None and self._camera_published is not self._perception.camera_in_table:
             self._camera_published = self._perception.camera_in_table
             self._camera_publisher.publish(transform_to_msg(stamp, self._camera_published))
-        if seen.occupancy is not None:
-            grid = seen.occupancy
+        if observation.occupancy is not None:
+            grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
-        self._last_seen = seen
+        self._last_observation = observation
 
     def _note_views(self, why_left_out: dict[str, str]) -> None:
-        """Count which further cameras helped with the shape of a new object, and say why others did not."""
+        """Count which further cameras helped with the shape of a new object, and report why others did not."""
         for name in self._further:
             why = why_left_out.get(name, "none of its frames came before the object was taken in")
             if why:
@@ -395,7 +319,7 @@ class PerceptionNode(Node):
         self._log(kind, why)
 
     def _log(self, kind: str, why: str) -> None:
-        """One line, each kind at most every few seconds; rclpy would throttle all kinds together."""
+        """One line, each kind at intervals of at least some seconds; rclpy would throttle all kinds together."""
         now = time.monotonic()
         if now >= self._logged.get(kind, -np.inf) + _LOG_PERIOD:
             self._logged[kind] = now
@@ -409,7 +333,7 @@ class PerceptionNode(Node):
         for name, camera in self._further.items():
             if camera.input.silence > _SILENT:
                 self._leave_out(name, "silent", self._silence_of(camera))
-        why = self._why_nothing(silent, rate)
+        why = self._why_no_pose(silent, rate)
         if silent or rate == 0:
             self._log("nothing", why)
         values: dict[str, Any] = {
@@ -417,14 +341,14 @@ class PerceptionNode(Node):
             "images": self._main.input.n_images,
             **self._counter,
             "last_error": self._last_error,
-            "why_nothing": why,
+            "why_no_pose": why,
         }
         if self._latencies:
             values["latency_ms"] = f"{1e3 * float(np.median(self._latencies)):.1f} median, {1e3 * max(self._latencies):.1f} worst"
             self._latencies.clear()
-        if self._last_seen is not None:
-            values |= {f"stage_{name}": count for name, count in self._last_seen.counts.items()}
-            values |= {f"object_{known.object_id}": known.status.value for known in self._last_seen.objects}
+        if self._last_observation is not None:
+            values |= {f"stage_{name}": count for name, count in self._last_observation.counts.items()}
+            values |= {f"object_{known.object_id}": known.status.value for known in self._last_observation.objects}
         values |= {f"note_{name}": note for name, note in self._notes.items() if note}
         status = DiagnosticStatus(name=f"{self.get_name()}: perception", hardware_id=TABLE_FRAME, message=why or "poses are published")
         status.level = DiagnosticStatus.ERROR if silent or rate == 0 else DiagnosticStatus.WARN if why else DiagnosticStatus.OK
@@ -434,7 +358,7 @@ class PerceptionNode(Node):
         self._diagnostics_publisher.publish(msg)
         self._diagnosed_at, self._frames_diagnosed = now, self._counter["frames"]
 
-    def _why_nothing(self, silent: bool, rate: float) -> str:
+    def _why_no_pose(self, silent: bool, rate: float) -> str:
         if self.get_parameter("use_sim_time").value and self.get_clock().now().nanoseconds == 0:
             return f"use_sim_time is set but nothing comes on /clock ({self.count_publishers('/clock')} publishers)"
         if silent:
@@ -443,9 +367,9 @@ class PerceptionNode(Node):
         source = self._configured["extrinsics"]
         if self._perception is None and source != "parameters" and waited > self._configured["extrinsics_timeout"]:
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
-        if rate == 0 or self._last_seen is None:
-            return self._last_error or "no depth frame has been taken in yet"
-        return self._last_seen.why_no_pose()
+        if rate == 0 or self._last_observation is None:
+            return self._last_error or "no depth frame has been processed yet"
+        return self._last_observation.why_no_pose()
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic

@@ -80,7 +80,7 @@ class ArmPort:
 
     @property
     def planner(self) -> ArmKinematics:
-        """Kinematics for planning, apart from those of the joint state callback. Raises PlanningError ARM_SILENT before there are any."""
+        """Kinematics for planning, not those of the joint state callback. Raises PlanningError ARM_SILENT before there are any."""
         if self._planner is None:
             topic = self._node.resolve_topic_name("robot_description")
             raise PlanningError(PushCode.ARM_SILENT, f"no robot description received on {topic}; is the arm's driver running?")
@@ -120,7 +120,7 @@ class ArmPort:
         return self.state
 
     def rivals(self) -> tuple[str, ...]:
-        """Other nodes that command the same arm, by full name: what the lease of this machine cannot see."""
+        """Other nodes that command the same arm, by full name: the lease of this machine does not cover other machines."""
         infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("joint_trajectory"))
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
         own = self._node.get_fully_qualified_name()

@@ -1,4 +1,4 @@
-"""What a viewer shows, written with Rerun: the only module that knows it.
+"""The content of the viewer, written with Rerun; no other module uses it.
 
 Entities are named by the frame they live in: `table` holds everything; `table/camera` is the depth camera, so that whatever stands on
 the table can also be drawn into its picture.
@@ -19,10 +19,10 @@ from push_ident.types import CameraIntrinsics, Float64Array
 __all__ = ["CellMap", "RerunScene"]
 
 _LIFT: Final = 0.001
-"""Between things drawn on top of each other [m]."""
+"""Distance in height between lines drawn on top of each other [m]."""
 _GHOSTS: Final = 6
 """Outlines that show a predicted motion."""
-_SEEN, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
+_OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
     [0, 158, 115],
     [213, 94, 0],
     [230, 159, 0],
@@ -30,7 +30,7 @@ _SEEN, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
     [0, 114, 178],
     [204, 121, 167],
 )
-"""Colours that the colour-blind tell apart (Okabe and Ito)."""
+"""Colours for all kinds of colour vision (Okabe and Ito)."""
 _SHOWN: Final = 0.25
 """Half the edge of the part of the table that the picture shows [m]."""
 _WIDTH: Final = 0.0012
@@ -112,10 +112,10 @@ class RerunScene:
         self._log("table/camera", rr.Pinhole(image_from_camera=matrix, resolution=[intrinsics.width, intrinsics.height]))
 
     def depth(self, depth: NDArray[np.float32]) -> None:
-        """A depth image [m], NaN where nothing is seen."""
+        """A depth image [m], NaN where nothing was measured."""
         millimetres = np.nan_to_num(1e3 * depth, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 65535).astype(np.uint16)
-        seen = millimetres[millimetres > 0]
-        near, far = (float(v) for v in np.quantile(seen[::17], (0.01, 0.99))) if len(seen) > 17 else (0.0, 1.0)
+        measured = millimetres[millimetres > 0]
+        near, far = (float(v) for v in np.quantile(measured[::17], (0.01, 0.99))) if len(measured) > 17 else (0.0, 1.0)
         self._log(
             "table/camera/depth",
             self._rr.DepthImage(millimetres, meter=1000.0, colormap="grayscale", depth_range=(near - 50.0, far + 20.0)),
@@ -126,9 +126,9 @@ class RerunScene:
         rr = self._rr
         self._log("table/tool", rr.Points3D([position], radii=[max(radius, 0.004)], colors=_TOOL))
 
-    def seen(self, object_id: str, outline: Float64Array, pose: Float64Array, top: float) -> None:
-        """Where an object is seen: outline (n, 2) in its frame, pose (x, y, yaw), height of its upper side [m]."""
-        self._log(f"table/objects/{object_id}/seen", self._lines([transform_points(pose, outline)], top + 2 * _LIFT, _SEEN))
+    def observed(self, object_id: str, outline: Float64Array, pose: Float64Array, top: float) -> None:
+        """The observed pose of an object: outline (n, 2) in its frame, pose (x, y, yaw), height of its upper side [m]."""
+        self._log(f"table/objects/{object_id}/observed", self._lines([transform_points(pose, outline)], top + 2 * _LIFT, _OBSERVED))
         turn = np.eye(3)
         turn[:2, :2] = rotation(pose[2])
         placed = self._rr.Transform3D(translation=[pose[0], pose[1], top + _LIFT], mat3x3=turn)
@@ -136,7 +136,7 @@ class RerunScene:
             self._log(f"table/{name}/{object_id}", placed)
 
     def map(self, object_id: str, cells: CellMap) -> None:
-        """Friction that each cell bears, and how well it is known; both follow the object."""
+        """Friction load of each cell and its relative standard deviation; both follow the object."""
         relative = cells.deviation / np.maximum(cells.load, 1e-12)
         for name, share, palette in (
             ("load", cells.load / max(float(cells.load.max()), 1e-12), cv2.COLORMAP_VIRIDIS),
@@ -147,19 +147,19 @@ class RerunScene:
             self._log(f"table/{name}/{object_id}/centre", centre)
 
     def predicted(self, object_id: str, outline: Float64Array, poses: Float64Array, top: float) -> None:
-        """A predicted motion, poses (n, 3), as outlines on its way; no poses take it away."""
+        """A predicted motion, poses (n, 3), as outlines along it; no poses remove it."""
         chosen = np.unique(np.linspace(0, len(poses) - 1, min(_GHOSTS, len(poses))).astype(int))
         ghosts = [transform_points(poses[i], outline) for i in chosen]
         self._log(f"table/objects/{object_id}/predicted", self._lines(ghosts, top + 3 * _LIFT, _PREDICTED))
 
-    def next_push(self, object_id: str, way: Float64Array, top: float) -> None:
-        """Way (n, 2) of the tool of the push to make next; an empty one takes it away."""
+    def next_push(self, object_id: str, path: Float64Array, top: float) -> None:
+        """Path (n, 2) of the tool in the push to make next; an empty one removes it."""
         rr = self._rr
         name = f"table/objects/{object_id}/next_push"
-        if len(way) < 2:
+        if len(path) < 2:
             self._log(name, rr.Clear(recursive=True))
             return
-        start, end = ([*way[i], top + 3 * _LIFT] for i in (0, -1))
+        start, end = ([*path[i], top + 3 * _LIFT] for i in (0, -1))
         self._log(f"{name}/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=_WIDTH * 1.5))
 
     def next_end(self, object_id: str, outline: Float64Array, top: float) -> None:
@@ -215,14 +215,14 @@ class RerunScene:
                             name=title, origin="table/camera", contents=[*on_table, f"+ table/{what}/**"], visual_bounds=bounds
                         )
                         for what, title in (
-                            ("load", "Camera, and the friction each cell bears (yellow: most)"),
+                            ("load", "Camera, and friction force of each cell (yellow: largest)"),
                             ("uncertainty", "Relative deviation of it (black: known, white: unknown)"),
                         )
                     )
                 ),
                 layout.Horizontal(
                     layout.Spatial3DView(
-                        name="Seen (green), predicted (orange), next push (pink)",
+                        name="Observed (green), predicted (orange), next push (pink)",
                         origin="table",
                         contents=[*on_table, "+ table/load/**"],
                         eye_controls=above,

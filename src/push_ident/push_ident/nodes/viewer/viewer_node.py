@@ -1,4 +1,4 @@
-"""Node `viewer`: what the cell sees, knows and expects, in a Rerun viewer: in a browser, in a window, or in a file."""
+"""Node `viewer`: observations, maps and predictions of a cell in a Rerun viewer: in a browser, in a window, or in a file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import InputError, PushIdentError
-from push_ident.geometry.outline import points_in_polygon
-from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
     depth_frame_from_msgs,
@@ -32,7 +31,7 @@ from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.depth import height_inside, points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
 
@@ -57,15 +56,15 @@ PARAMETERS: Final = (
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_AGE: Final = 5.0
-"""An object that was not seen for so long [s] is not drawn."""
+"""An object without a pose for this time is not drawn [s]."""
 _NO_TOP: Final = 0.0
-"""Height at which objects are drawn until the camera has seen their upper side [m]."""
+"""Height at which objects are drawn until the camera has measured their upper side [m]."""
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
 
 
 class ViewerNode(Node):
-    """Listens, and draws; it publishes nothing and nothing waits for it."""
+    """Subscribes and draws; it publishes nothing, and no other node depends on it."""
 
     def __init__(self) -> None:
         super().__init__("viewer_node")
@@ -101,7 +100,7 @@ class ViewerNode(Node):
         self.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
-        """Hand over what is still held back."""
+        """Write what is still buffered."""
         self._scene.close()
 
     def _start(self) -> None:
@@ -169,16 +168,14 @@ class ViewerNode(Node):
         unknown = [object_id for object_id in self._objects.ids if object_id not in self._tops]
         if not unknown or self._camera is None:
             return
-        points = points_in_table(frame, self._camera)[::2, ::2].reshape(-1, 3)
-        points = points[np.isfinite(points[:, 2])].astype(np.float64)
+        points = points_in_table(frame, self._camera)
         for object_id in unknown:
             try:
-                seen = self._objects.get(object_id, _MAX_AGE)
+                latest = self._objects.get(object_id, _MAX_AGE)
             except PushIdentError:
                 continue
-            inside = points[points_in_polygon(transform_points(inverse(seen.pose), points[:, :2]), seen.shape.outline)]
-            if len(inside):
-                self._tops[object_id] = max(float(np.median(inside[:, 2])), 0.0)
+            if (top := height_inside(points, transform_points(latest.pose, latest.shape.outline))) is not None:
+                self._tops[object_id] = top
 
     def _on_tool(self, msg: PoseStamped) -> None:
         try:
@@ -211,13 +208,13 @@ class ViewerNode(Node):
     def _draw_objects(self) -> None:
         for object_id in self._objects.ids:
             try:
-                seen = self._objects.get(object_id, _MAX_AGE)
+                latest = self._objects.get(object_id, _MAX_AGE)
             except PushIdentError:
                 continue
-            if seen.stamp != self._drawn.get(object_id):
-                self._drawn[object_id] = seen.stamp
-                self._at(seen.stamp)
-                self._scene.seen(object_id, seen.shape.outline, seen.pose, self._tops.get(object_id, _NO_TOP))
+            if latest.stamp != self._drawn.get(object_id):
+                self._drawn[object_id] = latest.stamp
+                self._at(latest.stamp)
+                self._scene.observed(object_id, latest.shape.outline, latest.pose, self._tops.get(object_id, _NO_TOP))
 
     def _on_map(self, msg: MassFrictionMap) -> None:
         cells = np.column_stack([msg.x, msg.y])
@@ -245,8 +242,8 @@ class ViewerNode(Node):
             self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_next_push(self, object_id: str, msg: PathMsg) -> None:
-        way = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
-        self._scene.next_push(object_id, way, self._tops.get(object_id, _NO_TOP))
+        path = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
+        self._scene.next_push(object_id, path, self._tops.get(object_id, _NO_TOP))
 
     def _on_next_prediction(self, msg: PushPrediction) -> None:
         outline = self._outline(msg.object_id)
@@ -280,7 +277,7 @@ class ViewerNode(Node):
             parts += [f"## {object_id}", *(f"**{key}** {value}  " for key, value in words.items())]
         warnings = [f"**{name}** {text}  " for name, text in sorted(self._warnings.items()) if text]
         if warnings:
-            parts += ["## Not well", *warnings]
+            parts += ["## Warnings", *warnings]
         self._scene.words("\n".join(parts))
 
     def _warn(self, text: str) -> None:

@@ -127,16 +127,8 @@ def laws_of(
     stribeck, stribeck_speed = effects["stribeck_friction"]
     contents, contents_time = effects["moving_contents"]
     anchor = tether_anchor(effects, np.array(put_down))
-    rolls = "rolling_finger" in effects
     return Laws(
-        pusher_radius=pusher_radius,
-        outline_offset=outline_growth(effects),
-        pusher_friction=friction_of_pusher(effects, thing.pusher_friction),
-        contact_stiffness=2e5,
-        damping_ratio=_damping_ratio(restitution(effects)),
-        contact_travel=2e-5,
-        finger_radius=pusher_radius if rolls else 0.0,
-        bearing_torque=bearing_torque(effects) if rolls else 0.0,
+        **_contact_laws(effects, thing, pusher_radius),
         gravity=float(gravity * np.sqrt(1.0 - tilt @ tilt)),
         travel=skin if skin > 0.0 else 2e-5,
         tilt_x=float(gravity * tilt[0]),
@@ -164,6 +156,21 @@ def laws_of(
         gust=outside.get("gust", 0.0),
         gust_phase=2.0 * np.pi * ((0.618034 * pushes_done) % 1.0),
     )
+
+
+def _contact_laws(effects: InjectedEffects, thing: SimObject, pusher_radius: float) -> dict[str, float]:
+    """The laws between pusher and object."""
+    rolls = "rolling_finger" in effects
+    return {
+        "pusher_radius": pusher_radius,
+        "outline_offset": outline_growth(effects),
+        "pusher_friction": friction_of_pusher(effects, thing.pusher_friction),
+        "contact_stiffness": 2e5,
+        "damping_ratio": _damping_ratio(restitution(effects)),
+        "contact_travel": 2e-5,
+        "finger_radius": pusher_radius if rolls else 0.0,
+        "bearing_torque": bearing_torque(effects) if rolls else 0.0,
+    }
 
 
 def _check_outside(outside: Mapping[str, float]) -> None:

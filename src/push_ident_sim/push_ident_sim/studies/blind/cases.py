@@ -1,4 +1,4 @@
-"""The cases of the blind check: which engine pushes, which effects are in it, how large; all drawn from the case's seed alone."""
+"""The cases of the blind check: which engine pushes, which effects are in it, how large; all drawn from the case's seed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from push_ident_sim.recordings.truth import (
 )  # fmt: skip
 from push_ident_sim.studies.common.base import Json
 
-__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_asked_record", "make_records", "phase_of"]
+__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_requested_record", "make_records", "phase_of"]
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
@@ -42,9 +42,9 @@ _JITTER = 0.2
 _N_NULLS = 20
 """Of each engine, in one round of the plan."""
 _N_PAIRS = 12
-_HARDLY_SEEN = ("restitution", "stribeck_friction", "wear", "speed_dependent_friction", "tether", "camera_translation")
-_PAIRABLE = tuple(name for name in CAUSES if name not in _HARDLY_SEEN)
-"""Effects that slow pushes show, and of two that are the same to them one."""
+_HARDLY_DETECTABLE = ("restitution", "stribeck_friction", "wear", "speed_dependent_friction", "tether", "camera_translation")
+_PAIRABLE = tuple(name for name in CAUSES if name not in _HARDLY_DETECTABLE)
+"""Effects that slow pushes show, one of each pair of exact twins."""
 _ELSEWHERE = ("pose_flips", "compliant_table", "viscous_film", "rolling_finger", "pusher_wobble")
 """Effects that both engines have and that no diagnosis can name."""
 
@@ -54,7 +54,7 @@ class Scenario:
     """What one case is about; signs, directions and the last digits of sizes are drawn with the case."""
 
     engine: str
-    """`bullet`, `planar`, or `camera`: Bullet seen through rendered depth images."""
+    """`bullet`, `planar`, or `camera`: Bullet through rendered depth images."""
     kind: str
     """`null`, `single`, `pair`, `outside`."""
     names: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class Truth:
     effects: InjectedEffects
     """Of the catalogue of injected effects, with what merely disturbs (correlated noise, dropped frames)."""
     outside: tuple[tuple[str, float], ...]
-    """Effects of the planar engine alone."""
+    """Effects that only the planar engine has."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,7 +112,7 @@ def _plan() -> tuple[Scenario, ...]:
 
 
 def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
-    """What is in a case: the plan tells the scenario, the seed the rest. What no camera can film becomes a null there."""
+    """The truth of a case: the plan gives the scenario, the seed the rest. A scenario that no camera can film becomes a null there."""
     # A report begins at the other end of the plan than tuning did.
     first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
@@ -154,7 +154,7 @@ def _drawn(effect: InjectedEffect, size: float, thing: SimObject, rng: np.random
 
 
 def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, noise: CameraNoise) -> list[PushRecord]:
-    """The pushes of a case as they are seen; the first ones are the same whatever their number.
+    """The observed pushes of a case; the first ones do not depend on their number.
 
     Args:
         truth: what is in it.
@@ -173,27 +173,29 @@ def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, nois
     own = [model, OBJECT_NAMES.index(object_name), 5]
     engine = _planar(truth, thing, settings) if truth.scenario.engine == "planar" else None
     motions = make_pushes(thing, own, settings, engine=engine)
-    return [_seen(truth, thing, motion, [*own, i, 1], i, noise) for i, motion in enumerate(motions)]
+    return [_observed(truth, thing, motion, [*own, i, 1], i, noise) for i, motion in enumerate(motions)]
 
 
-def make_asked_record(truth: Truth, object_name: str, model: int, asked: PlannedPush, number: int, noise: CameraNoise) -> PushRecord | None:
-    """A push that a diagnosis asked for, of an object that is put down where the diagnosis says; other arguments as in `make_records`.
+def make_requested_record(
+    truth: Truth, object_name: str, model: int, requested: PlannedPush, number: int, noise: CameraNoise
+) -> PushRecord | None:
+    """A push that a diagnosis requests, of an object that is placed where the diagnosis plans it; other arguments as in `make_records`.
 
     Args:
-        asked: the push.
+        requested: the push.
         number: of pushes before it.
 
     Returns:
         None through a rendered camera, where the object lies where it came to rest.
     """
-    if truth.scenario.engine == "camera" or asked.plan is None:
+    if truth.scenario.engine == "camera" or requested.plan is None:
         return None
-    # Here, so that drawing results does without Bullet.
+    # Imported here, so that drawing results does not need Bullet.
     from push_ident_sim.engines.bullet.push_world import PushWorld
 
     thing = make_object(object_name, model)
     settings = replace(TruthSettings(), effects=truth.effects)
-    path = path_of_plan(asked.plan, settings)
+    path = path_of_plan(requested.plan, settings)
     with ExitStack() as stack:
         engine: Engine
         if truth.scenario.engine == "planar":
@@ -202,8 +204,8 @@ def make_asked_record(truth: Truth, object_name: str, model: int, asked: Planned
             world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
             stack.callback(world.close)
             engine = world
-        motion = engine.push(asked.pose_object_in_table, path, pushes_done=number)
-    return _seen(truth, thing, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
+        motion = engine.push(requested.pose_object_in_table, path, pushes_done=number)
+    return _observed(truth, thing, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
 
 
 def _planar(truth: Truth, thing: SimObject, settings: TruthSettings) -> PlanarWorld:
@@ -211,9 +213,9 @@ def _planar(truth: Truth, thing: SimObject, settings: TruthSettings) -> PlanarWo
     return PlanarWorld(thing, radius, time_step=settings.time_step, effects=truth.effects, outside=dict(truth.outside))
 
 
-def _seen(truth: Truth, thing: SimObject, motion: TrueMotion, seed: list[int], number: int, noise: CameraNoise) -> PushRecord:
-    seen = observe_motion(motion, TruthSettings().pushes.pusher_radius, noise, np.random.default_rng(seed), truth.effects)
-    return PushRecord(thing.name, true_model(thing).shape, *seen, f"push {number + 1}", number)
+def _observed(truth: Truth, thing: SimObject, motion: TrueMotion, seed: list[int], number: int, noise: CameraNoise) -> PushRecord:
+    observed = observe_motion(motion, TruthSettings().pushes.pusher_radius, noise, np.random.default_rng(seed), truth.effects)
+    return PushRecord(thing.name, true_model(thing).shape, *observed, f"push {number + 1}", number)
 
 
 def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[PushRecord]:

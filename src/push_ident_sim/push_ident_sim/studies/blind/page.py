@@ -1,4 +1,4 @@
-"""Tables and the confusion matrix of the blind check, made of its summary alone."""
+"""Tables and the confusion matrix of the blind check, made from its summary."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ _ROWS = (
     ("false_alarms", "false alarms on nulls", "<= 5 %"),
     ("nulls_not_trusted", "nulls not trusted", ""),
     ("top1_detectable", "first name right, detectable sizes", ">= 90 %"),
-    ("top1_surely", "first name right, sizes that would be seen nine times in ten", ">= 90 %"),
+    ("top1_surely", "first name right, sizes detectable nine times in ten", ">= 90 %"),
     ("top1_plain", "first name right, noncentrality >= 25", ">= 95 %"),
-    ("wrong_names", "named without a doubt and wrong, all sizes", "<= 3 %"),
+    ("wrong_names", "named with confidence and wrong, all sizes", "<= 3 %"),
     ("wrong_names_detectable", "the same, detectable sizes", ""),
-    ("in_set", "truth among what is left open", ">= 95 %"),
-    ("set_size", "how many are left open", "<= 1.3"),
-    ("ties_settled", "left open: settled rightly by <= 2 pushes that it asked for", ">= 90 %"),
-    ("ties_settled_as_expected", "the same, of those where one push was said to be enough", ">= 90 %"),
-    ("ties_beyond_pushes", "left open, and no push within its limits would tell", ""),
-    ("ties_asked", "pushes it asked for", "<= 2"),
+    ("in_set", "truth in the confusion set", ">= 95 %"),
+    ("set_size", "size of the confusion set", "<= 1.3"),
+    ("ties_settled", "ties resolved rightly by <= 2 requested pushes", ">= 90 %"),
+    ("ties_settled_as_expected", "the same, where one push was predicted to be enough", ">= 90 %"),
+    ("ties_beyond_pushes", "ties that no push within its limits resolves", ""),
+    ("ties_asked", "requested pushes", "<= 2"),
     ("silent_undetectable", "undetectable sizes: no gap", ""),
     ("wrong_undetectable", "undetectable sizes: wrongly named", ""),
     ("pairs_both", "two effects: both named", ">= 75 %"),
     ("pairs_one", "two effects: one named", ">= 95 %"),
-    ("unknown_flagged", "outside the catalogue, visible: said so", ">= 80 %"),
-    ("unknown_misnamed", "outside the catalogue: named without a doubt", "<= 10 %"),
+    ("unknown_flagged", "outside the catalogue, visible: reported as unknown", ">= 80 %"),
+    ("unknown_misnamed", "outside the catalogue: named with confidence", "<= 10 %"),
     ("outside_invisible", "outside the catalogue: not visible", ""),
     ("shrink", "shrink S, median", ">= 0.85"),
     ("shrink_oracle", "S of the true effect, median", ""),
     ("shrink_of_oracle", "S of S of the true effect, median", ">= 0.95"),
     ("shrink_tuned", "S of tuning existing parameters only", ""),
-    ("size_error", "error of the size, median (where the law is the world's)", ""),
+    ("size_error", "error of the size, median (where engines and model share the law)", ""),
     ("sizes_within_tenth", "sizes within 10 %", ""),
-    ("size_intervals", "90 % intervals of sizes that hold", "85-95 %"),
-    ("baseline_evidence", "first by evidence, whatever its size", ""),
+    ("size_intervals", "90 % intervals of sizes that contain the truth", "85-95 %"),
+    ("baseline_evidence", "baseline: largest log evidence", ""),
     ("baseline_training_fit", "baseline: best training fit", ""),
     ("baseline_largest_residual", "baseline: largest residual", ""),
     ("baseline_random", "baseline: random", ""),
@@ -75,7 +75,7 @@ def tables(summary: Json) -> str:
             [f">= {row['from']:g}", *(_number(row[key]) for key in ("top1", "in_set", "wrong", "silent"))]
             for row in summary["by_noncentrality"]
         ]
-        parts.append(markdown_table(["noncentrality", "first name right", "truth left open", "wrong", "silent"], bins))
+        parts.append(markdown_table(["noncentrality", "first name right", "truth in the set", "wrong", "silent"], bins))
         smallest = summary["smallest"]
         rows = [
             [
@@ -85,14 +85,14 @@ def tables(summary: Json) -> str:
             ]
             for name in next(iter(smallest.values()), {})
         ]
-        parts.append("Smallest size that nulls would have shown, median:\n\n" + markdown_table(["effect", "unit", *smallest], rows))
+        parts.append("Smallest detectable size in nulls, median:\n\n" + markdown_table(["effect", "unit", *smallest], rows))
     if engines := summary.get("engines"):
         rows = [
             [name.replace("_", " "), str(own["n"]), *(f"{1e3 * own[key]:.2f}" for key in ("median_m", "q90_m", "largest_m"))]
             for name, own in engines.items()
         ]
         parts.append(
-            "The engines apart by themselves, cell error at the end of a push without effects:\n\n"
+            "Distance between the engines, cell error at the end of a push without effects:\n\n"
             + markdown_table(["engines", "pushes", "median [mm]", "90 % [mm]", "largest [mm]"], rows)
         )
     return "\n\n".join(parts)

@@ -1,4 +1,4 @@
-"""One case of the blind check: the diagnosis, how much there was to see, what the truth would have closed, and what simpler ways say."""
+"""One case of the blind check: the diagnosis, the detectability of the truth, a fit of the true effects, and simpler baselines."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.base import Json
 
-__all__ = ["TWINS", "Ask", "score_case", "true_values"]
+__all__ = ["MakePush", "score_case", "true_values", "twins_of"]
 
 FloatArray = NDArray[np.float64]
-Ask = Callable[[PlannedPush, int], PushRecord | None]
+MakePush = Callable[[PlannedPush, int], PushRecord | None]
+"""Makes a requested push after a number of others; None where that is not possible."""
 
-TWINS = {"tool_offset": "camera_translation", "camera_translation": "tool_offset"}
-"""Effects that no push can tell apart: either name is right."""
 _RESIDUAL_NAMES = {
     "push": "wear",
     "phase": "pusher_lag",
@@ -42,13 +41,18 @@ _RESIDUAL_NAMES = {
     "heading_in_body": "base_anisotropy",
     "table_region": "position_dependent_friction",
 }
-"""What one would guess from where residuals are largest."""
-_MOST_ASKED = 2
-"""Pushes that a diagnosis may ask for to settle what it left open."""
+"""Effect that one would guess from the group with the largest residuals."""
+_MAX_REQUESTED = 2
+"""Largest number of pushes that a diagnosis may request to resolve its confusion set."""
 _FEW = 5
-"""Frames that make a group."""
+"""Smallest number of frames in a group."""
 _TUNED = "pusher_friction"
-"""The one existing parameter that the base model takes as given."""
+"""The existing parameter that the base model does not fit."""
+
+
+def twins_of(name: str) -> tuple[str, ...]:
+    """Effects that no push can distinguish from one; none for a name outside the catalogue."""
+    return EFFECTS[name].exact_twins if name in EFFECTS else ()
 
 
 def true_values(effects: InjectedEffects, name: str, put_down: FloatArray) -> FloatArray:
@@ -71,19 +75,19 @@ def score_case(
     thing: SimObject,
     settings: DiagnosisSettings,
     *,
-    ask: Ask | None = None,
+    make_push: MakePush | None = None,
     make_plain: Callable[[], Sequence[PushRecord]] | None = None,
 ) -> Json:
-    """Diagnose the pushes of a case; the truth is looked at afterwards.
+    """Diagnose the pushes of a case and compare the result with the truth.
 
     Args:
         records: the pushes.
-        truth: what is in them.
+        truth: of the case.
         thing: what was pushed.
         settings: of the diagnosis.
-        ask: makes a push that the diagnosis asks for; without it, nothing that is left open is settled.
-        make_plain: makes the same pushes with the same noise without any effect; without it, nothing is said of how plainly effects show
-            that no diagnosis has a name for.
+        make_push: makes a push that the diagnosis requests; without it, confusion sets stay as they are.
+        make_plain: makes the same pushes with the same noise without any effect; without it, the visibility of effects outside the
+            catalogue is not computed.
     """
     start, wall = time.process_time(), time.perf_counter()
     found = diagnose(records, settings)
@@ -97,7 +101,7 @@ def score_case(
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         centre = thing.mass @ thing.cells / thing.mass.sum()
         first = pose[:2] + np.array([cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]])
-        # What belongs to the base, as small errors of a camera do, is nothing to be found.
+        # An effect of the base model, such as a small error of a camera, is not to be found.
         names = [name for name in truth.names if name not in base.names]
         wanted = {name: true_values(truth.effects, name, first) for name in names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
@@ -106,30 +110,30 @@ def score_case(
             values["oracle"] = _oracle(found, base, wanted)
     if truth.scenario.kind == "outside" and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
-    if truth.scenario.kind == "single" and ask is not None and _is_open(found):
-        values["asked"] = _settle(found, list(records), settings, ask)
+    if truth.scenario.kind == "single" and make_push is not None and _is_open(found):
+        values["asked"] = _settle(found, list(records), settings, make_push)
     values["baselines"] = _baselines(found, base)
     return values
 
 
 def _is_open(found: Diagnosis) -> bool:
-    """Whether more than one effect is left, twins apart."""
+    """Whether the confusion set has an effect that is no exact twin of the named one."""
     first = found.effects[-1].name if found.effects else ""
-    return any(name != TWINS.get(first) for name in found.confusion_set)
+    return any(name not in twins_of(first) for name in found.confusion_set)
 
 
-def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, ask: Ask) -> Json:
-    """Make the pushes that the diagnosis asks for until nothing is left open."""
-    n_asked, expected = 0, found.next_push is not None and found.next_push.resolves
-    while _is_open(found) and n_asked < _MOST_ASKED and found.next_push is not None:
-        more = ask(found.next_push.push, len(records))
+def _settle(found: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, make_push: MakePush) -> Json:
+    """Make the pushes that the diagnosis requests until its confusion set is resolved."""
+    n_requested, expected = 0, found.next_push is not None and found.next_push.resolves
+    while _is_open(found) and n_requested < _MAX_REQUESTED and found.next_push is not None:
+        more = make_push(found.next_push.push, len(records))
         if more is None:
             break
         records.append(more)
         found = diagnose(records, settings)
-        n_asked += 1
+        n_requested += 1
     return {
-        "n": n_asked,
+        "n": n_requested,
         "expected": expected,
         "verdict": found.verdict.value,
         "named": [effect.name for effect in found.effects],
@@ -145,7 +149,7 @@ def _outcome(found: Diagnosis) -> Json:
         "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in found.effects],
         "confusable": list(found.confusion_set),
         "gap": None if found.gap is None else _gap(found.gap),
-        # Enough to try other thresholds without fitting again.
+        # Enough to try another policy without fitting again.
         "steps": [] if found.selection is None else [_step(found.selection, i) for i in range(len(found.selection.steps))],
         "misfit": None if found.base_residuals is None else found.base_residuals.residual_ratio,
         "residual_ratio": found.residual_ratio,
@@ -163,7 +167,7 @@ def _step(selection: Selection, number: int) -> Json:
         "scores": {score.name: score.expected_log_bayes_factor for score in step.scores},
         "costs": {c.name: c.fit.end.cost for c in step.candidates},
         "best_score": None if first is None else first.name,
-        # What would just have been seen; effects that cannot be seen at any size that makes sense are left out.
+        # Without effects that are not detectable at any plausible size.
         "smallest": {score.name: score.smallest_detectable for score in step.scores if np.isfinite(score.smallest_detectable)},
     }
 
@@ -181,10 +185,10 @@ def _gap(gap: Gap) -> Json:
 
 
 def _detectability(information: EffectInformation | None, wanted: Mapping[str, FloatArray]) -> Json:
-    """How plainly the true effects show, each alone: noncentrality beside everything that the base model fits.
+    """Detectability of each true effect: its noncentrality beside everything that the base model fits.
 
-    `alone`: beside the base. `hardest`: also beside that rival of the catalogue which takes most of it away. `gain`: of log evidence that
-    its true size brings on average.
+    `alone`: beside the base. `hardest`: also beside the rival of the catalogue that reduces it most. `gain`: mean increase of the log
+    evidence at its true size.
     """
     if information is None:
         return {}
@@ -200,22 +204,22 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
         size = np.array([(values[i] - EFFECTS[name].nominal[i]) / EFFECTS[name].parameters[i].scale for i in acting])
         held = precision[np.ix_(own, own)]
         fisher = held - np.eye(len(own))
-        alone = float(size @ fisher @ size)
-        hardest, rival = alone, ""
+        beside_base = float(size @ fisher @ size)
+        hardest, rival = beside_base, ""
         for other in places:
-            if other in (name, TWINS.get(name)):
+            if other in (name, *twins_of(name)):
                 continue
             between = precision[np.ix_(own, place(other))]
             rest = fisher - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
-            if (left := float(size @ rest @ size)) < hardest:
-                hardest, rival = left, other
-        gain = 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])
-        shown[name] = {"alone": alone, "hardest": max(hardest, 0.0), "rival": rival, "gain": gain}
+            if (reduced := float(size @ rest @ size)) < hardest:
+                hardest, rival = reduced, other
+        gain = 0.5 * beside_base - 0.5 * float(np.linalg.slogdet(held)[1])
+        shown[name] = {"alone": beside_base, "hardest": max(hardest, 0.0), "rival": rival, "gain": gain}
     return shown
 
 
 def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
-    """Noncentrality of all that effects did to the poses, beside everything that the base model fits.
+    """Noncentrality of the change of the poses by all effects, beside everything that the base model fits.
 
     With the whitened derivative J of the fit and the precision P of its prior, d' (I - J (J'J + P)^-1 J') d of the whitened difference d.
 
@@ -228,15 +232,15 @@ def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
     if jacobian is None:
         return float("nan")
     parts = []
-    for record, seen in zip(problem.records, problem.observations, strict=True):
-        with_it, without = (_nearest(r, seen.time) for r in (record, plain[record.order]))
-        off = with_it - without
-        off[:, 2] = wrap_angle(off[:, 2])
-        parts.append(np.einsum("fij,fj->fi", seen.whitening, off).ravel())
+    for record, observed in zip(problem.records, problem.observations, strict=True):
+        with_it, without = (_nearest(r, observed.time) for r in (record, plain[record.order]))
+        change = with_it - without
+        change[:, 2] = wrap_angle(change[:, 2])
+        parts.append(np.einsum("fij,fj->fi", observed.whitening, change).ravel())
     difference = np.concatenate(parts)
     precision = np.diag(np.r_[np.ones(base.unknowns.size), np.zeros(3 * len(parts))])
-    taken_up = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
-    return float(difference @ (difference - taken_up))
+    absorbed = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
+    return float(difference @ (difference - absorbed))
 
 
 def _nearest(record: PushRecord, time: FloatArray) -> FloatArray:
@@ -246,8 +250,8 @@ def _nearest(record: PushRecord, time: FloatArray) -> FloatArray:
 
 
 def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Json:
-    """The same machinery told the true effects; `apart`: noncentrality between a single one and the nearest of its rivals when both are
-    fitted, which is less than their slopes at null tell."""
+    """The same computation with the true effects given. `apart`: noncentrality between a single one and the nearest of its rivals when
+    both are fitted, which is less than their derivatives at null give."""
     assert found.gap is not None
     start = np.concatenate([(v - EFFECTS[name].nominal) / [p.scale for p in EFFECTS[name].parameters] for name, v in wanted.items()])
     fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.effect_unknowns, start]))
@@ -255,8 +259,8 @@ def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Js
     after = found.gap.after if is_found else measure_gap(fit, fit, ValidationPolicy()).before
     gap = replace(found.gap, after=after)
     own, first = fit.effects, found.selection.steps[0] if found.selection else None
-    same = {*wanted, *(TWINS.get(name) for name in wanted)}
-    rivals = {c.name: _apart(fit, c.fit) for c in first.candidates if c.name not in same} if first and len(wanted) == 1 else {}
+    same = {*wanted, *(twin for name in wanted for twin in twins_of(name))}
+    rivals = {c.name: _separation(fit, c.fit) for c in first.candidates if c.name not in same} if first and len(wanted) == 1 else {}
     return {
         "gain": fit.log_evidence - base.log_evidence,
         "apart": min(rivals.values()) if rivals else None,
@@ -265,14 +269,14 @@ def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Js
     }
 
 
-def _apart(a: Fit, b: Fit) -> float:
-    """Noncentrality between two fits of the same pushes: squared distance of what they say of all frames."""
-    said = [[fit.problem.residual(m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
-    return float(sum(np.sum((one - other) ** 2) for one, other in zip(*said, strict=True)))
+def _separation(a: Fit, b: Fit) -> float:
+    """Noncentrality between two fits of the same pushes: squared distance of their standardized residuals in all frames."""
+    residuals = [[fit.problem.residual(m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
+    return float(sum(np.sum((one - other) ** 2) for one, other in zip(*residuals, strict=True)))
 
 
 def _baselines(found: Diagnosis, base: Fit) -> Json:
-    """What simpler ways would name, and how far tuning what the model already has would come."""
+    """Names that simpler rules give, and the gap after tuning a parameter that the model already has."""
     assert found.selection is not None and found.gap is not None
     first = found.selection.steps[0] if found.selection.steps else None
     refits = {c.name: c.fit.end.cost for c in first.candidates} if first else {}

@@ -18,7 +18,7 @@ from push_ident_sim.engines.planar import PlanarWorld
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
-from push_ident_sim.studies.blind.cases import draw_truth, make_asked_record, make_records
+from push_ident_sim.studies.blind.cases import draw_truth, make_records, make_requested_record
 from push_ident_sim.studies.blind.page import draw, tables
 from push_ident_sim.studies.blind.scoring import score_case
 from push_ident_sim.studies.blind.sealing import CAMERA, ENGINES, decision_hashes, seal_cases
@@ -42,26 +42,26 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     truth = draw_truth(case.object_name, case.model, camera=case.variant == CAMERA)
     records = make_records(truth, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
 
-    def ask(push: PlannedPush, number: int) -> PushRecord | None:
-        return make_asked_record(truth, case.object_name, case.model, push, number, settings.noise)
+    def make_push(push: PlannedPush, number: int) -> PushRecord | None:
+        return make_requested_record(truth, case.object_name, case.model, push, number, settings.noise)
 
     def make_plain() -> list[PushRecord]:
         plain = replace(truth, effects=InjectedEffects(), outside=())
         return make_records(plain, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
 
     thing = make_object(case.object_name, case.model)
-    values = score_case(records, truth, thing, DiagnosisSettings(), ask=ask, make_plain=make_plain)
+    values = score_case(records, truth, thing, DiagnosisSettings(), make_push=make_push, make_plain=make_plain)
     return {**finite(values), **decision_hashes()}
 
 
 def _compare_engines(case: Case) -> Json:
-    """Cell errors [m] at the ends of the same pushes without any effect: how far the engines are apart by themselves."""
+    """Cell errors [m] at the ends of the same pushes without any effect: the distance between the engines without effects."""
     thing = make_object(case.object_name, case.model)
     settings = TruthSettings(n_train=_N_COMPARED, n_test=0)
     radius = settings.pushes.pusher_radius
     model, planar = true_model(thing), PlanarWorld(thing, radius, time_step=settings.time_step)
     loaded = replace(model, friction=model.friction * planar.cell_loads() / (model.mass * GRAVITY))
-    off: dict[str, list[float]] = {"model_bullet": [], "model_planar": [], "model_planar_own_loads": [], "planar_bullet": []}
+    errors: dict[str, list[float]] = {"model_bullet": [], "model_planar": [], "model_planar_own_loads": [], "planar_bullet": []}
     for motion in make_pushes(thing, [case.model, OBJECT_NAMES.index(case.object_name), 6], settings):
         path = PusherPath(motion.time, motion.pusher, radius)
         other = planar.push(motion.pose[0], path).pose[-1]
@@ -73,8 +73,8 @@ def _compare_engines(case: Case) -> Json:
             "planar_bullet": (other, motion.pose[-1]),
         }
         for name, (a, b) in ends.items():
-            off[name].append(cell_error(model.shape.cells, a, b))
-    return dict(off)
+            errors[name].append(cell_error(model.shape.cells, a, b))
+    return dict(errors)
 
 
 # --- all cases

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from push_ident.physics.effects import CAUSES, EFFECTS
-from push_ident_sim.studies.blind.scoring import TWINS
+from push_ident_sim.studies.blind.scoring import twins_of
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.experiment import CaseResult
 
@@ -20,21 +20,21 @@ __all__ = ["Judged", "figures", "interval", "judge", "summarise_cases"]
 _Z90 = 1.6449
 _NINE_OF_TEN = 1.2816
 """A normal deviate is larger than minus this nine times out of ten."""
-_SEEN = 5.0
-"""An effect is detectable where its true size brings so much log evidence on average [nat]."""
+_DETECTABLE = 5.0
+"""An effect is detectable where its true size increases the log evidence by this on average [nat]; odds of 150 to 1."""
 _PLAIN = 25.0
 """Noncentrality from which a confusion is rare."""
 _SIZED = (
     "outline_error", "pusher_lag", "pusher_speed_scale", "pose_latency", "tool_offset", "camera_translation", "camera_rotation",
     "camera_scale", "pusher_friction", "table_anisotropy", "base_anisotropy",
 )  # fmt: skip
-"""Effects whose law is the same in the world and in the model."""
+"""Effects whose law is the same in the engines and in the model."""
 _N_BOOTSTRAP = 2000
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A diagnosis against the truth; twins count as one."""
+    """A diagnosis against the truth; exact twins count as one."""
 
     engine: str
     kind: str
@@ -44,28 +44,28 @@ class Judged:
     named: tuple[str, ...]
     """Effects that were added, in their order."""
     set: frozenset[str]
-    """All that the verdict leaves open."""
+    """The named effects and the confusion set."""
     noncentrality: float
     """Of the weakest true effect, beside its hardest rival; by slopes at null, and of a single one by fits of both as well."""
     detectable: bool
-    """Every true effect would be seen on average."""
-    surely: bool
-    """Each would be seen nine times out of ten."""
+    """Every true effect is detectable on average."""
+    clearly_detectable: bool
+    """Each is detectable nine times out of ten."""
     values: Json
 
     @property
     def right(self) -> bool:
-        """The first effect that was named is there."""
+        """The first named effect was injected."""
         return bool(self.named) and self.named[0] in self.truth
 
     @property
     def wrong(self) -> bool:
-        """Named without a doubt, and not there."""
+        """Named with confidence, and not injected."""
         return self.verdict in ("named", "several") and any(name not in self.truth for name in self.named)
 
 
 def _one_of_twins(name: str) -> str:
-    return min(name, TWINS.get(name, name))
+    return min((name, *twins_of(name)))
 
 
 def judge(result: CaseResult) -> Judged:
@@ -74,7 +74,7 @@ def judge(result: CaseResult) -> Judged:
     truth = values["truth"]
     names = tuple(map(_one_of_twins, truth["names"])) if truth["kind"] in ("single", "pair") else ()
     named = tuple(_one_of_twins(effect["name"]) for effect in values["effects"])
-    told = values.get("detectability", {}).values()
+    detectability = values.get("detectability", {}).values()
     return Judged(
         engine=truth["engine"],
         kind=truth["kind"],
@@ -84,22 +84,25 @@ def judge(result: CaseResult) -> Judged:
         named=named,
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
         noncentrality=_noncentrality(values),
-        detectable=bool(told) and all((t["gain"] or 0.0) >= _SEEN for t in told),
-        surely=bool(told) and all(_in_nine_of_ten(t) >= _SEEN for t in told),
+        detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
+        clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
         values=values,
     )
 
 
 def _noncentrality(values: Json) -> float:
     hardest = min((t["hardest"] or 0.0 for t in values.get("detectability", {}).values()), default=0.0)
-    apart = values.get("oracle", {}).get("apart")
-    return float(hardest if apart is None else min(hardest, apart))
+    separation = values.get("oracle", {}).get("apart")
+    return float(hardest if separation is None else min(hardest, separation))
 
 
-def _in_nine_of_ten(told: Json) -> float:
-    """Log evidence [nat] that a true size exceeds nine times out of ten: the root of twice what the data say is normal, of deviation 1."""
-    root = float(np.sqrt(told["alone"] or 0.0))
-    return (told["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - _NINE_OF_TEN) ** 2)
+def _in_nine_of_ten(detectability: Json) -> float:
+    """Log evidence [nat] that a true size exceeds nine times out of ten.
+
+    The square root of twice the log likelihood ratio is normal with unit variance.
+    """
+    root = float(np.sqrt(detectability["alone"] or 0.0))
+    return (detectability["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - _NINE_OF_TEN) ** 2)
 
 
 def interval(hits: int, n: int) -> Json:
@@ -130,36 +133,36 @@ def _statistic(values: Sequence[Any], of: Callable[..., Any] = np.median) -> Jso
 def figures(cases: Sequence[Judged]) -> Json:
     """All figures of one group of cases."""
     nulls, singles, pairs, outside = ([c for c in cases if c.kind == kind] for kind in ("null", "single", "pair", "outside"))
-    seen = [c for c in singles if c.detectable]
-    plain = [c for c in seen if c.noncentrality >= _PLAIN]
+    detected = [c for c in singles if c.detectable]
+    plain = [c for c in detected if c.noncentrality >= _PLAIN]
     below = [c for c in singles if not c.detectable]
-    both_seen = [c for c in pairs if c.detectable]
-    surely = [c for c in singles if c.surely]
-    # Where not even the base model could be trusted, that was seen.
+    both_detectable = [c for c in pairs if c.detectable]
+    clearly = [c for c in singles if c.clearly_detectable]
+    # A case in which the base model is not trustworthy counts as visible.
     visible = [c for c in outside if c.values.get("visibility") is None or c.values["visibility"] >= _PLAIN]
-    shrunk = [c for c in (*seen, *both_seen) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]
+    shrunk = [c for c in (*detected, *both_detectable) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]
     shrinks = [(c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"]) for c in shrunk]
-    sized = [s for c in seen if c.right for s in _size_errors(c)]
-    ties = [c for c in seen if "asked" in c.values]
+    sized = [s for c in detected if c.right for s in _size_errors(c)]
+    ties = [c for c in detected if "asked" in c.values]
     tuned = [c.values["baselines"]["tuned_gap"]["shrink"] for c in shrunk]
     return {
         "false_alarms": _share(nulls, lambda c: c.verdict not in ("no_gap", "not_trustworthy")),
         "nulls_not_trusted": _share(nulls, lambda c: c.verdict == "not_trustworthy"),
-        "top1_detectable": _share(seen, lambda c: c.right),
-        "top1_surely": _share(surely, lambda c: c.right),
+        "top1_detectable": _share(detected, lambda c: c.right),
+        "top1_surely": _share(clearly, lambda c: c.right),
         "top1_plain": _share(plain, lambda c: c.right),
         "wrong_names": _share(singles, lambda c: c.wrong),
-        "wrong_names_detectable": _share(seen, lambda c: c.wrong),
-        "in_set": _share([c for c in seen if c.set], lambda c: c.truth[0] in c.set),
-        "set_size": _statistic([len(c.set) for c in seen if c.set], np.mean),
+        "wrong_names_detectable": _share(detected, lambda c: c.wrong),
+        "in_set": _share([c for c in detected if c.set], lambda c: c.truth[0] in c.set),
+        "set_size": _statistic([len(c.set) for c in detected if c.set], np.mean),
         "ties_settled": _share(ties, _settled_rightly),
         "ties_settled_as_expected": _share([c for c in ties if c.values["asked"].get("expected", False)], _settled_rightly),
         "ties_beyond_pushes": _share(ties, lambda c: c.values["asked"]["n"] == 0),
         "ties_asked": _statistic([c.values["asked"]["n"] for c in ties], np.mean),
         "silent_undetectable": _share(below, lambda c: c.verdict == "no_gap"),
         "wrong_undetectable": _share(below, lambda c: c.wrong),
-        "pairs_both": _share(both_seen, lambda c: set(c.truth) <= set(c.named)),
-        "pairs_one": _share(both_seen, lambda c: set(c.truth) & set(c.named)),
+        "pairs_both": _share(both_detectable, lambda c: set(c.truth) <= set(c.named)),
+        "pairs_one": _share(both_detectable, lambda c: set(c.truth) & set(c.named)),
         "unknown_flagged": _share(visible, lambda c: c.verdict in ("unknown", "not_trustworthy")),
         "unknown_misnamed": _share(outside, lambda c: c.verdict in ("named", "several")),
         "outside_invisible": interval(len(outside) - len(visible), len(outside)),
@@ -170,16 +173,16 @@ def figures(cases: Sequence[Judged]) -> Json:
         "size_error": _statistic([error for error, _ in sized]),
         "sizes_within_tenth": interval(sum(error <= 0.1 for error, _ in sized), len(sized)),
         "size_intervals": interval(sum(held for _, inside in sized for held in inside), sum(len(inside) for _, inside in sized)),
-        "baseline_evidence": _share(seen, lambda c: _baseline(c, "evidence") in c.truth),
-        "baseline_training_fit": _share(seen, lambda c: _baseline(c, "training_fit") in c.truth),
-        "baseline_largest_residual": _share(seen, lambda c: _baseline(c, "largest_residual") in c.truth),
-        "baseline_random": {"share": 1.0 / len(CAUSES), "n": len(seen), "low": None, "high": None},
+        "baseline_evidence": _share(detected, lambda c: _baseline(c, "evidence") in c.truth),
+        "baseline_training_fit": _share(detected, lambda c: _baseline(c, "training_fit") in c.truth),
+        "baseline_largest_residual": _share(detected, lambda c: _baseline(c, "largest_residual") in c.truth),
+        "baseline_random": {"share": 1.0 / len(CAUSES), "n": len(detected), "low": None, "high": None},
         "seconds": _statistic([c.values["seconds"] for c in cases]),
     }
 
 
 def _settled_rightly(case: Judged) -> bool:
-    """Whether the pushes that were asked for left the true effect alone."""
+    """Whether only the true effect remained after the requested pushes."""
     asked = case.values["asked"]
     return asked["settled"] and [_one_of_twins(name) for name in asked["named"]] == list(case.truth)
 
@@ -203,7 +206,7 @@ def _size_errors(case: Judged) -> list[tuple[float, list[bool]]]:
 
 
 def summarise_cases(results: Sequence[CaseResult]) -> Json:
-    """Figures by engine and by number of pushes, the confusion matrix, what can be seen at all, and every case in a line."""
+    """Figures by engine and by number of pushes, the confusion matrix, the smallest detectable sizes, and every case in a line."""
     cases = [judge(result) for result in results]
     groups: dict[str, list[Judged]] = {"all": cases}
     for case in cases:
@@ -251,7 +254,7 @@ def _by_noncentrality(cases: Sequence[Judged]) -> list[Json]:
 
 
 def _confusion(cases: Sequence[Judged]) -> Json:
-    """How often each truth got each name; truths of one effect that could be seen, nulls, and effects outside the catalogue."""
+    """How often each truth got each name; truths of one detectable effect, nulls, and effects outside the catalogue."""
     counts: dict[str, Counter[str]] = {}
     for case in cases:
         if case.kind == "pair" or (case.kind == "single" and not case.detectable):
@@ -263,12 +266,12 @@ def _confusion(cases: Sequence[Judged]) -> Json:
 
 
 def _smallest(cases: Sequence[Judged]) -> Json:
-    """Median of the smallest size of each effect that nulls would have shown, by number of pushes; None where most would not."""
+    """Median over the nulls of the smallest detectable size of each effect, by number of pushes; None where it is infinite."""
     table: Json = {}
     for pushes in sorted({c.pushes for c in cases}):
-        seen = [c.values["steps"][0]["smallest"] for c in cases if c.kind == "null" and c.pushes == pushes and c.values["steps"]]
+        smallest = [c.values["steps"][0]["smallest"] for c in cases if c.kind == "null" and c.pushes == pushes and c.values["steps"]]
         table[pushes] = {}
         for name in CAUSES:
-            middle = float(np.median([own.get(name, np.inf) for own in seen])) if seen else np.inf
+            middle = float(np.median([own.get(name, np.inf) for own in smallest])) if smallest else np.inf
             table[pushes][name] = middle if np.isfinite(middle) else None
     return table

@@ -114,8 +114,8 @@ class _Camera(Observer):
         self.image_at[microseconds(image.header.stamp)] = time.monotonic()
         self._images.publish(image)
 
-    def tell_tool(self, position: FloatArray, stamp: float) -> None:
-        """Wait for the moment and publish the place of the tool."""
+    def publish_tool(self, position: FloatArray, stamp: float) -> None:
+        """Wait until `stamp` and publish the position of the tool."""
         msg = position_to_msg(stamp_to_msg(stamp), np.array([*position, _TIP_HEIGHT]))
         self._wait(stamp)
         self._tool.publish(msg)
@@ -218,7 +218,7 @@ def _show_push(camera: _Camera, scene: _Scene) -> tuple[float, float]:
         if isinstance(what, tuple):
             camera.show(what, start + when)
         else:
-            camera.tell_tool(what, start + when)
+            camera.publish_tool(what, start + when)
     end = start + float(scene.tool_time[-1])
     for number in range(1, round(_PAUSE * RATE)):
         camera.show(scene.still[number % len(scene.still)], start + float(scene.time[-1]) + number / RATE)

@@ -92,7 +92,7 @@ class _FilmedObject:
             self._put_back()
         return record
 
-    def unseen(self, n: int, rng: np.random.Generator) -> list[PushRecord]:
+    def test_pushes(self, n: int, rng: np.random.Generator) -> list[PushRecord]:
         """Random test pushes, with the true poses of the object frame of perception."""
         records = []
         for _ in range(n):
@@ -159,7 +159,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     # Noise, test pushes and the first push are the same for both policies.
     filmed = _FilmedObject(thing, [*own, 5])
     try:
-        test = filmed.unseen(_N_TEST, np.random.default_rng([*own, 6]))
+        test = filmed.test_pushes(_N_TEST, np.random.default_rng([*own, 6]))
         policy = choose_at_random if case.variant == _RANDOM else choose_by(Criterion.ERROR, _PUSHES)
         rng = np.random.default_rng([*own, 7])
         options = CurveOptions(n_pushes=_N_PUSHES, n_candidates=60)
@@ -184,7 +184,7 @@ def _curve(errors: Sequence[Sequence[float]]) -> Json:
 
 
 def _tables(summary: Json) -> str:
-    head = ["mean cell error on unseen pushes [mm]", "cases", *(f"after {n}" for n in _SHOWN)]
+    head = ["mean cell error on held-out pushes [mm]", "cases", *(f"after {n}" for n in _SHOWN)]
     rows = [
         [f"{variant}, {name}", str(curve["n"]), *(_cell(curve, n - 1) for n in _SHOWN)]
         for variant, curves in summary["curves"].items()
@@ -207,7 +207,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     axes.axhline(1e3 * _AIM, color=COLOURS["truth"], lw=1.0, ls=":")
     axes.set_xlabel("pushes learned from")
     axes.set_xticks(summary["pushes"])
-    log_millimetres(axes, "mean cell error on unseen pushes [mm]", low=0.5, high=20.0)
+    log_millimetres(axes, "mean cell error on held-out pushes [mm]", low=0.5, high=20.0)
     label_below(axes, 2)
     save(figure, folder / "online.png")
     return {"online.png": "Error on held-out pushes by the number of pushes; bars are standard errors, dotted: 3 mm."}

@@ -106,7 +106,8 @@ def _root_mean_square(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _tables(summary: Json) -> str:
+def _view_tables(summary: Json) -> list[str]:
+    """Errors of outlines and of poses on rendered views."""
     parts = []
     if summary["objects"]:
         head = ["shape", "cases", "outline, RMS [mm]", "95 % of it within, worst case [mm]", "grid IoU", "its worst"]
@@ -142,31 +143,44 @@ def _tables(summary: Json) -> str:
             if (key := f"{variant}_{kind}") in r
         ]
         parts.append(markdown_table(head, rows))
+    return parts
+
+
+def _scene_table(summary: Json) -> str:
+    scenes = summary["recorded"]["scenes"]
+    rows = [
+        [
+            name,
+            str(len(scene["objects"])),
+            str(sum(o["found"] for o in scene["objects"])),
+            str(scene["n_segments"]),
+            f"{np.mean([o['iou'] for o in scene['objects']]):.3f}" if scene["objects"] else "–",
+            f"{min(o['iou'] for o in scene['objects']):.3f}" if scene["objects"] else "–",
+        ]
+        for name, scene in scenes.items()
+    ]
+    return markdown_table(["recorded scene", "objects", "found", "segments", "mean IoU", "worst IoU"], rows)
+
+
+def _latency_table(summary: Json) -> str:
+    own = summary["latency"]
+    rows = [
+        ["median [ms]", f"{1e3 * own['median_s']:.1f}"],
+        ["99th percentile [ms]", f"{1e3 * own['p99_s']:.1f}"],
+        ["worst [ms]", f"{1e3 * own['worst_s']:.1f}"],
+        ["processor time of a pose [ms]", f"{1e3 * own['cpu_per_frame_s']:.1f}"],
+        ["frames, poses", f"{own['n_frames']}, {own['n_poses']}"],
+        ["load of the machine", f"{own['load']:.1f}"],
+    ]
+    return markdown_table(["from image to pose, between processes", ""], rows)
+
+
+def _tables(summary: Json) -> str:
+    parts = _view_tables(summary)
     if "recorded" in summary:
-        scenes = summary["recorded"]["scenes"]
-        rows = [
-            [
-                name,
-                str(len(scene["objects"])),
-                str(sum(o["found"] for o in scene["objects"])),
-                str(scene["n_segments"]),
-                f"{np.mean([o['iou'] for o in scene['objects']]):.3f}" if scene["objects"] else "–",
-                f"{min(o['iou'] for o in scene['objects']):.3f}" if scene["objects"] else "–",
-            ]
-            for name, scene in scenes.items()
-        ]
-        parts.append(markdown_table(["recorded scene", "objects", "found", "segments", "mean IoU", "worst IoU"], rows))
+        parts.append(_scene_table(summary))
     if "latency" in summary:
-        own = summary["latency"]
-        rows = [
-            ["median [ms]", f"{1e3 * own['median_s']:.1f}"],
-            ["99th percentile [ms]", f"{1e3 * own['p99_s']:.1f}"],
-            ["worst [ms]", f"{1e3 * own['worst_s']:.1f}"],
-            ["processor time of a pose [ms]", f"{1e3 * own['cpu_per_frame_s']:.1f}"],
-            ["frames, poses", f"{own['n_frames']}, {own['n_poses']}"],
-            ["load of the machine", f"{own['load']:.1f}"],
-        ]
-        parts.append(markdown_table(["from image to pose, between processes", ""], rows))
+        parts.append(_latency_table(summary))
     return "\n\n".join(parts)
 
 
