@@ -23,28 +23,20 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 # Exceptions of each rule, with the reason. They may only become fewer.
 LONG_FUNCTIONS: dict[str, str] = {
     "push_ident/physics/reference.py:reference_rollout": "not split yet",
-    "push_ident/physics/simulation.py:_run": "not split yet",
 }
-MANY_PARAMETERS: dict[str, str] = {
-    "push_ident/physics/lcp.py:forward": "torch gives the arguments of an autograd function one by one",
-}
-LONG_MODULES: dict[str, str] = {
-    "push_ident/physics/sensitivity.py": "not split yet",
-    "push_ident/physics/simulation.py": "not split yet",
-    "push_ident/physics/table.py": "not split yet",
-}
+MANY_PARAMETERS: dict[str, str] = {}
+LONG_MODULES: dict[str, str] = {}
 EFFECT_NAMES_OUTSIDE: dict[str, str] = {
     "push_ident/nodes/push_executor/parameters.py": "push_height is a parameter of the arm's motion: the height of the tool over the table",
     "push_ident/physics/effect.py": "restitution is also a quantity of the contact",
-    "push_ident/physics/effect_values.py": "restitution is also a quantity of the contact",
+    "push_ident/physics/active_effects.py": "restitution is also a quantity of the contact",
     "push_ident/physics/reference.py": "restitution is a quantity of the paper's engine",
-    "push_ident/physics/simulation.py": "not derived from a field of Effect yet",
     "push_ident_sim/studies/blind/cases.py": "what each engine of the check can inject, and what a camera can film",
     "push_ident_sim/studies/blind/scoring.py": "the baseline that guesses an effect from where residuals are largest",
     "push_ident_sim/studies/blind/summary.py": "the effects whose figures are shown one by one",
     "push_ident_sim/studies/settle/study.py": "the effects that the study shows",
 }
-UNDOCUMENTED: frozenset[str] = frozenset({"push_ident/physics/effect_values.py:EffectValues.effects"})
+UNDOCUMENTED: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)

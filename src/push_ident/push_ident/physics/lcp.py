@@ -140,16 +140,17 @@ def solve_lcp(problem: Lcp, *, tolerance: float = 1e-12, max_iterations: int = 6
     Raises:
         InputError: shapes that do not fit, tensors not in double precision, masses that are not positive.
     """
-    outcome = _Outcome()
-    alpha, gamma, beta, s = _SolveLcp.apply(
-        problem.M, problem.q, problem.G, problem.F, problem.m, problem.A, tolerance, max_iterations, outcome
-    )
+    outcome = _Outcome(tolerance, max_iterations)
+    alpha, gamma, beta, s = _SolveLcp.apply(problem.M, problem.q, problem.G, problem.F, problem.m, problem.A, outcome)
     return LcpSolution(alpha, gamma, beta, s, outcome.status, outcome.iterations)
 
 
+@dataclass(slots=True)
 class _Outcome:
-    """Carries what is no tensor out of the autograd function."""
+    """Carries numbers that are no tensors into the autograd function and out of it."""
 
+    tolerance: float
+    max_iterations: int
     status: tuple[LcpStatus, ...] = ()
     iterations: tuple[int, ...] = ()
 
@@ -164,8 +165,6 @@ class _SolveLcp(torch.autograd.Function):
         F: Tensor,
         m: Tensor,
         A: Tensor,
-        tolerance: float,
-        max_iterations: int,
         outcome: _Outcome,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         finite = torch.stack([torch.isfinite(x).flatten(1).all(dim=1) for x in (M, q, G, F, m, A)]).all(dim=0)
@@ -176,7 +175,9 @@ class _SolveLcp(torch.autograd.Function):
         H = G @ N
         d = _row_scale(H, F)
         free = _times(N.mT, q)
-        gamma, s, solved, iterations = _solve_standard(*_scaled(d, H, F), d * (m + _times(H, free)), tolerance, max_iterations)
+        gamma, s, solved, iterations = _solve_standard(
+            *_scaled(d, H, F), d * (m + _times(H, free)), outcome.tolerance, outcome.max_iterations
+        )
         gamma, s = gamma * d, s / d
         alpha = -_times(N, free + _times(H.mT, gamma))
         beta = -_normal_solve(R, _times(A, (q + _times(G.mT, gamma)) / M))
@@ -217,8 +218,6 @@ class _SolveLcp(torch.autograd.Function):
             -_outer(w.reshape(blocks), gamma.reshape(blocks)) if need_F else None,
             w if need_m else None,
             -(_outer(beta, u) + _outer(z, alpha)) if z is not None else None,
-            None,
-            None,
             None,
         )
 

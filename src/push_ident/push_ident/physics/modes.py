@@ -25,7 +25,8 @@ from push_ident.types import Float64Array
 
 __all__ = [
     "BOUND", "CONTACT_COLUMNS", "MAX_CONTACTS", "MODE_FREE", "MODE_SLIDE_MINUS", "MODE_SLIDE_PLUS", "MODE_STICK", "NO_MODE",
-    "SHARES_TANGENT", "ModeScratch", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small", "tangent_row",
+    "SHARES_TANGENT", "ModeScratch", "StepContacts", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small",
+    "tangent_row",
 ]  # fmt: skip
 
 MAX_CONTACTS = 5
@@ -52,6 +53,17 @@ CONTACT_COLUMNS = 5
 """
 
 
+class StepContacts(NamedTuple):
+    """The contacts of one step."""
+
+    rows: Float64Array
+    """Shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see there."""
+    number: int
+    """Of contacts."""
+    mu: float
+    """Friction coefficient of the pusher."""
+
+
 class ModeScratch(NamedTuple):
     """Space for the linear system of a mode: du and the impulses x from H du - P' x = r and C du = miss."""
 
@@ -63,6 +75,7 @@ class ModeScratch(NamedTuple):
     """Shape (9, 1)."""
 
 
+@kernel
 def new_mode_scratch() -> ModeScratch:
     """Scratch space of `solve_modes`."""
     n = MAX_CONTACTS + 1
@@ -118,9 +131,10 @@ def drag_sign(code: int) -> float:
 
 
 @kernel
-def mode_system(code: int, h: Float64Array, contacts: Float64Array, mu: float, row: NDArray[np.int64], a: Float64Array) -> int:
+def mode_system(code: int, h: Float64Array, step_contacts: StepContacts, row: NDArray[np.int64], a: Float64Array) -> int:
     """Fill `row` and the matrix `a` of a mode; returns the number of its impulses: normal ones in order, then the tangent if it sticks."""
-    tangent, drag = tangent_row(code, contacts), drag_sign(code) * mu
+    contacts = step_contacts.rows
+    tangent, drag = tangent_row(code, contacts), drag_sign(code) * step_contacts.mu
     n = 0
     for k in range(MAX_CONTACTS):
         if (code >> (2 + k)) & 1:
@@ -173,34 +187,30 @@ def _reaches(contacts: Float64Array, k: int, b: Float64Array, miss: Float64Array
 def solve_modes(
     h: Float64Array,
     r: Float64Array,
-    contacts: Float64Array,
-    n_contacts: int,
+    step_contacts: StepContacts,
     miss: Float64Array,
-    mu: float,
     first_guess: int,
     du: Float64Array,
     impulse: Float64Array,
-    row: NDArray[np.int64],
-    a: Float64Array,
-    b: Float64Array,
+    scratch: ModeScratch,
 ) -> int:
     """Change of the twist and the impulses of a step whose support friction is linear.
 
     Args:
         h: H, shape (3, 3).
         r: shape (3,).
-        contacts: the contacts (`CONTACT_COLUMNS`).
-        n_contacts: how many of them there are.
+        step_contacts: the contacts.
         miss: bounds - rows times the present twist [m/s], shape (2 MAX_CONTACTS,).
-        mu: friction coefficient of the pusher.
         first_guess: code that is tried first, that of the step before.
         du: filled, shape (3,).
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
-        row, a, b: scratch, the fields of `ModeScratch`.
+        scratch: its space.
 
     Returns:
         The code of the mode, or `NO_MODE`.
     """
+    contacts, n_contacts, mu = step_contacts.rows, step_contacts.number, step_contacts.mu
+    row, a, b = scratch.row, scratch.matrix, scratch.right
     scale = 1e-12
     for k in range(n_contacts):
         scale += 1e-12 * (abs(contacts[k, BOUND]) + abs(contacts[_TANGENT + k, BOUND]))
@@ -208,7 +218,7 @@ def solve_modes(
         code = first_guess if trial < 0 else trial
         if not _exists(code, contacts, n_contacts):
             continue
-        n = mode_system(code, h, contacts, mu, row, a)
+        n = mode_system(code, h, step_contacts, row, a)
         for i in range(3):
             b[i, 0] = r[i]
         for i in range(n):

@@ -47,20 +47,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from push_ident.errors import InputError
-from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, RECOVERY_SPEED, find_contacts, max_candidates
+from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, find_contacts, max_candidates
+from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.lcp import Lcp, LcpStatus, solve_lcp
 from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
-__all__ = [
-    "ReferenceModel",
-    "ReferenceMotion",
-    "StepProblem",
-    "StepResult",
-    "reference_lcp",
-    "reference_rollout",
-    "reference_step",
-]
+__all__ = ["ReferenceModel", "ReferenceMotion", "StepProblem", "StepResult", "reference_lcp", "reference_rollout", "reference_step"]
 
 _REACH = 2e-3  # contacts nearer than this take part in a step [m]
 _REST_SPEED = 1e-9  # an untouched object slower than this stands still [m/s]
@@ -279,16 +272,7 @@ def reference_rollout(
     settings = settings or SimulationSettings()
     dt, batch, n_cells = settings.step, len(pushers), len(shape.cells)
     mass, friction, pusher_friction = _expanded_model(model, batch, n_cells)
-    if tuple(poses_object_in_table.shape) != (batch, 3) or not bool(torch.isfinite(poses_object_in_table).all()):
-        raise InputError(f"The first poses have shape {tuple(poses_object_in_table.shape)}, expected {(batch, 3)}, all finite.")
-    if any(pusher.polygon is not None or pusher.yaw is not None for pusher in pushers):
-        raise InputError("The reference engine knows disc pushers that do not turn; simulate polygon pushers with `simulate`.")
-    if len(times) != batch:
-        raise InputError(f"There are {len(times)} lists of times, expected {batch}, one a push.")
-    for time in times:
-        if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
-            raise InputError("The times to report must be finite and ascend; sort them first.")
-
+    _check_pushes(pushers, poses_object_in_table, times)
     spans = [max(float(time[-1]), float(p.time[-1])) - float(p.time[0]) for time, p in zip(times, pushers, strict=True)]
     n_steps = max(1, math.ceil(max(spans) / dt))
     radius = torch.tensor([p.radius for p in pushers], dtype=torch.float64)
@@ -346,17 +330,9 @@ def reference_rollout(
         yaw = yaw + dt * twist[:, 2]
         poses.append(torch.cat([at - _rotated(yaw, centre), yaw[:, None]], dim=1))
 
-    trajectory = torch.stack(poses, dim=1)
-    reported = tuple(
-        torch.full((len(time), 3), torch.nan, dtype=torch.float64) if failed[b] else _at_times(trajectory[b], time - pushers[b].time[0], dt)
-        for b, time in enumerate(times)
+    return _reported(
+        torch.stack(poses, dim=1), pusher_force, failed, [time - p.time[0] for time, p in zip(times, pushers, strict=True)], dt
     )
-    touched = pusher_force.flatten(1).abs().amax(dim=1) > 0
-    status = tuple(
-        SolveStatus.SIMULATION_FAILED if bad else SolveStatus.CONVERGED if touch else SolveStatus.NO_CONTACT
-        for bad, touch in zip(failed.tolist(), touched.tolist(), strict=True)
-    )
-    return ReferenceMotion(reported, pusher_force, status)
 
 
 # One step ------------------------------------------------------------------------------------------------------------------------
@@ -436,6 +412,36 @@ def _expanded_model(model: ReferenceModel, batch: int, n_cells: int) -> tuple[Te
     if not 0.0 <= model.restitution <= 1.0:
         raise InputError(f"ReferenceModel.restitution is {model.restitution}, expected a number from 0 to 1.")
     return mass, friction, pusher_friction
+
+
+def _check_pushes(pushers: Sequence[PusherPath], poses_object_in_table: Tensor, times: Sequence[Float64Array]) -> None:
+    """Refuse pushes that the reference engine cannot simulate."""
+    batch = len(pushers)
+    if tuple(poses_object_in_table.shape) != (batch, 3) or not bool(torch.isfinite(poses_object_in_table).all()):
+        raise InputError(f"The first poses have shape {tuple(poses_object_in_table.shape)}, expected {(batch, 3)}, all finite.")
+    if any(pusher.polygon is not None or pusher.yaw is not None for pusher in pushers):
+        raise InputError("The reference engine knows disc pushers that do not turn; simulate polygon pushers with `simulate`.")
+    if len(times) != batch:
+        raise InputError(f"There are {len(times)} lists of times, expected {batch}, one a push.")
+    for time in times:
+        if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
+            raise InputError("The times to report must be finite and ascend; sort them first.")
+
+
+def _reported(
+    trajectory: Tensor, pusher_force: Tensor, failed: BoolArray, since_start: Sequence[Float64Array], dt: float
+) -> ReferenceMotion:
+    """Poses at the times that were asked for, and the status of each push."""
+    reported = tuple(
+        torch.full((len(time), 3), torch.nan, dtype=torch.float64) if failed[b] else _at_times(trajectory[b], time, dt)
+        for b, time in enumerate(since_start)
+    )
+    touched = pusher_force.flatten(1).abs().amax(dim=1) > 0
+    status = tuple(
+        SolveStatus.SIMULATION_FAILED if bad else SolveStatus.CONVERGED if touch else SolveStatus.NO_CONTACT
+        for bad, touch in zip(failed.tolist(), touched.tolist(), strict=True)
+    )
+    return ReferenceMotion(reported, pusher_force, status)
 
 
 def _path_on_steps(pusher: PusherPath, n_steps: int, dt: float) -> Float64Array:

@@ -25,7 +25,8 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, new_mode_scratch, solve_modes
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, StepContacts, new_mode_scratch, solve_modes
+from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import add_skew, support_friction
 from push_ident.types import Float64Array
 
@@ -58,6 +59,7 @@ class TableForces(NamedTuple):
     """On the object (fx, fy, torque) [N, N, N m], shape (3,)."""
 
 
+@kernel
 def new_step_scratch() -> StepScratch:
     """Scratch space of `step`."""
     return StepScratch(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2 * MAX_CONTACTS), new_mode_scratch())
@@ -66,14 +68,8 @@ def new_step_scratch() -> StepScratch:
 @kernel
 def step(
     twist: Float64Array,
-    arms: Float64Array,
-    limit: Float64Array,
-    inertia: Float64Array,
-    reach: float,
-    contacts: Float64Array,
-    n_contacts: int,
-    mu: float,
-    dt: float,
+    geometry: StepGeometry,
+    contacts: StepContacts,
     eps: float,
     last_code: int,
     impulse: Float64Array,
@@ -84,14 +80,8 @@ def step(
 
     Args:
         twist: of the centre of mass before, then after the step, object axes [m/s, m/s, rad/s], shape (3,).
-        arms: cell centres from the centre of mass [m], shape (2, n_cells).
-        limit: sliding friction of each cell [N], shape (n_cells,).
-        inertia: (m, m, I) about the centre of mass [kg, kg, kg m^2]; zeros for the quasi-static step.
-        reach: length that turns a rotation rate into a speed [m].
-        contacts: the contacts, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`.
-        n_contacts: how many contacts there are.
-        mu: friction coefficient of the pusher.
-        dt: [s]
+        geometry: the object.
+        contacts: the contacts.
         eps: smoothing speed of the support friction [m/s].
         last_code: mode code of the step before; only a first guess.
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
@@ -102,7 +92,8 @@ def step(
         The mode code and the number of iterations; the code is `NO_MODE` when the step did not converge.
     """
     old, du, gradient, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
-    row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
+    arms, limit, inertia, reach, dt = geometry.arms, geometry.limit, geometry.inertia, geometry.reach, geometry.dt
+    rows = contacts.rows
     old[:] = twist
     newton = True
     last_change = np.inf
@@ -121,8 +112,8 @@ def step(
             h[i, i] += inertia[i]
             right[i] = inertia[i] * (old[i] - twist[i]) - dt * gradient[i]
         for i in range(2 * MAX_CONTACTS):
-            miss[i] = contacts[i, BOUND] - contacts[i, 0] * twist[0] - contacts[i, 1] * twist[1] - contacts[i, 2] * twist[2]
-        code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, impulse, row, matrix, column)
+            miss[i] = rows[i, BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
+        code = solve_modes(h, right, contacts, miss, code, du, impulse, scratch.mode)
         if code == NO_MODE:
             return NO_MODE, iteration
         change = 0.0

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from push_ident.physics.kernel import fast_kernel
 from push_ident.types import Float64Array
 
-__all__ = ["GRAVITY", "Cone", "add_skew", "cell_friction", "support_friction", "unit_friction"]
+__all__ = ["GRAVITY", "Cone", "SupportImpulse", "add_skew", "cell_friction", "support_friction", "unit_friction"]
 
 GRAVITY = 9.81
 """[m/s^2]"""
@@ -34,6 +34,20 @@ class Cone(NamedTuple):
     cos: float
     """Of the object's yaw: the diamond stands in table axes."""
     sin: float
+
+
+class SupportImpulse(NamedTuple):
+    """Impulse of the support friction in a solved step, and its derivatives; object axes."""
+
+    impulse: Float64Array
+    """dt sum_i f_i J_i' phi_i [N s, N s, N m s], shape (3,)."""
+    stiffness: Float64Array
+    """Its derivative with respect to the twist but for R' R, shape (3, 3)."""
+    by_yaw: Float64Array
+    """Its derivative with respect to the yaw at a given twist in object axes but for R' s: zero for the circular cone, shape (3,)."""
+    stuck: Float64Array
+    """[R s] of the cells of the pyramid that stick: R' R is their derivative by the twist, R' s that by the yaw. Zero for the circular
+    cone, shape (3, 4)."""
 
 
 @fast_kernel
