@@ -132,7 +132,7 @@ def simulate(
         model: mechanics of the object.
         scenario: path of the pusher, first pose, times to report.
         settings: numerics.
-        effects: effects beside the base model (`effects/`, docs/effects.md): by name, each with its values in order or by name. The
+        effects: effects beside the base model (catalogue in `effects/`): by name, each with its values in order or by name. The
             poses are then those that would be reported.
         jacobian: also the derivative of the poses.
 
