@@ -117,5 +117,5 @@ def check_body(shape: ObjectShape, body: BodyParameters, pusher_friction: float)
 
 
 def owned(values: ArrayLike) -> Float64Array:
-    """A writable copy in C order: numba would compile every kernel once more for arrays that are read-only or laid out otherwise."""
+    """A writable copy in C order: numba would compile every kernel again for arrays that are read-only or of another memory layout."""
     return np.array(values, dtype=np.float64, order="C")

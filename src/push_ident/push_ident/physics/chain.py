@@ -83,7 +83,7 @@ def _limit_columns(d: Float64Array, twist: Float64Array, arms: Float64Array, con
 def _add_skew_columns(
     d: Float64Array, twist: Float64Array, arms: Float64Array, skew: Float64Array, eps: float, dt: float, du: Float64Array
 ) -> None:
-    """Add to `_limit_columns` of the circular cone what friction that depends on the direction of motion brings."""
+    """Add friction that depends on the direction of motion to `_limit_columns` of the circular cone."""
     x, y = arms[0], arms[1]
     a, b = skew[0], skew[1]
     for i in range(x.shape[0]):

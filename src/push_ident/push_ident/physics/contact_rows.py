@@ -1,6 +1,6 @@
-"""What the contacts between pusher and outline demand of a step, and its derivative, object axes (compiled).
+"""Constraints that the contacts between pusher and outline impose on a step, and their derivative, object axes (compiled).
 
-The surface that is met may lie `offset` outside the outline: gaps are those of a pusher that is larger by it, and contact points
+The physical surface may lie `offset` outside the outline: gaps are those of a pusher that is larger by the offset, and contact points
 move with the surface. An impact may be elastic, see `add_rebound`.
 """
 
@@ -22,20 +22,20 @@ __all__ = [
 ]  # fmt: skip
 
 RECOVERY_SPEED = 0.02
-"""An overlap, as noisy poses make it, is taken back no faster than this [m/s]: in one step it would throw the object away."""
+"""Greatest speed at which an overlap closes [m/s]. Noisy poses cause overlaps; closing one within a step would throw the object."""
 
-_TOUCHES = 2e-5  # gap below which a contact that closed in the last step touches [m]
+_TOUCHES = 2e-5  # greatest gap of a contact that closed in the last step [m]
 
 
 class RelativePusher(NamedTuple):
-    """The pusher during one step, object frame at the start of the step. Its arrays are written anew in each step."""
+    """The pusher during one step, in the object frame at the start of the step. Each step overwrites the arrays."""
 
     centre: Float64Array
     """[m], shape (2,)."""
     velocity: Float64Array
     """[m/s], shape (2,)."""
     spin: Float64Array
-    """Rate of rotation [rad/s], shape (1,)."""
+    """Angular velocity [rad/s], shape (1,)."""
     corners: Float64Array
     """Of the pusher's core [m], shape (n_corners, 2)."""
 
@@ -47,7 +47,7 @@ def new_relative_pusher(n_corners: int) -> RelativePusher:
 
 
 class RelativeChange(NamedTuple):
-    """Change of the pusher relative to the object, and of the centre of mass per unit of one column of the derivative."""
+    """Derivative of the pusher relative to the object, and of the centre of mass, with respect to one input."""
 
     pusher: Float64Array
     """Of the pusher's centre, shape (2,)."""
@@ -60,24 +60,24 @@ class RelativeChange(NamedTuple):
 
 
 class Rebound(NamedTuple):
-    """What an elastic impact knows of the step before."""
+    """State of an elastic impact, from the step before."""
 
     acts: bool
     """Whether a contact pressed in the last step."""
     restitution: float
-    """0 (the two stay together) to 1."""
+    """From 0 (pusher and object stay in contact) to 1."""
     twist: Float64Array
     """Of the centre of mass before the last step, object axes, shape (3,)."""
 
 
 class ContactEffects(NamedTuple):
-    """What effects do to the contacts of a step, and how much more of it per unit of one input."""
+    """How effects change the contacts of a step, and the derivatives of these changes with respect to one input."""
 
     offset: float
     """Of the surface from the outline [m]."""
     rebound: Rebound
     d_spin: float
-    """Of the pusher."""
+    """Of the pusher's angular velocity."""
     d_offset: float
     d_restitution: float
     d_twist: Float64Array
@@ -88,7 +88,7 @@ class ContactEffects(NamedTuple):
 def contact_rows(
     contact: Float64Array, k: int, geometry: StepGeometry, pusher: RelativePusher, face: Float64Array, rows: Float64Array
 ) -> None:
-    """Enter contact k in the contacts of a step, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`; `face` is the first contact.
+    """Write contact k into `rows`, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`; `face` is the first contact.
 
     N u >= b,   b = -n . v_pusher - max(gap / dt, -RECOVERY_SPEED)        v_pusher at the contact point
     T u - t . v_pusher                                                   slip
@@ -110,7 +110,7 @@ def contact_rows(
 
 @kernel
 def shift_surface(contacts: Float64Array, n_contacts: int, offset: float) -> None:
-    """Move the points of contacts that were found with a radius larger by `offset` to the surface [m]."""
+    """Move contact points to the surface, for contacts that were found with a radius larger by `offset` [m]."""
     for k in range(n_contacts):
         contacts[k, POINT] += offset * contacts[k, NORMAL]
         contacts[k, POINT + 1] += offset * contacts[k, NORMAL + 1]
@@ -118,16 +118,16 @@ def shift_surface(contacts: Float64Array, n_contacts: int, offset: float) -> Non
 
 @kernel
 def add_rebound(contact: Float64Array, k: int, rebound: Rebound, dt: float, rows: Float64Array) -> None:
-    """Newton's law of impact on contact k: in the step after one in which it pressed, it parts at `restitution` times the speed of meeting.
+    """Newton's law of impact at contact k: the surfaces separate at `restitution` times their speed of approach.
 
-    The step before has closed the gap as if nothing rebounded: an impact takes two steps, and however small the restitution, the motion
-    goes over into that without.
+    The law acts in the step after one in which the contact pressed. That step has closed the gap without rebound, so that an impact
+    takes two steps. As the restitution tends to 0, the motion tends to the one without it.
     """
     if rebound.acts and contact[GAP] <= _TOUCHES:
         before = rebound.twist
         pusher = rows[k, BOUND] + max(contact[GAP] / dt, -RECOVERY_SPEED)
-        meeting = pusher - rows[k, 0] * before[0] - rows[k, 1] * before[1] - rows[k, 2] * before[2]
-        rows[k, BOUND] += rebound.restitution * max(0.0, meeting)
+        approach = pusher - rows[k, 0] * before[0] - rows[k, 1] * before[1] - rows[k, 2] * before[2]
+        rows[k, BOUND] += rebound.restitution * max(0.0, approach)
 
 
 @kernel
@@ -140,7 +140,7 @@ def contact_rows_seed(
     effects: ContactEffects | None,
     d_rows: Float64Array,
 ) -> None:
-    """Derivative of `contact_rows` for a change of the pusher and of the centre of mass; where there are effects, also of theirs."""
+    """Derivative of `contact_rows` for a change of the pusher, of the centre of mass and, where effects act, of their values."""
     centre, dt = geometry.centre, geometry.dt
     pusher, velocity, spin = relative.centre, relative.velocity, relative.spin[0]
     d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle[0], change.centre, change.velocity
@@ -168,7 +168,7 @@ def contact_rows_seed(
     if effects is not None:
         dvx -= effects.d_spin * by
         dvy += effects.d_spin * bx
-    # An overlap that is taken back at the recovery speed is taken back at that speed whatever its depth.
+    # A deeper overlap closes at the recovery speed, whatever its depth.
     if contact[GAP] <= -RECOVERY_SPEED * dt:
         d_gap = 0.0
     d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
@@ -177,11 +177,11 @@ def contact_rows_seed(
     d_rows[k, BOUND] = d_bound - d_gap / dt
     if effects is not None and effects.rebound.acts and contact[GAP] <= _TOUCHES:
         before, d_before = effects.rebound.twist, effects.d_twist
-        meeting = nx * (before[0] - vx) + ny * (before[1] - vy) + (ax * ny - ay * nx) * before[2]
-        if meeting > 0.0:
-            d_meeting = d_bound + nx * d_before[0] + ny * d_before[1] + (ax * ny - ay * nx) * d_before[2]
-            d_meeting -= d_rows[k, 0] * before[0] + d_rows[k, 1] * before[1] + d_rows[k, 2] * before[2]
-            d_rows[k, BOUND] += effects.d_restitution * meeting + effects.rebound.restitution * d_meeting
+        approach = nx * (before[0] - vx) + ny * (before[1] - vy) + (ax * ny - ay * nx) * before[2]
+        if approach > 0.0:
+            d_approach = d_bound + nx * d_before[0] + ny * d_before[1] + (ax * ny - ay * nx) * d_before[2]
+            d_approach -= d_rows[k, 0] * before[0] + d_rows[k, 1] * before[1] + d_rows[k, 2] * before[2]
+            d_rows[k, BOUND] += effects.d_restitution * approach + effects.rebound.restitution * d_approach
     i = MAX_CONTACTS + k
     d_rows[i, 0], d_rows[i, 1] = dtx, dty
     d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx

@@ -1,9 +1,9 @@
 """What an effect is: a law that the base model leaves out, stated as an equation whose parameters are null where it is absent.
 
-Each file of `effects/` holds one. It says where the effect acts, and its equation in analytic arithmetic; derivatives follow by the
-complex step (Squire & Trapp, Using complex variables to estimate derivatives of real functions, 1998), exact to rounding: the equation
-is evaluated with one input turned by 1e-40 i, and the imaginary part of what comes out is the derivative. An equation must therefore
-run for real and for complex numbers alike: no comparison but of `.real`, and the functions of this file.
+Each file of `effects/` defines one: where the effect acts, and its equation in analytic arithmetic. The complex step gives derivatives
+(Squire & Trapp, Using complex variables to estimate derivatives of real functions, 1998), exact to rounding: 1e-40 i is added to one
+input, and the imaginary part of the result is the derivative. An equation must therefore accept real and complex numbers: it compares
+only `.real`, and uses the functions of this file.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def analytic_log(x: Any) -> Any:
 
 @equation
 def unit_direction(vx: Any, vy: Any) -> Any:
-    """Direction of a velocity; below 1 mm/s it fades to nothing, so that a body at rest has none."""
+    """Direction of a velocity. It fades to zero below 1 mm/s, so that a body at rest has none."""
     speed = analytic_sqrt(vx * vx + vy * vy + STILL * STILL)
     return vx / speed, vy / speed
 
@@ -129,14 +129,14 @@ class EffectParameter:
     scale: float
     """Standard deviation of the prior about `nominal`."""
     typical: float
-    """Size met in practice."""
+    """Typical size in practice."""
     nominal: float = 0.0
     """Value at which the effect is absent; of a shape parameter, the value without information."""
     low: float = -np.inf
     """Least and greatest admissible value."""
     high: float = np.inf
     shape: bool = False
-    """It only shapes what the others switch on: while they are null it does nothing, so that a test for absence holds it fixed."""
+    """Whether it only modifies the other parameters: while they are nominal it has no influence, so a test for absence holds it fixed."""
     camera_std: float | None = None
     """Accuracy of a calibrated camera: the standard deviation with which the effect belongs to the base model where a camera traced the
     outline, about `nominal`. None where it does not belong there."""
@@ -146,9 +146,9 @@ class Law(Enum):
     """How well the equation of an effect describes the world, if the effect is there."""
 
     EXACT = "exact"
-    """It holds as it stands: a displacement, a scale, a delay of what is driven or measured."""
+    """The equation holds exactly: a displacement, a scale or a delay of a motion or a measurement."""
     APPROXIMATE = "approximate"
-    """It only comes near to the world's law: friction, loads, forces. Its error grows with the size of the effect."""
+    """The equation approximates the physical law: friction, loads, forces. Its error grows with the size of the effect."""
 
 
 class ExportAs(Enum):
@@ -313,5 +313,5 @@ class Effect:
 
     @property
     def moves_outline(self) -> bool:
-        """Whether it displaces the surface that the pusher meets."""
+        """Whether it displaces the surface that the pusher touches."""
         return isinstance(self.acts, OnContact) and self.acts.quantity == "offset"

@@ -89,7 +89,7 @@ class EffectValues:
 
 EffectsLike = EffectValues | Mapping[str, Mapping[str, float] | ArrayLike] | Sequence[str]
 """Effects by name, each with its values in order or by name (those left out are nominal): {"table_tilt": {"x": 0.01}}. A list
-of names gives effects at their nominal values, which change nothing but have a derivative."""
+of names gives effects at their nominal values, which have no influence but a derivative."""
 
 NO_EFFECTS = EffectValues((), np.zeros(0))
 

@@ -6,13 +6,13 @@ c q of each is
 
     t = w1 - w2,    0 <= w1  perpendicular to  1 - q >= 0,    0 <= w2  perpendicular to  1 + q >= 0
 
-which is the complementarity problem of Song & Boularias (2020, Eq. 2), cell by cell. The interior-point method asks for products
-w z = nu instead of 0 and lowers nu. A Newton iteration eliminates every cell in closed form,
+which is the complementarity problem of Song & Boularias (2020, Eq. 2), cell by cell. The interior-point method relaxes the products
+w z = 0 to w z = nu and decreases nu. A Newton iteration eliminates every cell in closed form,
 
     dq = (d . J u+ - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2),      z1 = 1 - q,  z2 = 1 + q
 
 so that an iteration is one sweep over the cells and one problem in the three velocities. Contact is not relaxed: its modes are
-tried exactly, as in `step.py`.
+enumerated exactly, as in `step.py`.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from push_ident.types import Float64Array
 __all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_friction", "pyramid_step"]
 
 FINAL_NU = 1e-13
-"""Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
+"""Products w z at the end of the central path [m/s]. A sticking cell creeps at most at this speed."""
 _STUCK = 1e3
-"""A diagonal whose stiffness is more than this multiple of the object's mass counts as stuck: by its derivative only."""
+"""A diagonal whose stiffness exceeds this multiple of the object's mass counts as sticking, in the derivative only."""
 _MAX_ITERATIONS = 200
 _TOLERANCE = 1e-11
-# A difference between w1 - w2 and the velocity that is no more than the rounding of the latter [m/s]: it is left alone, so that the
-# friction of a cell that sticks, w some 1e-13, does not inherit it.
+# Rounding error of a velocity [m/s]. A smaller difference between w1 - w2 and the velocity is not corrected: otherwise rounding would
+# disturb the friction of a sticking cell, whose w is about 1e-13.
 _ROUNDING = 2e-15
-# Share of the way to the boundary that a step may go, and factor by which nu falls after a full step. The bold pair is enough but for
-# a rare step where an object all but at rest slides along the pusher; the careful ones take over there.
+# Largest fraction of the distance to the boundary that a step covers, and factor of nu after a full step. The first pair suffices except
+# in rare steps where an object almost at rest slides along the pusher; the next pairs are more cautious.
 _ATTEMPTS = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
 
 
@@ -80,7 +80,7 @@ def _start(twist: Float64Array, geometry: StepGeometry, nu: float, cells: Pyrami
 def _model(
     twist: Float64Array, geometry: StepGeometry, nu: float, cells: PyramidScratch, impulse: Float64Array, stiffness: Float64Array
 ) -> None:
-    """Linear model of the friction impulse about `twist`, one Newton step towards `nu`: value, shape (3,), and derivative, shape (3, 3)."""
+    """Friction impulse linearised about `twist` for a Newton step towards `nu`: value, shape (3,), and derivative, shape (3, 3)."""
     arms, limit, dt, cos, sin = geometry.arms, geometry.limit, geometry.dt, geometry.heading[0], geometry.heading[1]
     impulse[:] = 0.0
     stiffness[:] = 0.0
@@ -118,7 +118,7 @@ def _model(
 
 @fast_kernel
 def _longest_step(twist: Float64Array, du: Float64Array, geometry: StepGeometry, nu: float, bold: float, cells: PyramidScratch) -> float:
-    """Fill `dq` for a change `du` of the twist; returns the share of it, at most 1, that takes no w or z over `bold` of its path to 0."""
+    """Fill `dq` for a change `du` of the twist. Returns the largest step, at most 1, that lowers no w or z by more than `bold` of it."""
     arms, cos, sin = geometry.arms, geometry.heading[0], geometry.heading[1]
     fastest = bold
     x, y = arms[0], arms[1]
@@ -135,7 +135,7 @@ def _longest_step(twist: Float64Array, du: Float64Array, geometry: StepGeometry,
             w1, w2, r1, r2 = all_w1[i], all_w2[i], 1.0 / all_z1[i], 1.0 / all_z2[i]
             dq = (t - nu * r1 + nu * r2) / (w1 * r1 + w2 * r2)
             all_dq[i] = dq
-            # Shares of each variable that the whole step would take away.
+            # Relative decrease of each variable in a full step.
             fastest = max(fastest, max(dq * r1, -dq * r2))
             fastest = max(fastest, max(1.0 - (nu / w1 + dq) * r1, 1.0 - (nu / w2 - dq) * r2))
     return bold / fastest
@@ -143,7 +143,7 @@ def _longest_step(twist: Float64Array, du: Float64Array, geometry: StepGeometry,
 
 @fast_kernel
 def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
-    """Go `share` of the step; returns the greatest product w z."""
+    """Take the fraction `share` of the step. Returns the greatest product w z."""
     worst = 0.0
     for e in range(2):
         all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
@@ -168,7 +168,7 @@ def pyramid_step(
     scratch: StepScratch,
     cells: PyramidScratch,
 ) -> tuple[int, int]:
-    """Advance `twist` by one step, in place: as `step.step`, with `cells` for scratch."""
+    """Advance `twist` by one step, in place. As `step.step`, with `cells` as additional scratch space."""
     old, du, friction, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
     rows, inertia, reach = contacts.rows, geometry.inertia, geometry.reach
     old[:] = twist
@@ -216,7 +216,7 @@ def pyramid_step(
 
 @kernel
 def _add_condition(row: Float64Array, stuck: Float64Array) -> None:
-    """Rotate one more row, shape (4,), into the triangle [R s], shape (3, 4): R' R and R' s grow by its products (Givens)."""
+    """Add a row, shape (4,), to the triangular factor [R s], shape (3, 4), by Givens rotations: R' R and R' s grow by its products."""
     for j in range(3):
         if row[j] == 0.0:
             continue
@@ -229,15 +229,15 @@ def _add_condition(row: Float64Array, stuck: Float64Array) -> None:
 
 @fast_kernel
 def pyramid_friction(twist: Float64Array, geometry: StepGeometry, cells: PyramidScratch, support: SupportImpulse) -> None:
-    """Friction impulse at the solution of a step and its derivatives, separate for the diagonals that slide and those that stick.
+    """Friction impulse at the solution of a step, and its derivatives, separate for sliding and sticking diagonals.
 
-    A diagonal that sticks is some 1e10 times as stiff as the mass of the object is inert: added to the inertia it would leave six of
-    sixteen digits of that. So it goes into rows of its own, which `step_derivative.py` treats like those of a contact.
+    The stiffness of a sticking diagonal is about 1e10 times the mass of the object. Added to the inertia, it would leave six of its
+    sixteen digits. So sticking diagonals have rows of their own, which `step_derivative.py` treats like those of a contact.
 
     Args:
-        support: filled; `stiffness` holds the diagonals that slide, `stuck` those that stick.
+        support: filled. `stiffness` holds the sliding diagonals, `stuck` the sticking ones.
 
-    The other arguments are those of `pyramid_step`, after it.
+    The other arguments are those of `pyramid_step`, after its call.
     """
     arms, limit, dt, cos, sin = geometry.arms, geometry.limit, geometry.dt, geometry.heading[0], geometry.heading[1]
     impulse, stiffness, by_yaw, stuck = support.impulse, support.stiffness, support.by_yaw, support.stuck
@@ -247,7 +247,7 @@ def pyramid_friction(twist: Float64Array, geometry: StepGeometry, cells: Pyramid
     row = np.empty(4)
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
-        # The diagonal turns by -dyaw as seen from the object.
+        # In object axes the diagonal rotates by -dyaw.
         ex, ey = dy, -dx
         w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
         sum_p = torque_p = torque_e = sum_k = first_k = second_k = sum_t = first_t = 0.0

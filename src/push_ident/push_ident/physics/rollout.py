@@ -58,7 +58,7 @@ __all__ = [
 ]  # fmt: skip
 
 _REACH = 2e-3  # contacts nearer than this take part in a step [m]
-_REST = 1e-3  # an untouched object slower than this share of eps stands still
+_REST = 1e-3  # an object without contact is at rest below this fraction of eps
 
 
 class Push(NamedTuple):
@@ -256,7 +256,7 @@ def rollout(
         acts_on_table = effects.loads or effects.skews or effects.pulls
         offset = effects.values[effects.offset] if effects.offset >= 0 else 0.0
         radius += offset
-        # An object under a pull is idle only where friction holds it; without inertia, friction always does.
+        # An object under a pull is idle only if friction keeps it at rest; without inertia, friction always does.
         pulled = effects.pulls and not numerics.quasi_static
         if effects.loads:
             limit = table.limit

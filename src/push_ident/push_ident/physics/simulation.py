@@ -42,7 +42,7 @@ class SimulationSettings:
     step: float = 1.0 / 240.0
     """Length of a time step [s]."""
     smoothing_speed: float = 1e-4
-    """Speed below which the support friction of a cell grows linearly [m/s]; the circular cone alone has it."""
+    """Speed below which the support friction of a cell grows linearly [m/s]; only for the circular cone."""
     friction_cone: Literal["circle", "pyramid"] = "circle"
     """Support friction of a cell: Coulomb's circular cone, or the paper's pyramid in table axes, solved without smoothing."""
     quasi_static: bool = False
@@ -101,10 +101,10 @@ class ModelGradient:
 
 
 def compile_kernels(*, effects: bool = False) -> None:
-    """Compile all kernels, or load them from the cache, so that the first push need not wait: a minute once, then a second.
+    """Compile all kernels, or load them from the cache, so that the first push need not wait. Compilation takes a minute, loading a second.
 
     Args:
-        effects: also the kernels for pushes with effects, which are a second set.
+        effects: whether to include the second set of kernels, for pushes with effects.
     """
     square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
@@ -301,9 +301,9 @@ def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: 
 
 
 def _clock(scenario: PushScenario, step: float) -> StepClock:
-    """Steps until the pusher stands still and the last pose is reported.
+    """Steps until the pusher is at rest and the last pose is reported.
 
-    The object is at rest until it is touched, so the clock starts with the pusher.
+    The object is at rest before the first contact, so the clock starts with the pusher.
     """
     start = float(scenario.pusher.time[0])
     end = max(float(scenario.time[-1]), float(scenario.pusher.time[-1]))
@@ -364,4 +364,4 @@ def _check_effects(effects: EffectValues, settings: SimulationSettings) -> None:
                 f"The effect {effect.name} needs the circular cone, got friction_cone={settings.friction_cone!r}; take 'circle'."
             )
         if effect.needs_inertia and settings.quasi_static:
-            raise InputError(f"The effect {effect.name} means nothing without inertia, got quasi_static=True; take False.")
+            raise InputError(f"The effect {effect.name} has no meaning without inertia, got quasi_static=True; take False.")

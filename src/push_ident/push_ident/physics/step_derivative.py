@@ -1,9 +1,9 @@
 """Exact derivative of one step (compiled).
 
 The step's optimality conditions are differentiated at their solution (implicit function theorem). Sliding contact makes that linear
-system unsymmetric: the impulse acts along N + drag T while the constraint is N alone. It must be solved as it stands, not with its
-transpose. Cells of the pyramid that stick are stiff beyond what sixteen digits hold beside the inertia; they enter as up to three
-conditions more. With H the derivative of the balance of impulses by the twist and C the conditions of the mode,
+system unsymmetric: the impulse acts along N + drag T while the constraint is on N only. This system must be solved, not its
+transpose. Sticking cells of the pyramid are too stiff to be added to the inertia in double precision; they enter as up to three more
+conditions. With H the derivative of the balance of impulses with respect to the twist and C the conditions of the mode,
 
     | H  -P' | | du |   | seed of the balance    |
     | C   0  | | dx | = | seed of the conditions |       one right-hand side for each column of the block (`tape.py`)
@@ -113,7 +113,7 @@ def _contact_effects(drive: EffectDrive, column: int, d_pusher: Float64Array, d_
 
 @kernel
 def _stuck_size(stuck: Float64Array, j: int) -> float:
-    """What row j of [R s] is divided by: its length, and 1 for a row of nothing but rounding."""
+    """Scale of row j of [R s]: 1 + its length, so that a row of rounding errors stays small."""
     return 1.0 + math.sqrt(stuck[j, 0] ** 2 + stuck[j, 1] ** 2 + stuck[j, 2] ** 2)
 
 
@@ -187,7 +187,7 @@ def step_sensitivity(
         elif column == BLOCK_STATE + 1:
             d_pusher[0], d_pusher[1] = -sin, -cos
         elif column == BLOCK_YAW:
-            # A turn of the object by d turns everything seen from it by -d.
+            # A rotation of the object by d rotates everything else by -d in object axes.
             d_angle[0] = -1.0
             d_pusher[0], d_pusher[1] = pusher.centre[1] - centre[1], -(pusher.centre[0] - centre[0])
             d_velocity[0], d_velocity[1] = pusher.velocity[1], -pusher.velocity[0]

@@ -20,7 +20,7 @@ __all__ = [
 ]  # fmt: skip
 
 EVERY_INPUT = -1
-"""As the number of the input that is turned: none is, and everything is evaluated."""
+"""As the index of the input with the complex step: no input has it, and everything is evaluated."""
 _PADDING = MAX_LOAD_NUMBERS  # inputs behind the last, so that as many can be read from any place
 
 
@@ -29,13 +29,13 @@ class TableScratch(NamedTuple):
 
     inputs: Float64Array
     turned: ComplexArray
-    """The inputs, one of them turned by the complex step."""
+    """The inputs, one of them with the complex step added."""
     unit: Float64Array
     """The inputs with all values zero but one, which is 1."""
     factor: Float64Array
     """Of the friction limit of each cell, shape (n_cells,)."""
     factors: Float64Array
-    """The same of each effect alone, where it acts, shape (n_effects, n_cells)."""
+    """The same for each single effect, where it acts, shape (n_effects, n_cells)."""
     d_factors: ComplexArray
     planes: Float64Array
     """(even, x, y) of the factor even + x rx + y ry of each effect that is linear over the object, shape (n_effects, 3)."""
@@ -158,8 +158,8 @@ def table_action(effects: ActiveEffects, centre: Float64Array, arms: Float64Arra
 
 @equation
 def friction_demand(effects: ActiveEffects, arms: Float64Array, limit: Float64Array, scratch: TableScratch) -> float:
-    """Share of the friction of an object at rest that holds it against the pull of `table_action`, by a bound that is too large by a
-    factor of at most two or so; `limit` is the friction limit of each cell without effects [N], shape (n_cells,).
+    """Upper bound of the share of an object's friction that keeps it at rest against the pull of `table_action`, too large by a factor of
+    at most about two; `limit` is the friction limit of each cell without effects [N], shape (n_cells,).
     """
     pull = scratch.result[2:]
     force = torque = 0.0

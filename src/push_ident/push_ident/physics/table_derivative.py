@@ -73,7 +73,7 @@ def table_sensitivity(
     if effects.skews:
         unit = np.zeros((3, arms.shape[1]))
         for which in range(2):
-            # What E = [[1, 0], [0, -1]] or [[0, 1], [1, 0]] alone would add.
+            # Contribution of E = [[1, 0], [0, -1]] or [[0, 1], [1, 0]].
             direction = np.zeros(2)
             direction[which] = 1.0
             cell_friction(twist, arms, limit, direction, eps, unit)

@@ -33,7 +33,7 @@ PARAM_CENTRE = 4
 PARAM_INERTIA = 6
 PARAM_MU = 7
 PARAM_LIMIT = 8
-"""First column of the friction limits of the cells; behind them stand the values of the active effects."""
+"""First column of the friction limits of the cells; the values of the active effects follow them."""
 N_BODY_PARAMETERS = 8
 
 BLOCK_IMPULSE = 0
@@ -51,7 +51,7 @@ BLOCK_EFFECTS = 14
 IDLE = 0
 MOVED = 1
 CAME_TO_REST = 2
-"""What a step did: nothing; one implicit step; one after which the velocities were set to zero."""
+"""Result of a step: no motion; one implicit step; one after which the velocities were set to zero."""
 
 
 class Frames(NamedTuple):

@@ -5,7 +5,7 @@ outline is slightly above the table, so that only the pusher touches it. Cells o
 the frame then moves in the plane only (x, y, yaw). Fixed cells form one rigid body that moves freely in space, and the engine distributes
 its weight over them.
 
-A format carries the effects that it can express; a comment in the file gives equation and values of the others.
+A file represents the effects that its format can express. A comment in the file gives equation and values of the others.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ CLEARANCE = 1e-3
 DEFAULT_HEIGHT = 0.03
 """Default height of an object [m]."""
 _FOOT_RADIUS = 0.125
-"""Radius of the ball on which a cell stands, in cell edges: small, so that it stays within the outline under cells at its edge."""
+"""Radius of the sphere under a cell, in cell edges: small, so that it lies within the outline also under cells at its edge."""
 _FRAME_SHARE = 1e-10
-"""Mass and inertia of a link that is no cell, as a fraction of the object's: most engines require them of a moving link."""
+"""Mass and inertia of a link other than a cell, as a fraction of the object's: most engines require them for a moving link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,26 +51,26 @@ class ObjectDescription:
     inertia: Float64Array
     """Inertia of each cell about its centre of mass, (I_xx, I_yy, I_zz) [kg m^2], shape (n_cells, 3), as a square plate."""
     frame_mass: float
-    """Mass of each link that is no cell [kg]."""
+    """Mass of each link other than a cell [kg]."""
     frame_inertia: float
     """Inertia of such a link about each axis [kg m^2]."""
     pieces: tuple[Float64Array, ...]
     """Convex polygons whose union is the outline, counter-clockwise [m], each shape (n, 2)."""
     pusher_friction: float
-    """Friction coefficient of the pusher, with the effect on it if there is one."""
+    """Friction coefficient of the pusher, including an effect on it."""
     effects: Mapping[str, tuple[float, ...]]
     """Values of the identified effects, by name."""
     height: float
     """Height of the top of the outline [m]."""
     foot_radius: float
-    """Radius of the ball under each cell [m]."""
+    """Radius of the sphere under each cell [m]."""
     sliding: bool
     """Whether each cell has its own vertical joint."""
     provenance: str
     """One line: source and version of the program."""
 
     def exported(self, part: ExportAs) -> tuple[float, ...] | None:
-        """Sum of the values of the effects that `part` of a file carries; None without any."""
+        """Sum of the values of the effects that `part` of a file represents; None if there are none."""
         own = [values for name, values in self.effects.items() if EFFECTS[name].export is part]
         return tuple(map(sum, zip(*own, strict=True))) if len(own) > 1 else next(iter(own), None)
 
@@ -86,7 +86,7 @@ class ObjectDescription:
 
     @property
     def prisms(self) -> list[Float64Array]:
-        """The pieces as solids: their corners at the bottom, then at the top [m], each shape (2 n, 3)."""
+        """The pieces as prisms: bottom corners, then top corners [m], each shape (2 n, 3)."""
         return [np.array([[x, y, z] for z in (CLEARANCE, self.height) for x, y in piece]) for piece in self.pieces]
 
 
@@ -136,15 +136,15 @@ def describe(
     )
 
 
-def effect_notes(thing: ObjectDescription, carried: Mapping[ExportAs, str]) -> list[str]:
-    """A line for each effect.
+def effect_notes(description: ObjectDescription, carried: Mapping[ExportAs, str]) -> list[str]:
+    """One line for each effect.
 
     Args:
-        thing: the object.
-        carried: by kind of effect, its place in the file; the file has no other effects.
+        description: the object.
+        carried: place in the file of each part that represents an effect. The file represents no other effects.
     """
     lines = []
-    for name, values in thing.effects.items():
+    for name, values in description.effects.items():
         effect = EFFECTS[name]
         sizes = ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in zip(effect.parameters, values, strict=True))
         place = carried.get(effect.export) if effect.export else None
@@ -154,17 +154,17 @@ def effect_notes(thing: ObjectDescription, carried: Mapping[ExportAs, str]) -> l
 
 
 def numbers(*values: float) -> str:
-    """Numbers for an attribute, each with the digits that reproduce the same float."""
+    """Numbers for an attribute, with enough digits to reproduce each float exactly."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def add_comment(root: ElementTree.Element, *lines: str) -> None:
-    """Append a comment of some lines with any characters."""
+    """Append a comment. Its lines may contain any characters."""
     # XML allows neither two hyphens nor unprintable characters in a comment.
     text = [printable(line).replace("--", "- -") for line in lines]
     root.append(ElementTree.Comment("\n    " + "\n    ".join(text) + "\n  "))
 
 
 def printable(line: str) -> str:
-    """The line with `?` for characters that do not print, such as line breaks."""
+    """The line with `?` in place of unprintable characters, such as line breaks."""
     return "".join(c if c.isprintable() else "?" for c in line)

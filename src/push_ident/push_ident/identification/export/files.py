@@ -1,4 +1,4 @@
-"""Exported models as files."""
+"""Files of exported models."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ SUFFIXES = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
 """Suffix of the file of each format."""
 
 
-def write_description(path: Path, thing: ObjectDescription, format_name: str) -> list[Path]:
+def write_description(path: Path, description: ObjectDescription, format_name: str) -> list[Path]:
     """Write an object for a simulator. The same object gives the same bytes.
 
     Args:
         path: file to write. SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added.
-        thing: the object.
+        description: the object.
         format_name: one of `SUFFIXES`.
 
     Returns:
@@ -37,10 +37,10 @@ def write_description(path: Path, thing: ObjectDescription, format_name: str) ->
     """
     mesh = path.with_name(path.name + ".obj")
     if format_name == "mjcf":
-        files = {path: _xml(mjcf(thing))}
+        files = {path: _xml(mjcf(description))}
     elif format_name in SUFFIXES:
         write = sdf if format_name == "sdf" else urdf
-        files = {mesh: _outline_mesh(thing).encode(), path: _xml(write(thing, mesh.name))}
+        files = {mesh: _outline_mesh(description).encode(), path: _xml(write(description, mesh.name))}
     else:
         raise InputError(f"The format `{format_name}` is unknown, expected one of {', '.join(SUFFIXES)}.")
     for file, content in files.items():
@@ -53,11 +53,11 @@ def _xml(root: ElementTree.Element) -> bytes:
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
-def _outline_mesh(thing: ObjectDescription) -> str:
+def _outline_mesh(description: ObjectDescription) -> str:
     """Wavefront OBJ, one object for each convex piece: Bullet takes the convex hull of each."""
-    lines = [f"# {printable(thing.provenance)}"]
+    lines = [f"# {printable(description.provenance)}"]
     first = 1
-    for number, prism in enumerate(thing.prisms):
+    for number, prism in enumerate(description.prisms):
         n = len(prism) // 2
         lines.append(f"o piece_{number}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in prism.tolist()]

@@ -24,37 +24,39 @@ _NO_LIMIT = 1e6
 """Limit of effort [N], speed [m/s] and travel [m] of a joint without limits: the format requires one."""
 
 
-def urdf(thing: ObjectDescription, mesh: str) -> Element:
+def urdf(description: ObjectDescription, mesh: str) -> Element:
     """The object as a robot; `mesh` is the file name of its outline. Sliding cells hang on a chain of joints from the link `table`."""
-    root = Element("robot", name=thing.name)
-    add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
-    if thing.sliding:
+    root = Element("robot", name=description.name)
+    add_comment(root, description.provenance, *_NOTE, *effect_notes(description, _CARRIED))
+    if description.sliding:
         table = SubElement(root, "link", name="table")
-        # Without mass Bullet keeps it fixed.
+        # Bullet fixes a link without mass.
         _add_inertial(table, 0.0, 0.0, [0.0, 0.0, 0.0])
         parent = "table"
         chain = [("x", "prismatic", "1 0 0"), ("y", "prismatic", "0 1 0"), ("yaw", "continuous", "0 0 1")]
         for joint, kind, axis in chain:
-            child = thing.name if joint == "yaw" else f"{thing.name}_{joint}"
-            _add_joint(root, f"{thing.name}_{joint}_joint", kind, parent, child, axis=axis)
+            child = description.name if joint == "yaw" else f"{description.name}_{joint}"
+            _add_joint(root, f"{description.name}_{joint}_joint", kind, parent, child, axis=axis)
             parent = child
         for joint in ("x", "y"):
-            _add_inertial(SubElement(root, "link", name=f"{thing.name}_{joint}"), thing.frame_mass, 0.0, [thing.frame_inertia] * 3)
-    frame = SubElement(root, "link", name=thing.name)
-    _add_inertial(frame, thing.frame_mass, 0.0, [thing.frame_inertia] * 3)
-    _add_friction(frame, thing.pusher_friction)
+            _add_inertial(
+                SubElement(root, "link", name=f"{description.name}_{joint}"), description.frame_mass, 0.0, [description.frame_inertia] * 3
+            )
+    frame = SubElement(root, "link", name=description.name)
+    _add_inertial(frame, description.frame_mass, 0.0, [description.frame_inertia] * 3)
+    _add_friction(frame, description.pusher_friction)
     for element in ("visual", "collision"):
         SubElement(SubElement(SubElement(frame, element), "geometry"), "mesh", filename=mesh)
-    rows = zip(thing.cell_names, thing.centres, thing.mass, thing.inertia, thing.friction, strict=True)
+    rows = zip(description.cell_names, description.centres, description.mass, description.inertia, description.friction, strict=True)
     for name, (x, y), mass, inertia, friction in rows:
-        kind = "prismatic" if thing.sliding else "fixed"
-        _add_joint(root, f"{name}_joint", kind, thing.name, name, axis="0 0 1" if thing.sliding else None, xyz=numbers(x, y, 0))
+        kind = "prismatic" if description.sliding else "fixed"
+        _add_joint(root, f"{name}_joint", kind, description.name, name, axis="0 0 1" if description.sliding else None, xyz=numbers(x, y, 0))
         cell = SubElement(root, "link", name=name)
-        _add_inertial(cell, mass, thing.cell_height, inertia)
+        _add_inertial(cell, mass, description.cell_height, inertia)
         _add_friction(cell, friction)
         collision = SubElement(cell, "collision")
-        SubElement(collision, "origin", xyz=numbers(0, 0, thing.foot_radius))
-        SubElement(SubElement(collision, "geometry"), "sphere", radius=numbers(thing.foot_radius))
+        SubElement(collision, "origin", xyz=numbers(0, 0, description.foot_radius))
+        SubElement(SubElement(collision, "geometry"), "sphere", radius=numbers(description.foot_radius))
     return root
 
 
