@@ -30,9 +30,8 @@ docs: setup  ## the documentation site, in out/site; open out/site/index.html
 bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/results/benchmarks.md
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
-EXPERIMENTS := maps training real-protocol coverage next-push online live convergence cell perception pushing settle
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
-	@for name in $(EXPERIMENTS); do \
+	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vx blind); do \
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment report
 

@@ -26,13 +26,13 @@ PLACES = {
 }
 HEAD = """# Effects
 
-Made from `physics/effects/`, one file for each effect.
+This page is generated from `physics/effects/`, one file for each effect.
 
 An effect is a physical or measurement law that the base model leaves out. Give effects to `simulate(..., effects={"table_tilt": {"x":
-0.01}})`. At their nominal values they change nothing, and derivatives with respect to their values are exact. `scale` is the standard
-deviation of the prior, `typical` a size that is met in practice; both are judgements, not measurements. Units are SI, axes those of the
-table frame unless stated otherwise. A *shape* parameter only shapes what the other parameters switch on; a test for the effect's absence
-holds it fixed.
+0.01}})`. Effects at their nominal values have no influence. Derivatives with respect to the values are exact. `scale` is the standard
+deviation of the prior, `typical` a typical size in practice; both are judgements, not measurements. Units are SI, and axes are those of
+the table frame unless stated otherwise. A *shape* parameter only modifies the influence of the other parameters; a test for the effect's
+absence holds it fixed.
 """
 
 
@@ -46,7 +46,7 @@ def notes_of(effect: Effect) -> list[str]:
     exact = effect.law.name == "EXACT"
     notes = [
         f"Acts {PLACES[type(effect.acts)]}",
-        f"Law: {'exact, it holds as it stands where the effect is present' if exact else 'approximate, as a law of friction or loads is'}",
+        f"Law: {'exact where the effect is present' if exact else 'approximate, as laws of friction and loads are'}",
         f"Signature: {effect.signature}",
     ]
     if effect.rivals:
@@ -67,7 +67,7 @@ def notes_of(effect: Effect) -> list[str]:
 def section_of(effect: Effect) -> str:
     lines = [f"## {effect.name}", "", effect.what, ""]
     if effect.is_unknown_cause:
-        lines += ["It is not a cause: it measures what no effect of the catalogue explains, and a verdict never names it.", ""]
+        lines += ["It is not a cause. It measures motion that no effect of the catalogue explains, and a verdict never names it.", ""]
     lines += [
         f"    {effect.equation}",
         "",

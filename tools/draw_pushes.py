@@ -22,6 +22,8 @@ from push_ident.identification.identify import identify, uniform_model
 from push_ident.identification.picture import draw_cells
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.offline.loading import load_pushes
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 
 FRAMES = 15
@@ -57,7 +59,7 @@ def shots_of(records: list[PushRecord]) -> list[Shot]:
         time = np.linspace(record.poses.time[0], record.poses.time[-1], FRAMES)
         first = record.poses.pose[0]
         equal = identify_equal(record, time)
-        poses = equal if known is None else predict(known.posterior, record.pusher, first, time).pose
+        poses = equal if known is None else predict(known.posterior, PushScenario(record.pusher, first, time)).pose
         last = record.poses.pose[-5:].mean(axis=0)
         errors = [cell_error(record.shape.cells, pose[-1], last) for pose in (poses, equal)]
         model = None if known is None else known.posterior.model
@@ -68,8 +70,6 @@ def shots_of(records: list[PushRecord]) -> list[Shot]:
 
 def identify_equal(record: PushRecord, time: Float64Array) -> Float64Array:
     """Motion of equal cells with nominal values, shape (n_frames, 3)."""
-    from push_ident.physics.simulation import PushScenario, simulate
-
     return simulate(uniform_model(record.shape), PushScenario(record.pusher, record.poses.pose[0], time)).pose
 
 

@@ -103,3 +103,12 @@ def test_script_of_the_guide_writes_a_bag_that_is_read_as_its_source(tmp_path: P
     before, after = load_pushes([source]).records, load_pushes([tmp_path / "own"]).records
     assert [len(record.poses.time) for record in after] == [len(record.poses.time) for record in before]
     assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=1e-6)
+
+
+def test_python_of_the_tutorial_runs(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert code is not None
+    monkeypatch.chdir(ROOT)
+    scope: dict[str, object] = {}
+    exec(code[1], scope)
+    assert "SolveStatus" in capsys.readouterr().out

@@ -38,8 +38,10 @@ SIGN_OF_EIGENVECTORS = frozenset({"combinations", "cell_error_std_m", "within_90
 """Not compared there: combinations of unknowns have an arbitrary sign, and predictions draw models along them."""
 PROGRAM = """
 import json, sys
+from numba.core import event
 from push_ident.cli.main import main
-codes = []
+codes, compiled = [], event.RecordingListener()
+event.register("numba:compile", compiled)
 for arguments in json.load(sys.stdin):
     sys.argv = ["push-ident", *arguments]
     try:
@@ -47,7 +49,7 @@ for arguments in json.load(sys.stdin):
         codes.append(0)
     except SystemExit as ended:
         codes.append(ended.code or 0)
-json.dump(codes, open(sys.argv[-1] + ".codes", "w"))
+json.dump({"codes": codes, "n_compiled": len(compiled.buffer)}, open(sys.argv[-1] + ".run", "w"))
 """
 
 
@@ -82,14 +84,24 @@ def answers(baseline: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> d
     wanted = {name for names in CASES.values() for name in names}
     cases = [case for case in baseline.cases(STORED / "bags", DATA) if case.name in wanted]
     calls = [[*baseline.command(case, out), "--out", str(out / case.name), "--json", str(out / f"{case.name}.json")] for case in cases]
+    codes, n_compiled = run_commands(calls)
+    if n_compiled:
+        # A kernel rounds otherwise in the process that compiles it than in those that read it from the disk.
+        codes, n_compiled = run_commands(calls)
+    assert not n_compiled, f"{n_compiled} kernels are compiled again in every process"
+    contents = [json.loads(file.read_text()) if (file := Path(call[-1])).exists() else None for call in calls]
+    return {case.name: {"exit": code, "content": content} for case, code, content in zip(cases, codes, contents, strict=True)}
+
+
+def run_commands(calls: list[list[str]]) -> tuple[list[int], int]:
+    """Exit status of each command, all in one process with one thread, and the number of kernels that it had to compile."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], input=json.dumps(calls), capture_output=True, text=True, env=os.environ | threads
     )
     assert done.returncode == 0, done.stderr
-    codes = json.loads(Path(f"{calls[-1][-1]}.codes").read_text())
-    contents = [json.loads(file.read_text()) if (file := Path(call[-1])).exists() else None for call in calls]
-    return {case.name: {"exit": code, "content": content} for case, code, content in zip(cases, codes, contents, strict=True)}
+    run = json.loads(Path(f"{calls[-1][-1]}.run").read_text())
+    return run["codes"], run["n_compiled"]
 
 
 def without(keys: frozenset[str], answer: Any) -> Any:

@@ -357,7 +357,7 @@ def test_effects_that_a_format_cannot_express_stand_in_a_comment(format_name: st
     write_description(path, describe(MODELS["arrow"], object_id="o1", source="m", effects=effects), format_name)
     text = path.read_text(encoding="utf-8")
     assert "Effect wear (w = 0.03" in text and "is NOT in this file" in text
-    assert "Effect pusher_friction (excess = 0.1) stands in the friction of the outline." in text
+    assert "Effect pusher_friction (excess = 0.1) is in the friction of the outline." in text
 
 
 @pytest.fixture(scope="module")

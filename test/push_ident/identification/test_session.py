@@ -92,11 +92,11 @@ def test_prediction_of_an_unfinished_push_follows_the_pusher() -> None:
     record = RECORDS[3]
     driving = np.linalg.norm(np.diff(record.pusher.position, axis=0), axis=1) > 1e-6
     middle = float(record.pusher.time[np.flatnonzero(driving)[-1]]) - 0.25
-    seen, moved = record.poses.time <= middle, record.pusher.time <= middle
+    before, moved = record.poses.time <= middle, record.pusher.time <= middle
     partial = PushRecord(
         "o1",
         record.shape,
-        PoseTrack(record.poses.time[seen], record.poses.pose[seen], record.poses.covariance[seen]),
+        PoseTrack(record.poses.time[before], record.poses.pose[before], record.poses.covariance[before]),
         PusherPath(record.pusher.time[moved], record.pusher.position[moved], record.pusher.radius),
     )
     assert session.update(partial) is not None

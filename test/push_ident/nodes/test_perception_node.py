@@ -194,7 +194,7 @@ def test_default_extrinsics_are_those_of_the_camera_of_the_tests():
 
 
 def test_without_images_the_node_names_the_topic_it_waits_for(camera, node):
-    wait_for(lambda: camera.values().get("why_nothing", "").startswith("no depth image on /depth/image_rect"))
+    wait_for(lambda: camera.values().get("why_no_pose", "").startswith("no depth image on /depth/image_rect"))
     assert camera.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
 
 

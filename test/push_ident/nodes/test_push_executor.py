@@ -164,8 +164,8 @@ def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cel
     low = cell.kinematics.forward(cell.q)[:3, 3]
     cell.tool.clear()
     assert send(cell, **CONTACT).end().error_code == 0
-    way = np.array([[getattr(m.pose.position, axis) for axis in "xyz"] for m in cell.tool])
-    rising = way[: np.argmax(way[:, 2] > 0.1)]
+    path = np.array([[getattr(m.pose.position, axis) for axis in "xyz"] for m in cell.tool])
+    rising = path[: np.argmax(path[:, 2] > 0.1)]
     assert len(rising) > 3 and rising[:, :2] == pytest.approx(np.tile(low[:2], (len(rising), 1)), abs=1e-3)
 
 

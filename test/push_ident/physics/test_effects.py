@@ -432,7 +432,7 @@ def test_gradient_of_a_loss_has_the_effects() -> None:
         ({"table_tilt": [0.0]}, {}, "got 1 values, expected 2"),
         ({"pusher_lag": [-0.1]}, {}, "pusher_lag.tau is -0.1 s, expected 0 to 0.5"),
         ({"wear": [0.0]}, {"friction_cone": "pyramid"}, "wear needs the circular cone"),
-        ({"restitution": [0.1]}, {"quasi_static": True}, "restitution means nothing without inertia"),
+        ({"restitution": [0.1]}, {"quasi_static": True}, "restitution has no meaning without inertia"),
     ],
 )
 def test_effects_that_cannot_be_are_refused(effects: dict[str, object], settings: dict[str, object], message: str) -> None:

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from helpers.random_pushes import DT, examples
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, NO_MODE
+from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, NO_MODE, StepContacts
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, SimulationSettings, body_of_cells, cell_gradient, simulate_body
 from push_ident.physics.step import new_step_scratch, step
+from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import support_friction
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath, SolveStatus
 
@@ -101,13 +102,12 @@ def spin_once(
 ) -> None:
     """Advance a body that nothing touches by one step, in place."""
     rows, impulse = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)), np.zeros(MAX_CONTACTS + 1)
+    geometry = StepGeometry(arms, limit, inertia, 0.05, np.zeros(2), np.array([1.0, 0.0]), dt)
+    contacts = StepContacts(rows, 0, 0.3)
     if diamond:
-        code, _ = pyramid_step(
-            twist, arms, limit, inertia, 0.05, rows, 0, 0.3, dt, 1.0, 0.0, 0, impulse, new_step_scratch(),
-            new_pyramid_scratch(len(limit)),
-        )  # fmt: skip
+        code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), new_pyramid_scratch(len(limit)))
     else:
-        code, _ = step(twist, arms, limit, inertia, 0.05, rows, 0, 0.3, dt, eps, 0, impulse, new_step_scratch())
+        code, _ = step(twist, geometry, contacts, eps, 0, impulse, new_step_scratch())
     assert code != NO_MODE
 
 

@@ -27,7 +27,7 @@ from helpers.random_pushes import (
     steps_of,
 )
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.physics.contact import RECOVERY_SPEED
+from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate_body, simulate_body_with_pullback
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus

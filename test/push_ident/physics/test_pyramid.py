@@ -8,12 +8,13 @@ import torch
 
 from helpers.objects import hammer, hammer_shape, random_push, square, straight_push, uniform
 from push_ident.errors import InputError
-from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_SLIDE_MINUS, MODE_SLIDE_PLUS, MODE_STICK, NO_MODE
+from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_SLIDE_MINUS, MODE_SLIDE_PLUS, MODE_STICK, NO_MODE, StepContacts
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.reference import ReferenceModel, reference_rollout
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, body_of_cells, cell_gradient, simulate, simulate_body
 from push_ident.physics.step import new_step_scratch, step
+from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import support_friction
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
@@ -78,11 +79,12 @@ def test_step_meets_its_optimality_conditions(diamond: bool, n_contacts: int) ->
         old = rng.normal(size=3) * [0.05, 0.05, 1.0] * rng.choice([0.0, 1.0])
         rows = random_contacts(rng, n_contacts)
         twist, impulse, cells = old.copy(), np.zeros(MAX_CONTACTS + 1), new_pyramid_scratch(n_cells)
-        common = (twist, arms, limit, inertia, 0.03, rows, n_contacts, mu, dt)
+        geometry = StepGeometry(arms, limit, inertia, 0.03, np.zeros(2), np.array([cos, sin]), dt)
+        contacts = StepContacts(rows, n_contacts, mu)
         if diamond:
-            code, _ = pyramid_step(*common, cos, sin, 0, impulse, new_step_scratch(), cells)
+            code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), cells)
         else:
-            code, _ = step(*common, 1e-4, 0, impulse, new_step_scratch())
+            code, _ = step(twist, geometry, contacts, 1e-4, 0, impulse, new_step_scratch())
         assert code != NO_MODE, seed
         check_contact_conditions(twist, rows, n_contacts, mu, impulse, code)
         if diamond:
@@ -118,11 +120,9 @@ def test_cell_dissipates_by_its_faster_axis() -> None:
     for yaw in (0.0, 0.7):
         for angle, brake in ((0.0, 1.0), (np.pi / 2, 1.0), (np.pi / 4, np.sqrt(0.5))):
             twist = np.array([0.3 * np.cos(angle - yaw), 0.3 * np.sin(angle - yaw), 0.0])
-            pyramid_step(
-                twist, arms, limit, inertia, 0.03, rows, 0, 0.3, 0.01, np.cos(yaw), np.sin(yaw), 0,
-                np.zeros(MAX_CONTACTS + 1), new_step_scratch(),
-                new_pyramid_scratch(1),
-            )  # fmt: skip
+            geometry = StepGeometry(arms, limit, inertia, 0.03, np.zeros(2), np.array([np.cos(yaw), np.sin(yaw)]), 0.01)
+            contacts, impulse = StepContacts(rows, 0, 0.3), np.zeros(MAX_CONTACTS + 1)
+            pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), new_pyramid_scratch(1))
             assert np.linalg.norm(twist[:2]) == pytest.approx(0.3 - brake * 2.0 / 0.5 * 0.01, rel=1e-9)
 
 

@@ -14,7 +14,8 @@ from helpers.objects import straight_push
 from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.lcp import LcpStatus, solve_lcp
-from push_ident.physics.reference import ReferenceModel, StepProblem, StepResult, reference_lcp, reference_rollout, reference_step
+from push_ident.physics.reference import ReferenceModel, reference_rollout
+from push_ident.physics.reference_step import StepProblem, StepResult, reference_lcp, reference_step
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, SimulationSettings, simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus

@@ -249,7 +249,7 @@ def test_object_returns_to_its_start_unless_the_pusher_is_there() -> None:
     with cell(thing) as world:
         push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.2, distance=0.12)
         pushed = world.object_pose()
-        with pytest.raises(InputError, match="pusher stands"):
+        with pytest.raises(InputError, match="pusher occupies"):
             world.reset_object()
         np.testing.assert_allclose(world.object_pose(), pushed)
     with cell(thing) as world:
@@ -269,7 +269,7 @@ def test_another_object_replaces_the_first_unless_the_pusher_is_there() -> None:
         world.replace_object(first, (0.0, 0.0, 0.0))
         rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
         assert rows[-1, 5] == pytest.approx(0.08 - 0.11 + 0.06 + PUSHER_RADIUS, abs=1e-3)
-        with pytest.raises(InputError, match="pusher stands"):
+        with pytest.raises(InputError, match="pusher occupies"):
             world.replace_object(second, (0.0, 0.0, 0.0))
         np.testing.assert_allclose(world.object_pose(), rows[-1, 5:8])
 
@@ -444,7 +444,7 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
         wait(lambda: bool(heard["cells"] and len(heard["pose"]) > 5 and len(heard["health"]) > 1))
         values = {v.key: v.value for v in heard["health"][-1].status[0].values}
         assert float(values["real time factor"]) > 0 and float(values["processor, physics [s/s]"]) > 0
-        assert "table_tilt" in heard["health"][-1].status[0].message and "truth, not seen" in heard["health"][-1].status[0].message
+        assert "table_tilt" in heard["health"][-1].status[0].message and "comes from the truth" in heard["health"][-1].status[0].message
         hammer = make_object("hammer")
         assert sum(v == 100 for v in heard["cells"][0].data) == len(hammer)
         assert ask(Trigger, "reset", Trigger.Request()).success

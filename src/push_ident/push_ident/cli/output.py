@@ -40,4 +40,4 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json_text(content), encoding="utf-8")
     except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder with write permission.") from None

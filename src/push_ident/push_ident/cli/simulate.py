@@ -1,4 +1,4 @@
-"""`push-ident simulate`: a bag of simulated pushes, with effects that the model does not have where they are asked for."""
+"""`push-ident simulate`: a bag of simulated pushes, with injected effects on request."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def simulate_command(
     ] = None,
     pushes: Annotated[int, typer.Option(help="Number of pushes.")] = 14,
     model: Annotated[int, typer.Option(help="Ground truth of the object's masses and frictions.")] = 0,
-    seed: Annotated[int, typer.Option(help="Of the pushes and of all noise.")] = 0,
-    speed: Annotated[str, typer.Option(metavar="LOW,HIGH", help="Of the pushes [m/s].")] = "0.1,0.2",
+    seed: Annotated[int, typer.Option(help="Seed of the pushes and of all noise.")] = 0,
+    speed: Annotated[str, typer.Option(metavar="LOW,HIGH", help="Range of the speed of the pushes [m/s].")] = "0.1,0.2",
     position_noise: Annotated[float, typer.Option(help="Standard deviation of x and y [m].")] = 0.001,
-    yaw_noise: Annotated[float, typer.Option(help="[rad]")] = round(math.radians(0.5), 5),
-    force_noise: Annotated[float, typer.Option(help="Of each axis [N].")] = 0.05,
-    camera: Annotated[bool, typer.Option("--camera", help="Depth images in place of poses; 15 a second.")] = False,
+    yaw_noise: Annotated[float, typer.Option(help="Standard deviation of the yaw [rad].")] = round(math.radians(0.5), 5),
+    force_noise: Annotated[float, typer.Option(help="Standard deviation of each component of the force [N].")] = 0.05,
+    camera: Annotated[bool, typer.Option("--camera", help="Write depth images instead of poses, 15 per second.")] = False,
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write masses, frictions and effects here (JSON).", show_default=False)
     ] = None,
-    effects: Annotated[bool, typer.Option("--effects", help="List the effects and end.")] = False,
+    effects: Annotated[bool, typer.Option("--effects", help="List the effects and exit.")] = False,
 ) -> None:
     """Push an object in the simulated cell and write the observations as a bag."""
     injected = sim_module("push_ident_sim.injected")
@@ -60,7 +60,7 @@ def simulate_command(
         ),
         camera=camera,
     )
-    # In a process of its own, where the engine's own lines go nowhere.
+    # In a separate process, which discards the output of the engine.
     with console.status("pushing"), sim_module("push_ident_sim.workers").single_threads() as pool:
         content = pool.submit(recording.record_pushes, out, settings).result()
     console.print(f"written: {out}; SHA-256 of its truth: {recording.seal(content)}", highlight=False, soft_wrap=True)

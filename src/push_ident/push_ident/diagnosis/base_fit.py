@@ -1,16 +1,22 @@
-"""Second stage: the base model, fitted to all pushes without any absent effect."""
+"""Second stage: the base model, fitted to all pushes without any absent effect, and whether its numerics can be trusted."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from push_ident.diagnosis.fits import fit_base
-from push_ident.diagnosis.gates import check_fit
-from push_ident.diagnosis.residuals import correlation_in_motion
-from push_ident.diagnosis.state import DiagnosisState
+import numpy as np
 
-__all__ = ["fit_base_model"]
+from push_ident.diagnosis.fits import fit_base
+from push_ident.diagnosis.policy import GatePolicy
+from push_ident.diagnosis.residuals import correlation_in_motion
+from push_ident.diagnosis.result import Gate
+from push_ident.diagnosis.state import DiagnosisState
+from push_ident.identification.fit import Fit
+from push_ident.identification.problem import FitProblem
+from push_ident.types import Float64Array, SolveStatus
+
+__all__ = ["check_fit", "fit_base_model"]
 
 Progress = Callable[[str], None]
 
@@ -20,6 +26,8 @@ def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisSta
 
     Where frames at rest do not show how the errors of the poses are correlated, the residuals of the motions do, and the fit is repeated.
     """
+    if state.abstains:
+        return state
     on_progress("fitting the base model")
     settings = state.settings
     base = fit_base(state.records, settings)
@@ -28,3 +36,28 @@ def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisSta
         if correlation > settings.noise.correlation:
             base = fit_base(state.records, replace(settings, noise=replace(settings.noise, correlation=correlation)))
     return replace(state, base=base, selection=None, fit_gates=tuple(check_fit(base, settings.policy.gates)))
+
+
+def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
+    """Gates of the base fit: convergence, and end positions under half the time step and half the smoothing speed."""
+    problem = fit.problem
+    finer = replace(problem.settings, step=0.5 * problem.settings.step, smoothing_speed=0.5 * problem.settings.smoothing_speed)
+    refined = FitProblem(problem.records, fit.unknowns, noise=problem.noise, settings=finer)
+    differences = [a - b for a, b in zip(_end_poses(problem, fit.x), _end_poses(refined, fit.x), strict=True)]
+    change = float(np.median([np.linalg.norm(difference[:2]) for difference in differences]))
+    return [
+        Gate(
+            fit.status in (SolveStatus.CONVERGED, SolveStatus.STALLED),
+            f"the fit of the base model ended with status {fit.status.name.lower()}",
+            "Look at the pushes with the largest residuals; poses may have jumped.",
+        ),
+        Gate(
+            change < policy.max_step_effect,
+            f"half the time step moves the end positions by {1e3 * change:.2f} mm",
+            "Diagnose with a shorter time step.",
+        ),
+    ]
+
+
+def _end_poses(problem: FitProblem, x: Float64Array) -> list[Float64Array]:
+    return [motion.pose[-1] for motion in problem.simulate(x)]

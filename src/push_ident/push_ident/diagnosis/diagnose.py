@@ -44,19 +44,15 @@ def diagnose(
     """
     report = on_progress or (lambda text: None)
     state = check_pushes(_initial_state(records, settings or DiagnosisSettings()))
-    state = _fit_and_select(state, report)
+    state = select(fit_base_model(state, report), report)
     if camera_is_in_question(state):
         report("the camera is less accurate than a calibrated one: its errors are effects now")
-        state = _fit_and_select(question_camera(state), report)
+        state = select(fit_base_model(question_camera(state), report), report)
     without_outliers = set_outliers_aside(state)
     if without_outliers is not state:
         report(f"{' and '.join(without_outliers.outliers)} set aside")
-        state = _fit_and_select(without_outliers, report)
+        state = select(fit_base_model(without_outliers, report), report)
     return explain(decide(validate(state, report)), push_settings, report)
-
-
-def _fit_and_select(state: DiagnosisState, report: Progress) -> DiagnosisState:
-    return state if state.abstains else select(fit_base_model(state, report), report)
 
 
 def _initial_state(records: Sequence[PushRecord], settings: DiagnosisSettings) -> DiagnosisState:

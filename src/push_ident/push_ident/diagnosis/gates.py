@@ -1,4 +1,4 @@
-"""First stage: can data and numerics be trusted? A diagnosis abstains where a gate is not passed."""
+"""First stage: can the data be trusted? A diagnosis abstains where a gate is not passed."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.fit import Fit
 from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
-from push_ident.identification.problem import FitProblem
-from push_ident.types import BoolArray, Float64Array, PushRecord, SolveStatus
+from push_ident.types import BoolArray, PushRecord
 
-__all__ = ["check_data", "check_fit", "check_outline", "check_pushes"]
+__all__ = ["check_data", "check_pushes"]
 
 
 def check_pushes(state: DiagnosisState) -> DiagnosisState:
@@ -93,47 +91,3 @@ def _rest_correlation(records: Sequence[PushRecord], policy: GatePolicy) -> Gate
         found if np.isfinite(correlation) else "too few frames at rest to estimate the correlation of their errors",
         "The poses are filtered or drift: publish unfiltered poses with their covariance.",
     )
-
-
-def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
-    """Gates of the base fit: convergence, and end positions under half the time step and half the smoothing speed."""
-    problem = fit.problem
-    finer = replace(problem.settings, step=0.5 * problem.settings.step, smoothing_speed=0.5 * problem.settings.smoothing_speed)
-    refined = FitProblem(problem.records, fit.unknowns, noise=problem.noise, settings=finer)
-    differences = [a - b for a, b in zip(_end_poses(problem, fit.x), _end_poses(refined, fit.x), strict=True)]
-    change = float(np.median([np.linalg.norm(difference[:2]) for difference in differences]))
-    return [
-        Gate(
-            fit.status in (SolveStatus.CONVERGED, SolveStatus.STALLED),
-            f"the fit of the base model ended with status {fit.status.name.lower()}",
-            "Look at the pushes with the largest residuals; poses may have jumped.",
-        ),
-        Gate(
-            change < policy.max_step_effect,
-            f"half the time step moves the end positions by {1e3 * change:.2f} mm",
-            "Diagnose with a shorter time step.",
-        ),
-    ]
-
-
-def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
-    """Gates of a traced outline, after all effects were added: the errors of a working camera are smaller.
-
-    Args:
-        fit: with the effects that were found.
-        names: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
-        policy: limits.
-    """
-    offsets = [float(value) for name in names if name in fit.names for value in fit.effects.values[fit.effects.slice_of(name)]]
-    return [
-        Gate(
-            abs(offset) < policy.max_outline_offset,
-            f"the surface that the pusher met lies {1e3 * offset:+.2f} mm outside the outline",
-            "Measure the radius of the pusher; calibrate the camera; compare the outline with the object.",
-        )
-        for offset in offsets
-    ]
-
-
-def _end_poses(problem: FitProblem, x: Float64Array) -> list[Float64Array]:
-    return [motion.pose[-1] for motion in problem.simulate(x)]

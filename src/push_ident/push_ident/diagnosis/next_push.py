@@ -16,7 +16,7 @@ from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.unknowns import Mechanics
-from push_ident.physics.effect_values import seen_poses, true_pose
+from push_ident.physics.effect_values import reported_poses, true_pose
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -175,7 +175,7 @@ def _outcome(model: _Predictor, push: PlannedPush, observation: Observation, fir
     motion = mechanics.simulate(PushScenario(push.pusher, start, observation.time, model.order), settings=model.settings, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None
-    _, by_pose, by_value = seen_poses(mechanics.effects, start[None])
+    _, by_pose, by_value = reported_poses(mechanics.effects, start[None])
     derivative = mechanics.derivative.copy()
     derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
     whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian).reshape(3 * len(observation.time), -1)

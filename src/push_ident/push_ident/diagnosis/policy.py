@@ -70,8 +70,7 @@ class SelectionPolicy:
     """At least this share of the log Bayes factors of all approximate laws found before [1]: the error of a law grows with its effect. Set
     on tuning cases."""
     tie_margin: float = 6.0
-    """Differences of log evidence below this are a tie [nat]. From the prototype: the set within 6 contained the truth on bags from another
-    engine; kept on tuning cases."""
+    """Differences of log evidence below this are a tie [nat]. From the prototype; kept on tuning cases."""
     tie_share: float = 0.1
     """A rival with an approximate law is also in a tie within this share of the log Bayes factor of the effect that was found [1]. Set on
     tuning cases."""
@@ -94,9 +93,9 @@ class SelectionPolicy:
     """Effects added at most. Judgement: pairs are tested in the blind check, triples are not."""
     max_start: float = 2.0
     """Length of a one-step estimate at which it is clipped before a refit [prior standard deviations]. From the prototype."""
-    stuck_gain: float = 1.0
-    """Gain of log evidence of the *same* model, refitted from the maps beside another effect, from which the earlier fit counts as stuck at
-    a kink of the cost [nat]: the effect gained by freeing it. Judgement, above the tolerance of a comparison (0.05 nat)."""
+    min_restart_gain: float = 1.0
+    """Gain of log evidence of the *same* model, refitted from the maps beside another effect, from which the earlier fit had stopped at a
+    kink of the cost [nat]: the effect gained by its start only. Judgement, above the tolerance of a comparison (0.05 nat)."""
     swap_candidate_share: float = 0.5
     """Share of the best candidate's log Bayes factor from which a runner-up is tried in its place beside a later effect [1]. Judgement."""
     min_swap_gain: float = 3.0
@@ -121,11 +120,10 @@ class ValidationPolicy:
     """Standard errors by which the held-out error exceeds the pose noise, above which there is a gap to close [1]. About 95 %,
     two-sided."""
     min_log_bayes_factor_without_push: float = -1.0
-    """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of the true effects of 31 tuning cases
-    with 14 pushes, 30 kept a third of their evidence; with six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding
-    of fits."""
+    """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of 31 true effects with 14 pushes, 30 kept
+    a third of their evidence and more. With six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding of fits."""
     noise_draws: int = 64
-    """Draws of the pose noise a push for the error that noise alone makes. Its median is then known to about 15 %."""
+    """Draws of the pose noise a push for the error that noise makes without any gap. Its median is then known to about 15 %."""
     bootstrap_draws: int = 2000
     """Resamples of the pushes for the interval of the shrink."""
     interval_quantiles: tuple[float, float] = (0.05, 0.95)
@@ -190,7 +188,7 @@ class NextPushPolicy:
     candidates: int = 120
     """Candidate pushes, spread evenly over `speeds`. A limit of time."""
     speeds: tuple[float, ...] = (0.04, 0.12, 0.25)
-    """Of the candidates [m/s]; some effects differ by their speed alone. From the catalogue's signatures."""
+    """Of the candidates [m/s]; some effects differ only in their dependence on speed. From the catalogue's signatures."""
     first_pose_std: tuple[float, float, float] = (0.01, 0.01, 0.1)
     """Standard deviation of the first pose beside what the frames show [m, m, rad]: a fit may place it anywhere. A wide prior."""
     min_mahalanobis2: float = 1.0

@@ -10,8 +10,8 @@ import numpy as np
 
 from push_ident.diagnosis.camera import OUTLINE_ERRORS
 from push_ident.diagnosis.fits import fit_effects, polished, with_another
-from push_ident.diagnosis.gates import check_outline
-from push_ident.diagnosis.policy import SelectionPolicy
+from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
+from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.state import DiagnosisState
@@ -20,7 +20,7 @@ from push_ident.identification.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["choose_refits", "required_log_bayes_factor", "select", "select_effects"]
+__all__ = ["check_outline", "choose_refits", "required_log_bayes_factor", "select", "select_effects"]
 
 Progress = Callable[[str], None]
 
@@ -34,6 +34,25 @@ def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     outline = [name for name in OUTLINE_ERRORS if name in state.base.names]
     selected = replace(state, fit_gates=(*state.fit_gates, *check_outline(selection.fit, outline, policy.gates)))
     return selected if selected.abstains else replace(selected, selection=selection)
+
+
+def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
+    """Gates of a traced outline, after all effects were added: the errors of a working camera are smaller.
+
+    Args:
+        fit: with the effects that were found.
+        names: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
+        policy: limits.
+    """
+    offsets = [float(value) for name in names if name in fit.names for value in fit.effects.values[fit.effects.slice_of(name)]]
+    return [
+        Gate(
+            abs(offset) < policy.max_outline_offset,
+            f"the surface that the pusher met lies {1e3 * offset:+.2f} mm outside the outline",
+            "Measure the radius of the pusher; calibrate the camera; compare the outline with the object.",
+        )
+        for offset in offsets
+    ]
 
 
 def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | None = None) -> Selection:
@@ -129,9 +148,10 @@ def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidat
 
 
 def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Selection:
-    """The selection with its fit repeated from the maps beside the best effect, where the fit was stuck; else the selection itself."""
+    """The selection with its fit repeated from the maps beside the best effect, where it had stopped at a kink of the cost; else the
+    selection itself."""
     freed = fit_effects(best.fit, selection.fit.names)
-    if freed.log_evidence <= selection.fit.log_evidence + policy.stuck_gain:
+    if freed.log_evidence <= selection.fit.log_evidence + policy.min_restart_gain:
         return selection
     freed = polished(freed)
     return replace(selection, base=freed if selection.fit is selection.base else selection.base, fit=freed)

@@ -118,4 +118,4 @@ def _save(figure: Figure, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110)
     except OSError as error:
-        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a folder with write permission.") from None

@@ -61,4 +61,4 @@ def write_page(path: Path, package: str, template: str, context: Mapping[str, An
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"Cannot write the report {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise InputError(f"Cannot write the report {path}: {error.strerror}; choose a folder with write permission.") from None

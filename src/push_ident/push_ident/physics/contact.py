@@ -1,60 +1,65 @@
 """Contact between the pusher and the exact outline polygon, in the object frame (compiled).
 
-The pusher is a convex polygon rounded by a radius; a single point rounded by a radius is a disc. Two kinds of features meet: a
-corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. Up to five are kept: the
-nearest; its neighbours to the left and right on the same flat face (a line contact); the nearest on a face that looks elsewhere
-(a pusher in a concave corner), and for a polygon one more there. Of two that are equally near to within a nanometre, the first along
-the outline counts as the nearer: rounding must not decide which face rubs. Cells play no part: a staircase of cells would turn every
-oblique face into a row of steps.
+The pusher is a convex polygon rounded by a radius; a disc is a single point rounded by a radius. There are two kinds of contacts: a
+corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. At most five are kept: the nearest;
+its neighbours to the left and right on the same flat face (a line contact); the nearest on a face with another normal (a pusher in a
+concave corner); for a polygon one more on such a face. Of two gaps that agree to within a nanometre, the one found first along the
+outline counts as nearer: rounding must not decide at which face friction acts. Contact uses the outline, not the cells, because the
+cells would turn an oblique face into a staircase.
 
-The surface that is met may lie `offset` outside the outline: gaps are those of a pusher that is larger by it, and contact points
-move with the surface. An impact may be elastic, see `add_rebound`.
+`contact_rows.py` turns contacts into constraints of a step.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
+from push_ident.physics.modes import MAX_CONTACTS
 from push_ident.types import Float64Array
 
 __all__ = [
-    "CONTACT_FIELDS", "MAX_DISC_CONTACTS", "RECOVERY_SPEED", "ContactEffects", "Rebound", "add_rebound", "contact_rows",
-    "contact_rows_seed", "count_inside", "find_contacts", "max_candidates", "shift_surface",
+    "CONTACT_FIELDS", "CURVATURE", "GAP", "KIND", "MAX_DISC_CONTACTS", "NORMAL", "ON_CORNER", "ON_EDGE", "ON_SIDE", "OWNER", "PARALLEL",
+    "POINT", "TIP", "count_inside", "find_contacts", "max_candidates",
 ]  # fmt: skip
 
-GAP, NORMAL, POINT, CURVATURE, KIND, TIP, OWNER = 0, 1, 3, 5, 6, 7, 9
+GAP = 0
+NORMAL = 1
+POINT = 3
+CURVATURE = 5
+KIND = 6
+TIP = 7
+OWNER = 9
 CONTACT_FIELDS = 10
 """Columns of a contact: gap [m], outward normal x, y, contact point x, y [m], curvature [1/m], kind, point of the pusher's core that
-decides the gap x, y [m], index of the pusher's corner (-1 for a side).
+determines the gap x, y [m], index of the pusher's corner (-1 for a side).
 
-`curvature` c [1/m] gives the turn of the normal, dn = c (I - n n') d(tip): 0 on an edge, +-1/distance at a corner."""
-ON_EDGE, ON_CORNER, ON_SIDE = 0.0, 1.0, 2.0
-"""`kind`: a corner of the pusher on an edge of the outline (the contact point follows the pusher), on a corner of the outline (it
-stays), a corner of the outline on a side of the pusher (it stays and the normal turns with the pusher)."""
+The curvature c gives the rotation of the normal, dn = c (I - n n') d(tip): 0 on an edge, +-1/distance at a corner."""
+ON_EDGE = 0.0
+ON_CORNER = 1.0
+ON_SIDE = 2.0
+"""Kinds of contact. Corner of the pusher on an edge of the outline: the contact point follows the pusher. Corner of the pusher on a corner
+of the outline: the point is fixed. Corner of the outline on a side of the pusher: the point is fixed, the normal rotates with the
+pusher."""
 
 MAX_DISC_CONTACTS = 2
-"""Of a disc: the nearest, and one on a face that looks elsewhere."""
+"""Of a disc: the nearest, and one on a face with another normal."""
 
-RECOVERY_SPEED = 0.02
-"""An overlap, as noisy poses make it, is taken back no faster than this [m/s]: in one step it would throw the object away."""
+PARALLEL = 0.9
+"""Cosine between normals above which two contacts belong to the same face."""
 
-_PARALLEL = 0.9  # cosine between normals above which two contacts belong to the same face
-_SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may fall behind the foremost one
-_TIE = 1e-9  # gaps nearer to each other than this are equal [m]
-_SHALLOW = 1e-4  # overlap up to which a corner of the pusher is still taken to be outside [m]
-_APART = 1e-4  # contacts of a face nearer to each other than this repeat each other [m]
+_SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may lie behind the foremost one
+_TIE = 1e-9  # gaps that differ by less than this are equal [m]
+_SHALLOW = 1e-4  # overlap up to which a corner of the pusher is treated as outside for the other faces [m]
+_SAME_PLACE = 1e-4  # contacts of one face closer together than this are duplicates [m]
 _TINY = 1e-12
-_TOUCHES = 2e-5  # gap below which a contact that closed in the last step touches [m]
 
 
 @kernel
 def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[float, float, float, float]:
-    """Distance to edge i, its nearest point, and where along the edge (0..1) that lies."""
+    """Distance to edge i, its nearest point, and the position of that point along the edge (0 to 1)."""
     j = i + 1 if i + 1 < outline.shape[0] else 0
     ax, ay = outline[i, 0], outline[i, 1]
     ex, ey = outline[j, 0] - ax, outline[j, 1] - ay
@@ -67,7 +72,7 @@ def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[
 
 @kernel
 def _crosses(px: float, py: float, outline: Float64Array, i: int) -> bool:
-    """Whether a ray from the point along +x crosses edge i: an odd number of crossings means inside."""
+    """Whether a ray from the point along +x crosses edge i. An odd number of crossings means that the point is inside."""
     j = i + 1 if i + 1 < outline.shape[0] else 0
     yi, yj = outline[i, 1], outline[j, 1]
     return (yi > py) != (yj > py) and px < (outline[j, 0] - outline[i, 0]) * (py - yi) / (yj - yi) + outline[i, 0]
@@ -111,7 +116,7 @@ def _fill_edge(contact: Float64Array, px: float, py: float, radius: float, outli
 
 @kernel
 def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
-    """Whether corner j of the pusher is about the foremost one against the normal: only that one can touch there."""
+    """Whether corner j of the pusher is nearly the foremost one against the normal. No other corner can touch there."""
     m = tips.shape[0]
     nx, ny = contact[NORMAL], contact[NORMAL + 1]
     for k in ((j + 1) % m, (j + m - 1) % m):
@@ -123,7 +128,7 @@ def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
 
 @kernel
 def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
-    """Append the contacts of corner j of the pusher to the `n` found: the nearest feature, and all others that it faces."""
+    """Append the contacts of corner j of the pusher to the `n` found: the nearest feature and others that it faces. Returns the new `n`."""
     px, py = tips[j, 0], tips[j, 1]
     nearest, nearest_distance = 0, np.inf
     inside = False
@@ -142,7 +147,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     if inside and not polygon:
         return n
     if inside and nearest_distance < _SHALLOW and n > 0 and found[n - 1, OWNER] == j:
-        # Pressed into one face by a hair, it still stands before the others: seen from just outside that face.
+        # The corner overlaps one face slightly. Find the other faces from its mirror image outside that face.
         out_x, out_y = px + 2.0 * (found[n - 1, POINT] - px), py + 2.0 * (found[n - 1, POINT + 1] - py)
         for i in range(outline.shape[0]):
             distance, qx, qy, s = _edge_feature(out_x, out_y, outline, i)
@@ -157,7 +162,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     _, _, _, s_before = _edge_feature(px, py, outline, outline.shape[0] - 1)
     for i in range(outline.shape[0]):
         distance, qx, qy, s = _edge_feature(px, py, outline, i)
-        # A corner of the outline that is nearer than what lies beside it: a pusher in a narrow pocket rests on two of them.
+        # A convex corner of the outline, nearer than the edges beside it: a pusher in a narrow pocket rests on two of them.
         on_corner = not inside and s == 0.0 and s_before == 1.0
         s_before = s
         if i == nearest or not (0.0 < s < 1.0 or on_corner) or distance - radius > reach:
@@ -169,7 +174,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
         _fill(found[n], px, py, radius, outline, i, inside, j)
         if polygon and not _foremost(found[n], tips, j):
             continue
-        # A corner inside the outline is pressed out through one edge alone, the nearest of those that it can touch.
+        # A corner inside the outline leaves it through one edge only, the nearest of those that it can touch.
         if inside and n > 0 and found[n - 1, OWNER] == j:
             if found[n, GAP] > found[n - 1, GAP]:
                 found[n - 1] = found[n]
@@ -180,7 +185,7 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
 
 @kernel
 def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
-    """Append the contacts of convex corners of the outline with straight sides of the pusher to the `n` found."""
+    """Append the contacts of convex corners of the outline with straight sides of the pusher to the `n` found. Returns the new `n`."""
     m = tips.shape[0]
     n_outline = outline.shape[0]
     for i in range(n_outline):
@@ -194,7 +199,7 @@ def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, r
             ex, ey = tips[k, 0] - tips[j, 0], tips[k, 1] - tips[j, 1]
             length = math.sqrt(ex * ex + ey * ey)
             h = (ey * (ox - tips[j, 0]) - ex * (oy - tips[j, 1])) / length
-            # Of a convex polygon the side with the greatest height is the one that faces the point.
+            # In a convex polygon the side with the greatest height faces the point.
             if h > height:
                 height, mx, my = h, ey / length, -ex / length
                 place = (ex * (ox - tips[j, 0]) + ey * (oy - tips[j, 1])) / (length * length)
@@ -213,7 +218,7 @@ def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, r
 
 @kernel
 def count_inside(points: Float64Array, outline: Float64Array) -> int:
-    """How many of `points`, shape (n, 2), lie inside the outline."""
+    """Number of `points`, shape (n, 2), inside the outline."""
     number = 0
     for k in range(points.shape[0]):
         inside = False
@@ -224,19 +229,20 @@ def count_inside(points: Float64Array, outline: Float64Array) -> int:
     return number
 
 
+@kernel
 def max_candidates(n_tips: int, n_outline: int) -> int:
-    """Rows that `find_contacts` needs in `found`."""
+    """Number of rows that `find_contacts` needs in `found`."""
     return n_tips * (n_outline + 1) + n_outline + 1
 
 
 @kernel
-def _repeats(contact: Float64Array, other: Float64Array) -> bool:
-    """Whether two contacts are one: on one face, by the same corner of the pusher or at the same place."""
+def _duplicates(contact: Float64Array, other: Float64Array) -> bool:
+    """Whether two contacts are the same: on one face, and of the same corner of the pusher or at the same place."""
     mx, my = other[NORMAL], other[NORMAL + 1]
-    if contact[NORMAL] * mx + contact[NORMAL + 1] * my < _PARALLEL:
+    if contact[NORMAL] * mx + contact[NORMAL + 1] * my < PARALLEL:
         return False
     offset = -my * (contact[POINT] - other[POINT]) + mx * (contact[POINT + 1] - other[POINT + 1])
-    return (contact[OWNER] >= 0.0 and contact[OWNER] == other[OWNER]) or abs(offset) < _APART
+    return (contact[OWNER] >= 0.0 and contact[OWNER] == other[OWNER]) or abs(offset) < _SAME_PLACE
 
 
 @kernel
@@ -246,12 +252,12 @@ def find_contacts(
     """Contacts of the pusher with the outline.
 
     Args:
-        tips: corners of the pusher's core, counter-clockwise [m], shape (n_tips, 2), object frame; the centre of a disc.
-        radius: of the rounding [m].
+        tips: corners of the pusher's core, counter-clockwise [m], shape (n_tips, 2), object frame. A disc has one, its centre.
+        radius: radius of the rounding [m].
         outline: counter-clockwise polygon [m], shape (n_vertices, 2), object frame.
-        reach: features with a gap above it are left out [m].
+        reach: greatest gap of a contact [m].
         found: scratch, shape (max_candidates(n_tips, n_vertices), CONTACT_FIELDS).
-        contacts: filled with one row a contact, shape (MAX_CONTACTS, CONTACT_FIELDS); see `CONTACT_FIELDS`.
+        contacts: filled with one row for each contact, shape (MAX_CONTACTS, CONTACT_FIELDS); see `CONTACT_FIELDS`.
 
     Returns:
         The number of rows filled. The first is the nearest.
@@ -269,40 +275,40 @@ def find_contacts(
         return 0
     contacts[0] = found[first]
     nx, ny = contacts[0, NORMAL], contacts[0, NORMAL + 1]
-    # On the face of the first contact, to its left and its right, the one that the least relative turn would close.
+    # On the face of the first contact, on each side of it: the contact that the smallest relative rotation would close.
     left = right = elsewhere = -1
     left_turn = right_turn = elsewhere_gap = np.inf
     for i in range(n):
         if i == first or found[i, GAP] > reach:
             continue
-        if found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny < _PARALLEL:
+        if found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny < PARALLEL:
             if found[i, GAP] < elsewhere_gap - _TIE:
                 elsewhere, elsewhere_gap = i, found[i, GAP]
             continue
         if found[i, OWNER] >= 0.0 and found[i, OWNER] == contacts[0, OWNER]:
             continue
         offset = -ny * (found[i, POINT] - contacts[0, POINT]) + nx * (found[i, POINT + 1] - contacts[0, POINT + 1])
-        if abs(offset) < _APART:
+        if abs(offset) < _SAME_PLACE:
             continue
-        turn = (found[i, GAP] - contacts[0, GAP] + _APART) / abs(offset)
+        turn = (found[i, GAP] - contacts[0, GAP] + _SAME_PLACE) / abs(offset)
         if offset > 0.0 and turn < left_turn:
             left, left_turn = i, turn
         elif offset < 0.0 and turn < right_turn:
             right, right_turn = i, turn
-    # A polygon may rest on the other face with a side, or meet a third face.
-    also = -1
+    # A polygon may touch the other face with a side, or touch a third face.
+    another = -1
     if elsewhere >= 0 and tips.shape[0] > 1:
         for i in range(n):
-            if i in (first, elsewhere) or found[i, GAP] > reach or found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny >= _PARALLEL:
+            if i in (first, elsewhere) or found[i, GAP] > reach or found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny >= PARALLEL:
                 continue
-            if _repeats(found[i], found[elsewhere]):
+            if _duplicates(found[i], found[elsewhere]):
                 continue
-            if also < 0 or found[i, GAP] < found[also, GAP] - _TIE:
-                also = i
+            if another < 0 or found[i, GAP] < found[another, GAP] - _TIE:
+                another = i
     number = 1
     while number < MAX_CONTACTS:
         best = -1
-        for i in (left, right, elsewhere, also):
+        for i in (left, right, elsewhere, another):
             if i >= 0 and (best < 0 or found[i, GAP] < found[best, GAP]):
                 best = i
         if best < 0:
@@ -316,146 +322,5 @@ def find_contacts(
         elif best == elsewhere:
             elsewhere = -1
         else:
-            also = -1
+            another = -1
     return number
-
-
-@kernel
-def contact_rows(
-    contact: Float64Array,
-    k: int,
-    centre: Float64Array,
-    pusher: Float64Array,
-    velocity: Float64Array,
-    spin: float,
-    dt: float,
-    face: Float64Array,
-    rows: Float64Array,
-) -> None:
-    """Enter contact k in the contacts of a step of length `dt`, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`.
-
-    `centre` is the centre of mass, `pusher` the pusher's centre and `velocity` its velocity, object axes, shape (2,); `spin` is the
-    pusher's rate of turn [rad/s]; `face` is the first contact.
-    """
-    nx, ny = contact[NORMAL], contact[NORMAL + 1]
-    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
-    vx = velocity[0] - spin * (contact[POINT + 1] - pusher[1])
-    vy = velocity[1] + spin * (contact[POINT] - pusher[0])
-    tx, ty = -ny, nx
-    i = MAX_CONTACTS + k
-    rows[k, 0], rows[k, 1], rows[k, 2] = -nx, -ny, -(ax * ny - ay * nx)
-    rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
-    rows[k, BOUND] = -(nx * vx + ny * vy) - max(contact[GAP] / dt, -RECOVERY_SPEED)
-    rows[i, BOUND] = tx * vx + ty * vy
-    rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= _PARALLEL else 0.0
-
-
-@kernel
-def shift_surface(contacts: Float64Array, n_contacts: int, offset: float) -> None:
-    """Move the points of contacts that were found with a radius larger by `offset` to the surface [m]."""
-    for k in range(n_contacts):
-        contacts[k, POINT] += offset * contacts[k, NORMAL]
-        contacts[k, POINT + 1] += offset * contacts[k, NORMAL + 1]
-
-
-class Rebound(NamedTuple):
-    """What an elastic impact knows of the step before."""
-
-    acts: bool
-    """Whether a contact pressed in the last step."""
-    restitution: float
-    """0 (the two stay together) to 1."""
-    twist: Float64Array
-    """Of the centre of mass before the last step, object axes, shape (3,)."""
-
-
-class ContactEffects(NamedTuple):
-    """What effects do to the contacts of a step, and how much more of it per unit of one input."""
-
-    offset: float
-    """Of the surface from the outline [m]."""
-    rebound: Rebound
-    d_spin: float
-    """Of the pusher."""
-    d_offset: float
-    d_restitution: float
-    d_twist: Float64Array
-    """Of the twist of `Rebound`, shape (3,)."""
-
-
-@kernel
-def add_rebound(contact: Float64Array, k: int, rebound: Rebound, dt: float, rows: Float64Array) -> None:
-    """Newton's law of impact on contact k: in the step after one in which it pressed, it parts at `restitution` times the speed of meeting.
-
-    The step before has closed the gap as if nothing rebounded: an impact takes two steps, and however small the restitution, the motion
-    goes over into that without.
-    """
-    if rebound.acts and contact[GAP] <= _TOUCHES:
-        before = rebound.twist
-        pusher = rows[k, BOUND] + max(contact[GAP] / dt, -RECOVERY_SPEED)
-        meeting = pusher - rows[k, 0] * before[0] - rows[k, 1] * before[1] - rows[k, 2] * before[2]
-        rows[k, BOUND] += rebound.restitution * max(0.0, meeting)
-
-
-@kernel
-def contact_rows_seed(
-    contact: Float64Array,
-    k: int,
-    centre: Float64Array,
-    pusher: Float64Array,
-    velocity: Float64Array,
-    spin: float,
-    dt: float,
-    d_pusher: Float64Array,
-    d_angle: float,
-    d_centre: Float64Array,
-    d_velocity: Float64Array,
-    effects: ContactEffects | None,
-    d_rows: Float64Array,
-) -> None:
-    """Derivative of `contact_rows` for a change of the pusher's centre, angle and velocity and of the centre of mass.
-
-    Where there are effects, also of what they add.
-    """
-    nx, ny = contact[NORMAL], contact[NORMAL + 1]
-    tx, ty = -ny, nx
-    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
-    bx, by = contact[POINT] - pusher[0], contact[POINT + 1] - pusher[1]
-    vx, vy = velocity[0] - spin * by, velocity[1] + spin * bx
-    d_tip_x = d_pusher[0] - d_angle * (contact[TIP + 1] - pusher[1])
-    d_tip_y = d_pusher[1] + d_angle * (contact[TIP] - pusher[0])
-    along = tx * d_tip_x + ty * d_tip_y
-    turn = d_angle if contact[KIND] == ON_SIDE else contact[CURVATURE] * along
-    slide = along if contact[KIND] == ON_EDGE else 0.0
-    dnx, dny = turn * tx, turn * ty
-    dtx, dty = -dny, dnx
-    d_point_x, d_point_y = slide * tx, slide * ty
-    d_gap = nx * d_tip_x + ny * d_tip_y
-    if effects is not None:
-        d_point_x += effects.offset * dnx + effects.d_offset * nx
-        d_point_y += effects.offset * dny + effects.d_offset * ny
-        d_gap -= effects.d_offset
-    dax, day = d_point_x - d_centre[0], d_point_y - d_centre[1]
-    dvx = d_velocity[0] - spin * (d_point_y - d_pusher[1])
-    dvy = d_velocity[1] + spin * (d_point_x - d_pusher[0])
-    if effects is not None:
-        dvx -= effects.d_spin * by
-        dvy += effects.d_spin * bx
-    # An overlap that is taken back at the recovery speed is taken back at that speed whatever its depth.
-    if contact[GAP] <= -RECOVERY_SPEED * dt:
-        d_gap = 0.0
-    d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
-    d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
-    d_bound = -(dnx * vx + dny * vy + nx * dvx + ny * dvy)
-    d_rows[k, BOUND] = d_bound - d_gap / dt
-    if effects is not None and effects.rebound.acts and contact[GAP] <= _TOUCHES:
-        before, d_before = effects.rebound.twist, effects.d_twist
-        meeting = nx * (before[0] - vx) + ny * (before[1] - vy) + (ax * ny - ay * nx) * before[2]
-        if meeting > 0.0:
-            d_meeting = d_bound + nx * d_before[0] + ny * d_before[1] + (ax * ny - ay * nx) * d_before[2]
-            d_meeting -= d_rows[k, 0] * before[0] + d_rows[k, 1] * before[1] + d_rows[k, 2] * before[2]
-            d_rows[k, BOUND] += effects.d_restitution * meeting + effects.rebound.restitution * d_meeting
-    i = MAX_CONTACTS + k
-    d_rows[i, 0], d_rows[i, 1] = dtx, dty
-    d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx
-    d_rows[i, BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy

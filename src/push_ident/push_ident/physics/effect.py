@@ -1,9 +1,9 @@
-"""What an effect is: something that the base model leaves out, stated as an equation with parameters that are null where it is absent.
+"""What an effect is: a law that the base model leaves out, stated as an equation whose parameters are null where it is absent.
 
-Each file of `effects/` holds one. It says where the effect acts, and its equation in analytic arithmetic; derivatives follow by the
-complex step (Squire & Trapp, Using complex variables to estimate derivatives of real functions, 1998), exact to rounding: the equation
-is evaluated with one input turned by 1e-40 i, and the imaginary part of what comes out is the derivative. An equation must therefore
-run for real and for complex numbers alike: no comparison but of `.real`, and the functions of this file.
+Each file of `effects/` defines one: where the effect acts, and its equation in analytic arithmetic. The complex step gives derivatives
+(Squire & Trapp, Using complex variables to estimate derivatives of real functions, 1998), exact to rounding: 1e-40 i is added to one
+input, and the imaginary part of the result is the derivative. An equation must therefore accept real and complex numbers: it compares
+only `.real`, and uses the functions of this file.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ComplexArray = NDArray[np.complex128]
 Equation = Callable[..., Any]
 
 STEP_OF_INPUT = 1e-40
-"""Imaginary part that stands for a change of an input by 1."""
+"""Imaginary part that represents a change of an input by 1."""
 
 MAX_LOAD_NUMBERS = 4
 """An effect that changes the load of cells has no more values, and no more numbers in its memory."""
@@ -65,13 +65,13 @@ def analytic_log(x: Any) -> Any:
 
 @equation
 def unit_direction(vx: Any, vy: Any) -> Any:
-    """Direction of a velocity; below 1 mm/s it fades to nothing, so that a body at rest has none."""
+    """Direction of a velocity. It fades to zero below 1 mm/s, so that a body at rest has none."""
     speed = analytic_sqrt(vx * vx + vy * vy + STILL * STILL)
     return vx / speed, vy / speed
 
 
 class Body(NamedTuple):
-    """The object at the start of a step, as an equation sees it. Numbers are real or complex."""
+    """The object at the start of a step, an argument of equations. Numbers are real or complex."""
 
     x: Any
     """Centre of mass [m], table frame."""
@@ -89,11 +89,11 @@ class Body(NamedTuple):
     spread: Any
     """Mean of r' r over the area of the cells [m^2], r from the centre of mass."""
     order: float
-    """How many pushes went before this one."""
+    """Number of pushes made before this one."""
 
 
 class Cell(NamedTuple):
-    """A cell at the start of a step, as an equation sees it. Numbers are real or complex."""
+    """A cell at the start of a step, an argument of equations. Numbers are real or complex."""
 
     x: Any
     """Centre [m], table frame."""
@@ -107,7 +107,7 @@ class Cell(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Where the friction limits of all cells lie as long as no effect acts, as an equation sees it. Numbers are real or complex."""
+    """Moments of the friction limits of all cells without effects, an argument of equations. Numbers are real or complex."""
 
     x: Any
     """Their centre [m], from the centre of mass, object axes."""
@@ -129,14 +129,14 @@ class EffectParameter:
     scale: float
     """Standard deviation of the prior about `nominal`."""
     typical: float
-    """Size that is met in practice."""
+    """Typical size in practice."""
     nominal: float = 0.0
-    """Where the effect is absent; of a shape, the value that it has while nothing is known."""
+    """Value at which the effect is absent; of a shape parameter, the value without information."""
     low: float = -np.inf
-    """Least and greatest value that makes sense."""
+    """Least and greatest admissible value."""
     high: float = np.inf
     shape: bool = False
-    """It only shapes what the others switch on: while they are null it does nothing, so that a test of absence holds it."""
+    """Whether it only modifies the other parameters: while they are nominal it has no influence, so a test for absence holds it fixed."""
     camera_std: float | None = None
     """Accuracy of a calibrated camera: the standard deviation with which the effect belongs to the base model where a camera traced the
     outline, about `nominal`. None where it does not belong there."""
@@ -146,9 +146,9 @@ class Law(Enum):
     """How well the equation of an effect describes the world, if the effect is there."""
 
     EXACT = "exact"
-    """It holds as it stands: a displacement, a scale, a delay of what is driven or measured."""
+    """The equation holds exactly: a displacement, a scale or a delay of a motion or a measurement."""
     APPROXIMATE = "approximate"
-    """It only comes near to the world's law: friction, loads, forces. Its error grows with the size of the effect."""
+    """The equation approximates the physical law: friction, loads, forces. Its error grows with the size of the effect."""
 
 
 class ExportAs(Enum):
@@ -178,7 +178,7 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class OnTable:
-    """Acts between table and cells. Each part is compiled; `p` starts with the effect's values, `memory` with its memory.
+    """Acts between table and cells. Each part is compiled; `p` begins with the effect's values, `memory` with its memory.
 
     All parts are evaluated from the state at the start of a step and held during it (a delay of one step, some 4 ms), which leaves
     the step the convex problem that it is.
@@ -212,10 +212,11 @@ class OnContact:
 
 @dataclass(frozen=True, slots=True)
 class OnPusherPath:
-    """Acts on the pusher's way."""
+    """Acts on the path of the pusher."""
 
     move: Callable[[ComplexArray, float, ComplexArray], ComplexArray]
-    """move(values, dt, path): path of poses (x, y, yaw) at the steps' ends, shape (n_steps + 1, 3), table frame, to that driven."""
+    """move(values, dt, path): the driven path for the reported one; poses (x, y, yaw) at the steps' ends, shape (n_steps + 1, 3), table
+    frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +224,7 @@ class OnPusherFriction:
     """Acts on the friction coefficient of the pusher."""
 
     change: Callable[[ComplexArray, ComplexArray], ComplexArray]
-    """change(values, coefficient): the coefficient that holds, shape (1,)."""
+    """change(values, coefficient): the actual coefficient, shape (1,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +232,7 @@ class OnTimes:
     """Acts on the times at which poses are measured."""
 
     move: Callable[[ComplexArray, ComplexArray], ComplexArray]
-    """move(values, time): when the pose that is reported for `time` was seen [s], shape (n_frames,)."""
+    """move(values, time): time of measurement of the pose that is reported for `time` [s], shape (n_frames,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +240,7 @@ class OnPoses:
     """Acts on measured poses."""
 
     see: Callable[[ComplexArray, ComplexArray], ComplexArray]
-    """see(values, pose): what is reported of the true poses (x, y, yaw), shape (n_frames, 3), table frame."""
+    """see(values, pose): reported poses for the true ones (x, y, yaw), shape (n_frames, 3), table frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +254,7 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Something that the base model leaves out."""
+    """A physical or measurement law that the base model leaves out."""
 
     name: str
     what: str
@@ -271,7 +272,7 @@ class Effect:
     """What to do at the cell to confirm it without a push, one sentence. Required of a cause."""
     memory: Memory | None = None
     needs_inertia: bool = False
-    """Whether it means nothing in a quasi-static push."""
+    """Whether it has no meaning in a quasi-static push."""
     is_unknown_cause: bool = False
     """It names no cause: it measures what no named effect explains."""
     exact_twins: tuple[str, ...] = ()
@@ -289,7 +290,7 @@ class Effect:
         if loads and max(len(self.parameters), memory) > MAX_LOAD_NUMBERS:
             raise InputError(
                 f"The effect {self.name} loads cells by {len(self.parameters)} parameters and {memory} numbers of memory, "
-                f"expected {MAX_LOAD_NUMBERS} of each at most; raise MAX_LOAD_NUMBERS and `_four` in table.py, or use fewer."
+                f"expected {MAX_LOAD_NUMBERS} of each at most; raise MAX_LOAD_NUMBERS and `_four` in table_laws.py, or use fewer."
             )
         if not (self.check or self.is_unknown_cause):
             raise InputError(f"The effect {self.name} has no `check`; say in one sentence how to confirm it at the cell without a push.")
@@ -312,5 +313,5 @@ class Effect:
 
     @property
     def moves_outline(self) -> bool:
-        """Whether it displaces the surface that the pusher meets."""
+        """Whether it displaces the surface that the pusher touches."""
         return isinstance(self.acts, OnContact) and self.acts.quantity == "offset"

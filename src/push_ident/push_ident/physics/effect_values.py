@@ -1,4 +1,4 @@
-"""Which effects act in a push, with which values; and what they do outside the compiled rollout."""
+"""Active effects with their values, and their laws outside the compiled rollout: path, friction, times, poses."""
 
 from __future__ import annotations
 
@@ -15,20 +15,17 @@ from push_ident.physics.effect import (
     STEP_OF_INPUT,
     Effect,
     EffectParameter,
-    OnContact,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
-    OnTable,
     OnTimes,
 )
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.table import N_FIXED_INPUTS, ActiveEffects, Places
 from push_ident.types import Float64Array
 
 __all__ = [
-    "NO_EFFECTS", "EffectValues", "EffectsLike", "active_effects", "changed_friction", "driven_path", "effect_values", "seen_poses",
-    "seen_times", "true_pose",
+    "NO_EFFECTS", "EffectValues", "EffectsLike", "changed_friction", "driven_path", "effect_values", "measurement_times",
+    "reported_poses", "true_pose",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
@@ -39,7 +36,7 @@ _NEWTON_STEPS = 4
 
 @dataclass(frozen=True, slots=True)
 class EffectValues:
-    """Active effects with the values of their parameters. Build them with `effect_values`."""
+    """Active effects with the values of their parameters; made by `effect_values`."""
 
     names: tuple[str, ...]
     """Of the effects, as keys of `EFFECTS`, each once."""
@@ -51,6 +48,7 @@ class EffectValues:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
+        """In the order of `names`."""
         return tuple(EFFECTS[name] for name in self.names)
 
     @property
@@ -64,7 +62,7 @@ class EffectValues:
         return tuple(f"{effect.name}.{parameter.name}" for effect in self.effects for parameter in effect.parameters)
 
     def slice_of(self, name: str) -> slice:
-        """Where the values of an active effect stand."""
+        """Position of the values of an active effect."""
         start = 0
         for effect in self.effects:
             stop = start + len(effect.parameters)
@@ -90,14 +88,14 @@ class EffectValues:
 
 
 EffectsLike = EffectValues | Mapping[str, Mapping[str, float] | ArrayLike] | Sequence[str]
-"""Effects by name, each with its values in order or by name (those left out are nominal): {"table_tilt": {"x": 0.01}}. Names alone
-stand for effects at their nominal values, which change nothing but have a derivative."""
+"""Effects by name, each with its values in order or by name (those left out are nominal): {"table_tilt": {"x": 0.01}}. A list
+of names gives effects at their nominal values, which have no influence but a derivative."""
 
 NO_EFFECTS = EffectValues((), np.zeros(0))
 
 
 def effect_values(effects: EffectsLike | None) -> EffectValues:
-    """Active effects from what a caller may write.
+    """Active effects in the form of this package.
 
     Raises:
         InputError: an unknown effect or parameter, another number of values, or values out of their range.
@@ -133,7 +131,7 @@ _Step = Callable[[ComplexArray, ComplexArray], ComplexArray]
 
 
 def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """What steps (values, x) -> x, one after the other, make of x, and its derivative by the values, shape (n_values, *x.shape)."""
+    """Result of steps (values, x) -> x, one after the other, and its derivative by the values, shape (n_values, *x.shape)."""
     values = effects.values.astype(np.complex128)
 
     def result() -> ComplexArray:
@@ -169,19 +167,20 @@ def _move(
 
 
 def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, Float64Array]:
-    """The pusher's friction coefficient that holds where the model says `coefficient`, and its derivative by the values."""
+    """The pusher's friction coefficient under the effects, where that of the model is `coefficient`, and its derivative by the values."""
     steps = [(own, effect.acts.change) for effect, own in _places(effects) if isinstance(effect.acts, OnPusherFriction)]
     value, by_value = _through(steps, effects, np.array([coefficient]))
     return float(value[0]), by_value[:, 0]
 
 
-def seen_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """When the poses reported for `time` were seen [s], shape (n_frames,), and its derivative by the values, shape (n_values, n_frames)."""
+def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Times [s] at which the poses reported for `time` were measured, shape (n_frames,), and their derivative by the values, shape
+    (n_values, n_frames)."""
     return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnTimes)], effects, time)
 
 
-def seen_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """What is reported of true poses, shape (n_frames, 3), table frame.
+def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Reported poses for true ones, shape (n_frames, 3), table frame.
 
     Returns:
         The poses; their derivative by the true ones, shape (n_frames, 3, 3); and by the values, shape (n_values, n_frames, 3).
@@ -199,69 +198,11 @@ def seen_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array,
 
 
 def true_pose(effects: EffectsLike | None, reported: Float64Array) -> Float64Array:
-    """The pose that is reported as `reported`, shape (3,), table frame: the inverse of `seen_poses`."""
+    """The pose that is reported as `reported`, shape (3,), table frame: the inverse of `reported_poses`."""
     acting = effect_values(effects)
     pose = np.array(reported, dtype=np.float64)
     if any(isinstance(effect.acts, OnPoses) for effect in acting.effects):
         for _ in range(_NEWTON_STEPS):
-            seen, by_pose, _ = seen_poses(acting, pose[None])
-            pose -= np.linalg.solve(by_pose[0], seen[0] - reported)
+            own, by_pose, _ = reported_poses(acting, pose[None])
+            pose -= np.linalg.solve(by_pose[0], own[0] - reported)
     return pose
-
-
-def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cell_size: float, order: float) -> ActiveEffects:
-    """The effects in the arrays of the kernels.
-
-    Args:
-        effects: which act.
-        d_path: derivative of the path, as from `driven_path`.
-        arms: cell centres from the centre of mass [m], shape (2, n_cells).
-        cell_size: edge of a cell [m].
-        order: how many pushes went before.
-    """
-    first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
-    places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
-    on_table, pulled, moves = (np.zeros(len(effects), dtype=np.bool_) for _ in range(3))
-    names = list(EFFECTS)
-    quantities = {"offset": -1, "restitution": -1}
-    n_memory = 0
-    rebound = -1
-    for effect, own in _places(effects):
-        place, acts = names.index(effect.name), effect.acts
-        places.values[place] = first_value + own.start
-        on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
-        pulled[own] = isinstance(acts, OnTable) and acts.pull is not None
-        if isinstance(acts, OnContact):
-            quantities[acts.quantity] = own.start
-            rebound = n_memory if acts.quantity == "restitution" else rebound
-        if effect.memory is not None:
-            places.memory[place] = N_FIXED_INPUTS + n_memory
-            n_memory += effect.memory.size
-    loading = np.array(
-        [names.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)], dtype=np.int64
-    )
-    x, y = arms
-    table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
-    return ActiveEffects(
-        values=np.array(effects.values),
-        on_table=on_table,
-        pulled=pulled,
-        places=places,
-        n_memory=n_memory,
-        loading=loading,
-        is_plane=np.array([isinstance(effect.acts, OnTable) and effect.acts.is_plane for effect in EFFECTS.values()]),
-        loads=len(loading) > 0,
-        planes=any(acts.is_plane for acts in table),
-        shifts=any(acts.shift is not None for acts in table),
-        uneven=any(acts.load is not None for acts in table),
-        skews=any(acts.skew is not None for acts in table),
-        pulls=any(acts.pull is not None for acts in table),
-        offset=quantities["offset"],
-        restitution=quantities["restitution"],
-        rebound=rebound,
-        moves=moves,
-        d_path=d_path,
-        spread=(float(x.mean()), float(y.mean()), float(np.mean(x * x + y * y) + cell_size**2 / 6)),
-        cell_size=cell_size,
-        order=float(order),
-    )

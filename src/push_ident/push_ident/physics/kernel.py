@@ -1,8 +1,8 @@
-"""How kernels are compiled, and kept on disk honestly.
+"""Compilation of kernels, and a cache on disk that is never stale.
 
-Numba files a compiled kernel under the content of its own source and does not notice that a kernel of another file, which it has
-compiled in, changed. Therefore any change of a source of this package, or of an effect, drops all of its compiled kernels. Kernels with
-effects of other folders (`effect_folders.py`) are kept apart, so that the kernels without them stay.
+Numba's cache checks only the source file of a kernel itself. It does not detect changes of kernels in other files that the compiler
+inlined. Therefore any change of a source of this package, or of an effect, drops all of its compiled kernels. Kernels compiled with
+effects of other folders (`effect_folders.py`) have a cache of their own, so that the kernels without these effects stay valid.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ __all__ = ["fast_kernel", "kernel"]
 
 _EXTRA_FILES = extra_effect_files()
 if _EXTRA_FILES:
-    # numba asks for the folder where a function is decorated.
+    # numba reads the setting when it decorates a function.
     config.CACHE_DIR = str(Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / "with_extra_effects")
 
 kernel = partial(njit, cache=True, error_model="numpy", nogil=True)
-"""Compiles a function; division by zero gives infinity, as in numpy. Other threads go on while it runs: those of a node that listens, and
-those that simulate other pushes."""
+"""Compile a function. Division by zero gives infinity, as in numpy. A kernel releases Python's global lock, so that a node's other threads
+and simulations of other pushes run beside it."""
 
 fast_kernel = partial(kernel, fastmath={"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"})
-"""For sums over cells: their order is free, so that they run in vector registers. Not for code that meets NaN or infinity."""
+"""For sums over cells: the compiler may reorder them for vector registers. Not for code that must handle NaN or infinity."""
 
 
 @kernel
 def _probe() -> int:
-    """Its compiled form lies where numba keeps the kernels of this folder."""
+    """Locates the folder in which numba stores the kernels of this package."""
     return 0
 
 
@@ -50,7 +50,7 @@ def _drop_stale_kernels() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         stamp.write_text(digest)
     except OSError:
-        # A folder that cannot be written holds no kernels that a change of the sources could make stale.
+        # A folder that cannot be written holds no kernels that a change of the sources could invalidate.
         return
 
 

@@ -6,23 +6,23 @@ The problem is Eq. 2 of Song & Boularias (2020), with the unknowns in the order 
     | s | + | G  F  0  | | gamma | = |  m |        s >= 0,  gamma >= 0,  s' gamma = 0
     | 0 |   | A  0  0  | | beta  |   |  0 |
 
-M is diagonal and positive, A has independent rows, and F need not be symmetric: friction never makes it so.
+M is diagonal and positive, and A has independent rows. F need not be symmetric; with friction it is not.
 
-**Solution.** With N a basis of the null space of A, scaled so that N'MN = I, the motion is alpha = -N (N'q + H' gamma), H = G N, and
-what is left is a standard problem, s = b + (HH' - F) gamma with b = m + H N'q. It is solved by the primal-dual method with predictor and
-corrector of Mehrotra, as Mattingley & Boyd (2012) write it for embedded use. F is block diagonal (a block a contact), H has
-few columns (three for one rigid body), so the linear system of an iteration costs one small factorisation a block and one for all.
+**Solution.** With N a basis of the null space of A, scaled so that N'MN = I, the motion is alpha = -N (N'q + H' gamma), H = G N. This
+leaves a standard problem, s = b + (HH' - F) gamma with b = m + H N'q. Mehrotra's primal-dual predictor-corrector method solves it, in the
+form of Mattingley & Boyd (2012) for embedded use. F is block diagonal (one block for each contact) and H has few columns (three for one
+rigid body), so the linear system of an iteration costs one small factorisation for each block and one for all.
 
-**Derivative.** The four equations of the solution (the three rows above and s o gamma = 0) define it implicitly. For a loss with gradient
-(g_alpha, g_gamma) the adjoint variables solve the *transposed* system
+**Derivative.** Four equations define the solution implicitly: the three rows above and s o gamma = 0. For a loss with gradient
+(g_alpha, g_gamma), the adjoint variables solve the *transposed* system
 
     | M  G'           A' | | u |   | g_alpha |
     | G  F' - S/Gamma 0  | | w | = | g_gamma |        dloss/dq = -u,  dloss/dm = w,  dloss/dF = -w gamma', ...
     | A  0            0  | | z |   | 0       |
 
-The slack scaling S/Gamma is diagonal and so its own transpose; F is not. Differentiable engines in circulation write the system of the
-forward solve in its place, F where F' belongs. They are right while a contact sticks or is free, since then the rows that tell
-the two apart drop out, and wrong, up to the sign, as soon as one slides.
+The slack scaling S/Gamma is diagonal and so its own transpose; F is not. Some published differentiable engines use the system of the
+forward solve, with F in place of F'. Their gradients are right while each contact sticks or is free, since then the rows in which F and
+F' differ drop out. They are wrong, even in sign, when a contact slides.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from push_ident.errors import InputError
 
 __all__ = ["Lcp", "LcpSolution", "LcpStatus", "solve_lcp"]
 
-_RATIO_FLOOR = 1e-11  # of s / gamma, scaled, under which a row counts as active in the factorisation
-_REFINED = 1e-15  # residual of a linear system, as a share of its right-hand side, at which refinement ends
-_SINGULAR = 1e-8  # residual above which an adjoint system counts as singular
+_RATIO_FLOOR = 1e-11  # lower bound of the scaled s / gamma in the factorisation
+_REFINED = 1e-15  # residual of a linear system, relative to its right-hand side, at which refinement ends
+_SINGULAR = 1e-8  # relative residual above which an adjoint system counts as singular
 _MAX_REFINEMENTS = 20
-# Starting points (gamma, s) of the interior-point method. Where the problem is not monotone one may lead nowhere and the next to the goal.
+# Starting points (gamma, s) of the interior-point method. If the problem is not monotone, it may fail from one and converge from another.
 _STARTS = ((1.0, 1.0), (10.0, 10.0), (1.0, 10.0), (0.1, 0.1))
 
 
 class LcpStatus(Enum):
-    """How the solve of one problem ended; the value says what to do about it."""
+    """Outcome of the solve of one problem; the value gives the cause and the remedy."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "not converged within the iterations allowed; allow more, or check that the problem has a solution"
     DEPENDENT_ROWS = "rows of A depend on each other; leave out the redundant ones"
-    NOT_FINITE = "the problem holds values that are not finite"
+    NOT_FINITE = "the problem contains values that are not finite"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +112,11 @@ class LcpSolution:
     beta: Tensor
     """Shape (batch, n_beta); not differentiable."""
     s: Tensor
-    """Shape (batch, n_gamma); not differentiable, m - G alpha - F gamma is."""
+    """Shape (batch, n_gamma); not differentiable. Use m - G alpha - F gamma for gradients."""
     status: tuple[LcpStatus, ...]
-    """One a problem."""
+    """One for each problem."""
     iterations: tuple[int, ...]
-    """Of the interior-point method, from all its starting points together, one a problem."""
+    """Of the interior-point method, summed over its starting points, one for each problem."""
 
     @property
     def converged(self) -> bool:
@@ -129,27 +129,28 @@ def solve_lcp(problem: Lcp, *, tolerance: float = 1e-12, max_iterations: int = 6
 
     Args:
         problem: the batch.
-        tolerance: bound on the residual of the second row, and a hundred times that on each product s_i gamma_i, once rows and columns
-            are scaled so that the problem is of order one. Much below the default rounding stands in the way.
-        max_iterations: of the interior-point method from each of its four starting points; the first and a dozen iterations are the rule.
+        tolerance: bound on the residual of the second row, with rows and columns scaled so that the problem is of order one. The bound on
+            each product s_i gamma_i is a hundredth of it. Rounding prevents tolerances much below the default.
+        max_iterations: of the interior-point method from each of its four starting points. Usually the first converges in about twelve.
 
     Returns:
         Solutions with their statuses. Where HH' - F is positive semidefinite (no friction at contacts of unknown load) the method
-        reaches any solution there is; elsewhere it nearly always does, and says so when it does not.
+        finds a solution whenever one exists. Elsewhere it nearly always does; the status reports a failure.
 
     Raises:
         InputError: shapes that do not fit, tensors not in double precision, masses that are not positive.
     """
-    outcome = _Outcome()
-    alpha, gamma, beta, s = _SolveLcp.apply(
-        problem.M, problem.q, problem.G, problem.F, problem.m, problem.A, tolerance, max_iterations, outcome
-    )
+    outcome = _Outcome(tolerance, max_iterations)
+    alpha, gamma, beta, s = _SolveLcp.apply(problem.M, problem.q, problem.G, problem.F, problem.m, problem.A, outcome)
     return LcpSolution(alpha, gamma, beta, s, outcome.status, outcome.iterations)
 
 
+@dataclass(slots=True)
 class _Outcome:
-    """Carries what is no tensor out of the autograd function."""
+    """Settings and results of the autograd function that are not tensors."""
 
+    tolerance: float
+    max_iterations: int
     status: tuple[LcpStatus, ...] = ()
     iterations: tuple[int, ...] = ()
 
@@ -164,8 +165,6 @@ class _SolveLcp(torch.autograd.Function):
         F: Tensor,
         m: Tensor,
         A: Tensor,
-        tolerance: float,
-        max_iterations: int,
         outcome: _Outcome,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         finite = torch.stack([torch.isfinite(x).flatten(1).all(dim=1) for x in (M, q, G, F, m, A)]).all(dim=0)
@@ -176,7 +175,9 @@ class _SolveLcp(torch.autograd.Function):
         H = G @ N
         d = _row_scale(H, F)
         free = _times(N.mT, q)
-        gamma, s, solved, iterations = _solve_standard(*_scaled(d, H, F), d * (m + _times(H, free)), tolerance, max_iterations)
+        gamma, s, solved, iterations = _solve_standard(
+            *_scaled(d, H, F), d * (m + _times(H, free)), outcome.tolerance, outcome.max_iterations
+        )
         gamma, s = gamma * d, s / d
         alpha = -_times(N, free + _times(H.mT, gamma))
         beta = -_normal_solve(R, _times(A, (q + _times(G.mT, gamma)) / M))
@@ -193,11 +194,11 @@ class _SolveLcp(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, g_alpha: Tensor, g_gamma: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
         M, G, F, A, N, R, d, alpha, gamma, beta, s, good = ctx.saved_tensors
-        # A problem that was not solved passes no gradient on.
+        # A problem that was not solved contributes no gradient.
         good = good[:, None]
         alpha, beta = torch.where(good, alpha, 0.0), torch.where(good, beta, 0.0)
-        # In the limit a ratio is 0 or infinite. The third power takes it there from where the iterations ended, and leaves alone
-        # the pairs that are zero both, at which the derivative is a compromise between those of the two sides.
+        # In the limit a ratio is 0 or infinite. The third power brings the ratio of the last iteration close to that limit. It keeps
+        # the ratio of pairs in which both are zero; their derivative lies between those of the two sides.
         gamma, ratio = torch.where(good, gamma, 0.0), torch.where(good, (d * d * s / gamma) ** 3, 1.0)
         g_alpha, g_gamma = torch.where(good, g_alpha, 0.0), torch.where(good, g_gamma, 0.0)
 
@@ -217,8 +218,6 @@ class _SolveLcp(torch.autograd.Function):
             -_outer(w.reshape(blocks), gamma.reshape(blocks)) if need_F else None,
             w if need_m else None,
             -(_outer(beta, u) + _outer(z, alpha)) if z is not None else None,
-            None,
-            None,
             None,
         )
 
@@ -249,7 +248,7 @@ def _null_space(M: Tensor, A: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     root = torch.sqrt(M)[..., None]
     if n_beta == 0:
         return torch.diag_embed(1 / root[..., 0]), A.new_zeros(len(A), 0, 0), torch.ones(len(A), dtype=torch.bool)
-    # Orthogonal factors keep the null space exact where the masses of a row differ by orders of magnitude.
+    # Orthogonal factors keep the null space accurate where the masses of a row differ by orders of magnitude.
     Q, R = torch.linalg.qr(A.mT / root, mode="complete")
     R = R[:, :n_beta]
     pivots = R.diagonal(dim1=-2, dim2=-1).abs()
@@ -257,16 +256,16 @@ def _null_space(M: Tensor, A: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _normal_solve(R: Tensor, b: Tensor) -> Tensor:
-    """x of R'R x = b."""
+    """Solve R'R x = b for x."""
     y = torch.linalg.solve_triangular(R.mT, b[..., None], upper=False)
     return torch.linalg.solve_triangular(R, y, upper=True)[..., 0]
 
 
 class _KktSolver:
-    """Solves (S/Gamma + HH' - F) x = r: one small factorisation a block, and one of as many rows as H has columns.
+    """Solves (S/Gamma + HH' - F) x = r with one small factorisation for each block, and one with as many rows as H has columns.
 
-    Near the solution the ratios of active rows are as small as rounding, and cancel in the elimination of the blocks. So the system is
-    factorised with a floor under them, which then is refined away.
+    Near the solution the ratios of active rows are as small as rounding errors and vanish in the elimination of the blocks. So the system
+    is factorised with a lower bound on the ratios; iterative refinement then removes its influence.
 
     Shapes: ratio (batch, n), H (batch, n, r), F (batch, n_blocks, size, size), n = n_blocks * size.
     """
@@ -288,7 +287,7 @@ class _KktSolver:
         return (x - self._block_H @ torch.linalg.lu_solve(self._motion_lu, self._motion_pivots, self._H.mT @ x))[..., 0]
 
     def solve(self, r: Tensor, max_refinements: int) -> tuple[Tensor, Tensor]:
-        """x, and the largest residual left in each problem as a share of the largest of r, shape (batch,)."""
+        """x, and the largest remaining residual of each problem relative to the largest entry of r, shape (batch,)."""
         size = torch.clamp(r.abs().amax(dim=1), min=1e-300)
         x, residual = torch.zeros_like(r), r
         for _ in range(1 + max_refinements):
@@ -301,7 +300,7 @@ class _KktSolver:
 
 
 def _scaled(d: Tensor, H: Tensor, F: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows of H, rows and columns of F times d."""
+    """H with its rows multiplied by d, and F with its rows and columns multiplied by d."""
     by_block = d.reshape(F.shape[:3])
     return d[..., None] * H, _outer(by_block, by_block) * F
 
@@ -320,7 +319,7 @@ def _row_scale(H: Tensor, F: Tensor) -> Tensor:
 
 
 def _solve_standard(H: Tensor, F: Tensor, b: Tensor, tolerance: float, max_iterations: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """gamma and s of s = b + (HH' - F) gamma, s, gamma >= 0, s'gamma = 0; whether each was solved; iterations spent on each.
+    """gamma and s of s = b + (HH' - F) gamma, s, gamma >= 0, s'gamma = 0; whether each problem was solved; iterations of each.
 
     Shapes: H (batch, n, r), F (batch, n_blocks, size, size), b (batch, n).
     """
@@ -369,7 +368,7 @@ def _interior_point(
         step = torch.clamp(_step_to_boundary(g, dg, t, dt), max=1.0)
         centring = (((g + step * dg) * (t + step * dt)).mean(dim=1, keepdim=True) / gap) ** 3
         dg, dt = _newton(kkt, g, t, residual, product + dg * dt - torch.clamp(centring * gap, min=1e-3 * tolerance))
-        # Nearer to the boundary as the gap closes, so that the last iterations converge faster than linearly.
+        # Steps approach the boundary more closely as the gap decreases, so that the last iterations converge superlinearly.
         step = torch.clamp(torch.clamp(1.0 - gap, 0.99, 1.0 - 1e-6) * _step_to_boundary(g, dg, t, dt), max=1.0)
         gamma[active] = g + step * dg
         s[active] = t + step * dt
@@ -377,12 +376,12 @@ def _interior_point(
 
 
 def _newton(kkt: _KktSolver, gamma: Tensor, s: Tensor, residual: Tensor, product: Tensor) -> tuple[Tensor, Tensor]:
-    """Step (d_gamma, d_s) that takes the linearised `residual` and `product` (s o gamma) to zero."""
+    """Newton step (d_gamma, d_s) that makes the linearised `residual` and `product` (s o gamma) zero."""
     d_gamma, _ = kkt.solve(residual - product / gamma, max_refinements=2)
     return d_gamma, -(product + s * d_gamma) / gamma
 
 
 def _step_to_boundary(gamma: Tensor, d_gamma: Tensor, s: Tensor, d_s: Tensor) -> Tensor:
-    """Largest step, up to a thousand, that keeps gamma and s from below zero, shape (batch, 1)."""
+    """Largest step, at most 1000, that keeps gamma and s non-negative, shape (batch, 1)."""
     shrink = torch.maximum(-d_gamma / gamma, -d_s / s).amax(dim=1, keepdim=True)
     return 1.0 / torch.clamp(shrink, min=1e-3)

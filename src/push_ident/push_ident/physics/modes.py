@@ -1,15 +1,15 @@
-"""The contact problem of one step, solved exactly by trying its modes (compiled).
+"""The contact problem of one step, solved exactly by enumeration of its modes (compiled).
 
-For a support friction that is linear about the present twist, a step is
+With support friction linearised about the present twist, a step is
 
-    H du = r + sum_k N_k' n_k + T' t,     0 <= n_k  perpendicular to  N_k du - miss_k >= 0,     |t| <= mu sum_k n_k against the slip
+    H du = r + sum_k N_k' n_k + T' t,     0 <= n_k  perpendicular to  N_k du - miss_k >= 0,     |t| <= mu sum_k n_k, opposite to the slip
 
 with the normal impulses n_k of up to five contacts and one tangential impulse t. The sum runs over the contacts that share the
-tangent T: the first, and those on the same flat face (a line contact, whose points all slip alike). Contacts on another face are
-frictionless: three velocities cannot carry two independent stick conditions beside two normal ones.
+tangent T: the first, and those on the same flat face (a line contact, whose points have one slip velocity). Contacts on another face are
+frictionless: three velocities cannot satisfy two independent stick conditions and two normal ones.
 
-A mode says which contacts press and whether the tangent is free, sticks or slips; within a mode the problem is linear. Its matrix
-is unsymmetric where a contact slips: the impulse acts along N + drag T, the condition is on N alone.
+A mode states which contacts press, and whether the tangent is free, sticks or slips. Within a mode the problem is linear. Its matrix
+is unsymmetric where a contact slips: the impulse acts along N + drag T, while the constraint is on N only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from push_ident.types import Float64Array
 
 __all__ = [
     "BOUND", "CONTACT_COLUMNS", "MAX_CONTACTS", "MODE_FREE", "MODE_SLIDE_MINUS", "MODE_SLIDE_PLUS", "MODE_STICK", "NO_MODE",
-    "SHARES_TANGENT", "ModeScratch", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small", "tangent_row",
+    "SHARES_TANGENT", "ModeScratch", "StepContacts", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small",
+    "tangent_row",
 ]  # fmt: skip
 
 MAX_CONTACTS = 5
@@ -36,7 +37,7 @@ MODE_SLIDE_PLUS = 2
 """The object slides along +T on the pusher, so that t = -mu sum n_k."""
 MODE_SLIDE_MINUS = 3
 NO_MODE = -1
-"""A mode code is the mode of the tangent + 4 * (sum of 2^k over the contacts k that press); this one says that none was found."""
+"""No mode satisfies the inequalities. Any other mode code is the mode of the tangent + 4 * (sum of 2^k over the contacts k that press)."""
 
 _TANGENT = MAX_CONTACTS  # row of the tangent of contact 0
 
@@ -44,25 +45,37 @@ _TANGENT = MAX_CONTACTS  # row of the tangent of contact 0
 BOUND = 3
 SHARES_TANGENT = 4
 CONTACT_COLUMNS = 5
-"""Contacts of one step are one array, object axes, shape (2 MAX_CONTACTS, CONTACT_COLUMNS): the rows N_k, then the rows T_k, with
+"""Contacts of one step form one array, object axes, shape (2 MAX_CONTACTS, CONTACT_COLUMNS): the rows N_k, then the rows T_k. Columns:
 
-    0-2   the row: velocity of the contact point along -n, or along t, for a unit of each velocity
-    3     bound [m/s]: what N_k u must reach, and what T_k u is compared with
+    0-2   velocity of the contact point along -n (N_k) or along t (T_k) for a unit of each velocity of the twist
+    3     bound [m/s]: lower bound of N_k u; velocity of the pusher along t, which T_k u equals without slip
     4     of N_k: 1 for a contact on the face of the first one, else 0
 """
 
 
+class StepContacts(NamedTuple):
+    """The contacts of one step."""
+
+    rows: Float64Array
+    """Shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `CONTACT_COLUMNS`."""
+    number: int
+    """Number of contacts."""
+    mu: float
+    """Friction coefficient of the pusher."""
+
+
 class ModeScratch(NamedTuple):
-    """Space for the linear system of a mode: du and the impulses x from H du - P' x = r and C du = miss."""
+    """Scratch space for the linear system of a mode: du and the impulses x from H du - P' x = r and C du = miss."""
 
     row: NDArray[np.int64]
-    """Rows of the contacts that make C, shape (MAX_CONTACTS + 1,)."""
+    """Indices of the contact rows in C, shape (MAX_CONTACTS + 1,)."""
     matrix: Float64Array
-    """[H -P'; C 0], and room for three conditions more, shape (12, 12)."""
+    """[H -P'; C 0] with room for three more conditions, shape (12, 12)."""
     right: Float64Array
     """Shape (9, 1)."""
 
 
+@kernel
 def new_mode_scratch() -> ModeScratch:
     """Scratch space of `solve_modes`."""
     n = MAX_CONTACTS + 1
@@ -71,7 +84,7 @@ def new_mode_scratch() -> ModeScratch:
 
 @kernel
 def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
-    """Solve a[:n, :n] x = b[:n, :m] in place by elimination with row exchange; b becomes x. False where a is singular."""
+    """Solve a[:n, :n] x = b[:n, :m] in place by Gaussian elimination with partial pivoting. b becomes x. False where a is singular."""
     for k in range(n):
         p, best = k, abs(a[k, k])
         for i in range(k + 1, n):
@@ -103,7 +116,7 @@ def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
 
 @kernel
 def tangent_row(code: int, contacts: Float64Array) -> int:
-    """Row of the tangent that the friction of a mode acts along: that of the first pressing contact of the common face."""
+    """Row of the tangent along which friction acts in a mode: that of the first pressing contact of the common face."""
     for k in range(MAX_CONTACTS):
         if (code >> (2 + k)) & 1 and contacts[k, SHARES_TANGENT] != 0.0:
             return _TANGENT + k
@@ -112,15 +125,16 @@ def tangent_row(code: int, contacts: Float64Array) -> int:
 
 @kernel
 def drag_sign(code: int) -> float:
-    """Sign of t / (mu sum n_k): -1 when the object slides along +T, 0 when it does not slide."""
+    """Sign of t / (mu sum n_k): -1 when the object slips along +T, +1 along -T, 0 when it does not slip."""
     mode = code % 4
     return -1.0 if mode == MODE_SLIDE_PLUS else (1.0 if mode == MODE_SLIDE_MINUS else 0.0)
 
 
 @kernel
-def mode_system(code: int, h: Float64Array, contacts: Float64Array, mu: float, row: NDArray[np.int64], a: Float64Array) -> int:
-    """Fill `row` and the matrix `a` of a mode; returns the number of its impulses: normal ones in order, then the tangent if it sticks."""
-    tangent, drag = tangent_row(code, contacts), drag_sign(code) * mu
+def mode_system(code: int, h: Float64Array, step_contacts: StepContacts, row: NDArray[np.int64], a: Float64Array) -> int:
+    """Fill `row` and the matrix `a` of a mode. Returns the number of impulses: normal ones, then the tangential one if it sticks."""
+    contacts = step_contacts.rows
+    tangent, drag = tangent_row(code, contacts), drag_sign(code) * step_contacts.mu
     n = 0
     for k in range(MAX_CONTACTS):
         if (code >> (2 + k)) & 1:
@@ -147,7 +161,7 @@ def mode_system(code: int, h: Float64Array, contacts: Float64Array, mu: float, r
 
 @kernel
 def _exists(code: int, contacts: Float64Array, n_contacts: int) -> bool:
-    """Whether a code is a mode of so many contacts: friction acts if, and only if, a contact of the common face presses."""
+    """Whether a code is a mode of `n_contacts` contacts: friction acts if and only if a contact of the common face presses."""
     pressing = code // 4
     if pressing >= 1 << n_contacts:
         return False
@@ -159,13 +173,13 @@ def _exists(code: int, contacts: Float64Array, n_contacts: int) -> bool:
             touches = touches or contacts[k, SHARES_TANGENT] != 0.0
     if touches == (code % 4 == MODE_FREE):
         return False
-    # Three velocities meet three conditions at most.
+    # Three velocities can satisfy at most three conditions.
     return number + (1 if code % 4 == MODE_STICK else 0) <= 3
 
 
 @kernel
 def _reaches(contacts: Float64Array, k: int, b: Float64Array, miss: Float64Array) -> float:
-    """How far row k exceeds its bound after the change of the twist in `b` [m/s]."""
+    """Excess of row k over its bound after the change of the twist in `b` [m/s]."""
     return contacts[k, 0] * b[0, 0] + contacts[k, 1] * b[1, 0] + contacts[k, 2] * b[2, 0] - miss[k]
 
 
@@ -173,34 +187,30 @@ def _reaches(contacts: Float64Array, k: int, b: Float64Array, miss: Float64Array
 def solve_modes(
     h: Float64Array,
     r: Float64Array,
-    contacts: Float64Array,
-    n_contacts: int,
+    step_contacts: StepContacts,
     miss: Float64Array,
-    mu: float,
     first_guess: int,
     du: Float64Array,
     impulse: Float64Array,
-    row: NDArray[np.int64],
-    a: Float64Array,
-    b: Float64Array,
+    scratch: ModeScratch,
 ) -> int:
-    """Change of the twist and the impulses of a step whose support friction is linear.
+    """Change of the twist, and impulses, of a step with linear support friction.
 
     Args:
         h: H, shape (3, 3).
         r: shape (3,).
-        contacts: the contacts (`CONTACT_COLUMNS`).
-        n_contacts: how many of them there are.
+        step_contacts: the contacts.
         miss: bounds - rows times the present twist [m/s], shape (2 MAX_CONTACTS,).
-        mu: friction coefficient of the pusher.
-        first_guess: code that is tried first, that of the step before.
+        first_guess: mode code to try first, usually that of the step before.
         du: filled, shape (3,).
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
-        row, a, b: scratch, the fields of `ModeScratch`.
+        scratch: scratch space.
 
     Returns:
         The code of the mode, or `NO_MODE`.
     """
+    contacts, n_contacts, mu = step_contacts.rows, step_contacts.number, step_contacts.mu
+    row, a, b = scratch.row, scratch.matrix, scratch.right
     scale = 1e-12
     for k in range(n_contacts):
         scale += 1e-12 * (abs(contacts[k, BOUND]) + abs(contacts[_TANGENT + k, BOUND]))
@@ -208,7 +218,7 @@ def solve_modes(
         code = first_guess if trial < 0 else trial
         if not _exists(code, contacts, n_contacts):
             continue
-        n = mode_system(code, h, contacts, mu, row, a)
+        n = mode_system(code, h, step_contacts, row, a)
         for i in range(3):
             b[i, 0] = r[i]
         for i in range(n):
@@ -216,7 +226,7 @@ def solve_modes(
         if not solve_small(a, b, 3 + n, 1):
             continue
 
-        # The inequalities that the mode assumes.
+        # Check the inequalities that the mode assumes.
         mode = code % 4
         n_pressing = n - 1 if mode == MODE_STICK else n
         carried = 0.0

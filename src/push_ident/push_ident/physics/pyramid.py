@@ -6,13 +6,13 @@ c q of each is
 
     t = w1 - w2,    0 <= w1  perpendicular to  1 - q >= 0,    0 <= w2  perpendicular to  1 + q >= 0
 
-which is the complementarity problem of Song & Boularias (2020, Eq. 2), cell by cell. The interior-point method asks for products
-w z = nu instead of 0 and lowers nu. A Newton iteration eliminates every cell in closed form,
+which is the complementarity problem of Song & Boularias (2020, Eq. 2), cell by cell. The interior-point method relaxes the products
+w z = 0 to w z = nu and decreases nu. A Newton iteration eliminates every cell in closed form,
 
     dq = (d . J u+ - nu / z1 + nu / z2) / (w1 / z1 + w2 / z2),      z1 = 1 - q,  z2 = 1 + q
 
 so that an iteration is one sweep over the cells and one problem in the three velocities. Contact is not relaxed: its modes are
-tried exactly, as in `step.py`.
+enumerated exactly, as in `step.py`.
 """
 
 from __future__ import annotations
@@ -23,23 +23,25 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import fast_kernel, kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, solve_modes
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, StepContacts, solve_modes
 from push_ident.physics.step import StepScratch
+from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.support import SupportImpulse
 from push_ident.types import Float64Array
 
 __all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_friction", "pyramid_step"]
 
 FINAL_NU = 1e-13
-"""Where the central path ends: products w z [m/s]. A cell that sticks creeps at most that fast."""
+"""Products w z at the end of the central path [m/s]. A sticking cell creeps at most at this speed."""
 _STUCK = 1e3
-"""A diagonal whose stiffness is more than this multiple of the object's mass counts as stuck: by its derivative only."""
+"""A diagonal whose stiffness exceeds this multiple of the object's mass counts as sticking, in the derivative only."""
 _MAX_ITERATIONS = 200
 _TOLERANCE = 1e-11
-# A difference between w1 - w2 and the velocity that is no more than the rounding of the latter [m/s]: it is left alone, so that the
-# friction of a cell that sticks, w some 1e-13, does not inherit it.
+# Rounding error of a velocity [m/s]. A smaller difference between w1 - w2 and the velocity is not corrected: otherwise rounding would
+# disturb the friction of a sticking cell, whose w is about 1e-13.
 _ROUNDING = 2e-15
-# Share of the way to the boundary that a step may go, and factor by which nu falls after a full step. The bold pair is enough but for
-# a rare step where an object all but at rest slides along the pusher; the careful ones take over there.
+# Largest fraction of the distance to the boundary that a step covers, and factor of nu after a full step. The first pair suffices except
+# in rare steps where an object almost at rest slides along the pusher; the next pairs are more cautious.
 _ATTEMPTS = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
 
 
@@ -53,14 +55,17 @@ class PyramidScratch(NamedTuple):
     dq: Float64Array
 
 
+@kernel
 def new_pyramid_scratch(n_cells: int) -> PyramidScratch:
     """Scratch space of `pyramid_step`."""
-    return PyramidScratch(*(np.zeros((2, n_cells)) for _ in range(5)))
+    shape = (2, n_cells)
+    return PyramidScratch(np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
 
 @kernel
-def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, cells: PyramidScratch) -> None:
+def _start(twist: Float64Array, geometry: StepGeometry, nu: float, cells: PyramidScratch) -> None:
     """Put all cells on the central path at `nu` [m/s]."""
+    arms, cos, sin = geometry.arms, geometry.heading[0], geometry.heading[1]
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
         w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
@@ -73,18 +78,10 @@ def _start(twist: Float64Array, arms: Float64Array, cos: float, sin: float, nu: 
 
 @fast_kernel
 def _model(
-    twist: Float64Array,
-    arms: Float64Array,
-    limit: Float64Array,
-    dt: float,
-    cos: float,
-    sin: float,
-    nu: float,
-    cells: PyramidScratch,
-    impulse: Float64Array,
-    stiffness: Float64Array,
+    twist: Float64Array, geometry: StepGeometry, nu: float, cells: PyramidScratch, impulse: Float64Array, stiffness: Float64Array
 ) -> None:
-    """Linear model of the friction impulse about `twist`, one Newton step towards `nu`: value, shape (3,), and derivative, shape (3, 3)."""
+    """Friction impulse linearised about `twist` for a Newton step towards `nu`: value, shape (3,), and derivative, shape (3, 3)."""
+    arms, limit, dt, cos, sin = geometry.arms, geometry.limit, geometry.dt, geometry.heading[0], geometry.heading[1]
     impulse[:] = 0.0
     stiffness[:] = 0.0
     x, y = arms[0], arms[1]
@@ -120,10 +117,9 @@ def _model(
 
 
 @fast_kernel
-def _longest_step(
-    twist: Float64Array, du: Float64Array, arms: Float64Array, cos: float, sin: float, nu: float, bold: float, cells: PyramidScratch
-) -> float:
-    """Fill `dq` for a change `du` of the twist; returns the share of it, at most 1, that takes no w or z over `bold` of its way to 0."""
+def _longest_step(twist: Float64Array, du: Float64Array, geometry: StepGeometry, nu: float, bold: float, cells: PyramidScratch) -> float:
+    """Fill `dq` for a change `du` of the twist. Returns the largest step, at most 1, that lowers no w or z by more than `bold` of it."""
+    arms, cos, sin = geometry.arms, geometry.heading[0], geometry.heading[1]
     fastest = bold
     x, y = arms[0], arms[1]
     for e in range(2):
@@ -139,7 +135,7 @@ def _longest_step(
             w1, w2, r1, r2 = all_w1[i], all_w2[i], 1.0 / all_z1[i], 1.0 / all_z2[i]
             dq = (t - nu * r1 + nu * r2) / (w1 * r1 + w2 * r2)
             all_dq[i] = dq
-            # Shares of each variable that the whole step would take away.
+            # Relative decrease of each variable in a full step.
             fastest = max(fastest, max(dq * r1, -dq * r2))
             fastest = max(fastest, max(1.0 - (nu / w1 + dq) * r1, 1.0 - (nu / w2 - dq) * r2))
     return bold / fastest
@@ -147,7 +143,7 @@ def _longest_step(
 
 @fast_kernel
 def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
-    """Go `share` of the step; returns the greatest product w z."""
+    """Take the fraction `share` of the step. Returns the greatest product w z."""
     worst = 0.0
     for e in range(2):
         all_w1, all_w2, all_z1, all_z2, all_dq = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e], cells.dq[e]
@@ -165,51 +161,43 @@ def _advance(share: float, nu: float, cells: PyramidScratch) -> float:
 @kernel
 def pyramid_step(
     twist: Float64Array,
-    arms: Float64Array,
-    limit: Float64Array,
-    inertia: Float64Array,
-    reach: float,
-    contacts: Float64Array,
-    n_contacts: int,
-    mu: float,
-    dt: float,
-    cos: float,
-    sin: float,
+    geometry: StepGeometry,
+    contacts: StepContacts,
     last_code: int,
     impulse: Float64Array,
     scratch: StepScratch,
     cells: PyramidScratch,
 ) -> tuple[int, int]:
-    """Advance `twist` by one step, in place: as `step.step`, with `cos` and `sin` of the object's yaw and `cells` for scratch."""
+    """Advance `twist` by one step, in place. As `step.step`, with `cells` as additional scratch space."""
     old, du, friction, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
-    row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
+    rows, inertia, reach = contacts.rows, geometry.inertia, geometry.reach
     old[:] = twist
     new_impulse = np.empty_like(impulse)
     first_nu = 1e-2
     for i in range(3):
         first_nu = max(first_nu, abs(twist[i]) * (reach if i == 2 else 1.0))
-    for k in range(n_contacts):
-        first_nu = max(first_nu, abs(contacts[k, BOUND]), abs(contacts[MAX_CONTACTS + k, BOUND]))
+    for k in range(contacts.number):
+        first_nu = max(first_nu, abs(rows[k, BOUND]), abs(rows[MAX_CONTACTS + k, BOUND]))
     first_nu *= 0.1
     iterations = 0
     for bold, pace in _ATTEMPTS:
         twist[:] = old
         impulse[:] = 0.0
         nu = first_nu
-        _start(twist, arms, cos, sin, nu, cells)
+        _start(twist, geometry, nu, cells)
         code = last_code
         for _ in range(_MAX_ITERATIONS):
             iterations += 1
-            _model(twist, arms, limit, dt, cos, sin, nu, cells, friction, h)
+            _model(twist, geometry, nu, cells, friction, h)
             for i in range(3):
                 h[i, i] += inertia[i]
                 right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
             for i in range(2 * MAX_CONTACTS):
-                miss[i] = contacts[i, BOUND] - contacts[i, 0] * twist[0] - contacts[i, 1] * twist[1] - contacts[i, 2] * twist[2]
-            code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, new_impulse, row, matrix, column)
+                miss[i] = rows[i, BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
+            code = solve_modes(h, right, contacts, miss, code, du, new_impulse, scratch.mode)
             if code == NO_MODE:
                 break
-            share = _longest_step(twist, du, arms, cos, sin, nu, bold, cells)
+            share = _longest_step(twist, du, geometry, nu, bold, cells)
             worst = _advance(share, nu, cells)
             change = 0.0
             size = 1e-2
@@ -228,7 +216,7 @@ def pyramid_step(
 
 @kernel
 def _add_condition(row: Float64Array, stuck: Float64Array) -> None:
-    """Rotate one more row, shape (4,), into the triangle [R s], shape (3, 4): R' R and R' s grow by its products (Givens)."""
+    """Add a row, shape (4,), to the triangular factor [R s], shape (3, 4), by Givens rotations: R' R and R' s grow by its products."""
     for j in range(3):
         if row[j] == 0.0:
             continue
@@ -240,40 +228,26 @@ def _add_condition(row: Float64Array, stuck: Float64Array) -> None:
 
 
 @fast_kernel
-def pyramid_friction(
-    twist: Float64Array,
-    arms: Float64Array,
-    limit: Float64Array,
-    mass: float,
-    dt: float,
-    cos: float,
-    sin: float,
-    cells: PyramidScratch,
-    impulse: Float64Array,
-    stiffness: Float64Array,
-    by_yaw: Float64Array,
-    stuck: Float64Array,
-) -> None:
-    """Friction impulse at the solution of a step and its derivatives, apart for the diagonals that slide and those that stick.
+def pyramid_friction(twist: Float64Array, geometry: StepGeometry, cells: PyramidScratch, support: SupportImpulse) -> None:
+    """Friction impulse at the solution of a step, and its derivatives, separate for sliding and sticking diagonals.
 
-    A diagonal that sticks is some 1e10 times as stiff as the `mass` [kg] of the object is inert: added to the inertia it would leave six of
-    sixteen digits of that. So it goes into rows of its own, which `sensitivity.py` treats like those of a contact.
+    The stiffness of a sticking diagonal is about 1e10 times the mass of the object. Added to the inertia, it would leave six of its
+    sixteen digits. So sticking diagonals have rows of their own, which `step_derivative.py` treats like those of a contact.
 
     Args:
-        impulse: filled, shape (3,).
-        stiffness: filled with the derivative of `impulse` by the twist, of the diagonals that slide, shape (3, 3).
-        by_yaw: filled with that by the yaw at a given twist in object axes, likewise; and of all diagonals as their axes turn, shape (3,).
-        stuck: filled with [R s]: of the diagonals that stick, R' R is the derivative by the twist and R' s that by the yaw, shape (3, 4).
+        support: filled. `stiffness` holds the sliding diagonals, `stuck` the sticking ones.
 
-    The other arguments are those of `pyramid_step`.
+    The other arguments are those of `pyramid_step`, after its call.
     """
+    arms, limit, dt, cos, sin = geometry.arms, geometry.limit, geometry.dt, geometry.heading[0], geometry.heading[1]
+    impulse, stiffness, by_yaw, stuck = support.impulse, support.stiffness, support.by_yaw, support.stuck
     impulse[:], stiffness[:], by_yaw[:], stuck[:] = 0.0, 0.0, 0.0, 0.0
     x, y = arms[0], arms[1]
-    softest = _STUCK * mass
+    softest = _STUCK * geometry.inertia[0]
     row = np.empty(4)
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
-        # The diagonal turns by -dyaw as seen from the object.
+        # In object axes the diagonal rotates by -dyaw.
         ex, ey = dy, -dx
         w1, w2, z1, z2 = cells.w1[e], cells.w2[e], cells.z1[e], cells.z2[e]
         sum_p = torque_p = torque_e = sum_k = first_k = second_k = sum_t = first_t = 0.0

@@ -1,4 +1,13 @@
-"""A whole push, step by step (compiled)."""
+"""A whole push, step by step (compiled).
+
+A step n:
+
+    locate the pusher in the object frame                        _locate_pusher
+    find the contacts within reach                               contact.find_contacts
+    solve for the twist after the step and the impulses          step.step or pyramid.pyramid_step
+    where a derivative is wanted, keep the block of the step     step_derivative.step_sensitivity
+    advance the state: x+ = x + dt v, v = R(yaw) u
+"""
 
 from __future__ import annotations
 
@@ -6,13 +15,28 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from push_ident.physics.contact import CONTACT_FIELDS, Rebound, add_rebound, contact_rows, find_contacts, max_candidates, shift_surface
+from push_ident.physics.active_effects import N_SUMS, ActiveEffects
+from push_ident.physics.contact import CONTACT_FIELDS, find_contacts, max_candidates
+from push_ident.physics.contact_rows import Rebound, RelativePusher, add_rebound, contact_rows, new_relative_pusher, shift_surface
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, NO_MODE, tangent_row
-from push_ident.physics.pyramid import PyramidScratch, new_pyramid_scratch, pyramid_friction, pyramid_step
-from push_ident.physics.sensitivity import (
+from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, NO_MODE, StepContacts, tangent_row
+from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_friction, pyramid_step
+from push_ident.physics.step import TableForces, new_step_scratch, step
+from push_ident.physics.step_derivative import EffectDrive, StepBalance, new_effect_drive, step_sensitivity
+from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.support import SupportImpulse, add_skew, support_friction
+from push_ident.physics.table import (
+    TableScratch,
+    fill_inputs,
+    friction_demand,
+    new_table_scratch,
+    sum_limits,
+    table_action,
+    update_memory,
+)
+from push_ident.physics.table_derivative import table_sensitivity
+from push_ident.physics.tape import (
     CAME_TO_REST,
     IDLE,
     MOVED,
@@ -23,35 +47,18 @@ from push_ident.physics.sensitivity import (
     PARAM_MASS,
     PARAM_MU,
     PARAM_POSE,
-    EffectDrive,
-    StepBalance,
+    Frames,
     Tape,
-    new_effect_drive,
-    step_sensitivity,
-)
-from push_ident.physics.step import StepScratch, TableForces, new_step_scratch, step
-from push_ident.physics.support import add_skew, support_friction
-from push_ident.physics.table import (
-    N_SUMS,
-    ActiveEffects,
-    TableScratch,
-    fill_inputs,
-    new_table_scratch,
-    strain,
-    sum_limits,
-    table_action,
-    table_sensitivity,
-    update_memory,
 )
 from push_ident.types import Float64Array
 
 __all__ = [
     "N_BODY_PARAMETERS", "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS", "PARAM_MU", "PARAM_POSE",
-    "Numerics", "Push", "RolloutScratch", "new_rollout_scratch", "rollout",
+    "EffectScratch", "Numerics", "Push", "new_effect_scratch", "rollout",
 ]  # fmt: skip
 
 _REACH = 2e-3  # contacts nearer than this take part in a step [m]
-_REST = 1e-3  # an untouched object slower than this share of eps stands still
+_REST = 1e-3  # an object without contact is at rest below this fraction of eps
 
 
 class Push(NamedTuple):
@@ -100,42 +107,18 @@ class EffectScratch(NamedTuple):
     drive: EffectDrive
 
 
-class RolloutScratch(NamedTuple):
-    """Space that a rollout works in."""
-
-    step: StepScratch
-    cells: PyramidScratch
-    rows: Float64Array
-    contacts: Float64Array
-    found: Float64Array
-    tips: Float64Array
-    effects: Any
-    """`EffectScratch`; None without effects."""
-
-
-def new_rollout_scratch(n_cells: int, n_corners: int, n_outline: int, effects: ActiveEffects | None, *, diamond: bool) -> RolloutScratch:
-    """Scratch space of `rollout`."""
-    scratch = None
-    if effects is not None:
-        n_memory, n_values, on_table = effects.n_memory, len(effects.values), bool(np.any(effects.on_table))
-        drive = new_effect_drive(n_memory, n_values, N_SUMS if effects.shifts else 0)
-        drive.touches[n_memory : n_memory + n_values] = effects.moves
-        if effects.offset >= 0:
-            drive.touches[n_memory + effects.offset] = True
-        if effects.restitution >= 0:
-            drive.touches[n_memory + effects.restitution] = True
-            drive.touches[effects.rebound : effects.rebound + 3] = True
-        table = new_table_scratch(n_memory, n_values, n_cells if on_table else 0)
-        scratch = EffectScratch(table, TableForces(np.zeros(2), np.zeros(3)), drive)
-    return RolloutScratch(
-        new_step_scratch(),
-        new_pyramid_scratch(n_cells if diamond else 0),
-        np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)),
-        np.zeros((MAX_CONTACTS, CONTACT_FIELDS)),
-        np.zeros((max_candidates(n_corners, n_outline), CONTACT_FIELDS)),
-        np.zeros((n_corners, 2)),
-        scratch,
-    )
+def new_effect_scratch(n_cells: int, effects: ActiveEffects) -> EffectScratch:
+    """Scratch space of the effects in `rollout`."""
+    n_memory, n_values, on_table = effects.n_memory, len(effects.values), bool(np.any(effects.on_table))
+    drive = new_effect_drive(n_memory, n_values, N_SUMS if effects.shifts else 0)
+    drive.touches[n_memory : n_memory + n_values] = effects.moves
+    if effects.offset >= 0:
+        drive.touches[n_memory + effects.offset] = True
+    if effects.restitution >= 0:
+        drive.touches[n_memory + effects.restitution] = True
+        drive.touches[effects.rebound : effects.rebound + 3] = True
+    table = new_table_scratch(n_memory, n_values, n_cells if on_table else 0)
+    return EffectScratch(table, TableForces(np.zeros(2), np.zeros(3)), drive)
 
 
 @kernel
@@ -147,51 +130,40 @@ def _emit_pose(state: Float64Array, cos: float, sin: float, centre: Float64Array
 
 
 @kernel
-def _see_pusher(
-    push: Push,
-    n: int,
-    dt: float,
-    state: Float64Array,
-    cos: float,
-    sin: float,
-    centre: Float64Array,
-    velocity: Float64Array,
-    corners: Float64Array,
-) -> tuple[float, float]:
-    """The pusher during step n as seen from the object: fills its centre, velocity and corners.
-
-    Returns its rate of turn [rad/s] and the greatest speed of any of its points [m/s].
-    """
-    pusher, shape = push.pusher, push.corners
+def _locate_pusher(push: Push, n: int, geometry: StepGeometry, state: Float64Array, relative: RelativePusher) -> float:
+    """The pusher during step n in the object frame: fills `relative`. Returns the greatest speed of any of its points [m/s]."""
+    pusher, shape, dt, cos, sin = push.pusher, push.corners, geometry.dt, geometry.heading[0], geometry.heading[1]
+    centre, velocity, corners = relative.centre, relative.velocity, relative.corners
     px, py = pusher[n, 0] - state[0], pusher[n, 1] - state[1]
     centre[0], centre[1] = cos * px + sin * py + push.centre[0], -sin * px + cos * py + push.centre[1]
     vx, vy = (pusher[n + 1, 0] - pusher[n, 0]) / dt, (pusher[n + 1, 1] - pusher[n, 1]) / dt
     velocity[0], velocity[1] = cos * vx + sin * vy, -sin * vx + cos * vy
     spin = (pusher[n + 1, 2] - pusher[n, 2]) / dt
-    cos_seen, sin_seen = math.cos(pusher[n, 2] - state[2]), math.sin(pusher[n, 2] - state[2])
+    relative.spin[0] = spin
+    cos_relative, sin_relative = math.cos(pusher[n, 2] - state[2]), math.sin(pusher[n, 2] - state[2])
     extent = 0.0
     for j in range(shape.shape[0]):
-        corners[j, 0] = centre[0] + cos_seen * shape[j, 0] - sin_seen * shape[j, 1]
-        corners[j, 1] = centre[1] + sin_seen * shape[j, 0] + cos_seen * shape[j, 1]
+        corners[j, 0] = centre[0] + cos_relative * shape[j, 0] - sin_relative * shape[j, 1]
+        corners[j, 1] = centre[1] + sin_relative * shape[j, 0] + cos_relative * shape[j, 1]
         extent = max(extent, math.hypot(shape[j, 0], shape[j, 1]) + push.radius)
-    return spin, math.hypot(vx, vy) + abs(spin) * extent
+    return math.hypot(vx, vy) + abs(spin) * extent
 
 
 @kernel
-def _rebound(effects: ActiveEffects, memory: Float64Array, code: int, cos: float, sin: float, before: Float64Array) -> Rebound:
-    """What contacts know of the step before, whose mode was `code`; fills the twist `before` it."""
+def _rebound(effects: ActiveEffects, memory: Float64Array, code: int, heading: Float64Array, before: Float64Array) -> Rebound:
+    """State of the step before, whose mode was `code`, for an elastic impact; fills the twist `before` it."""
     if effects.restitution < 0:
         return Rebound(False, 0.0, before)
-    at = effects.rebound
+    at, cos, sin = effects.rebound, heading[0], heading[1]
     before[0], before[1] = cos * memory[at] + sin * memory[at + 1], -sin * memory[at] + cos * memory[at + 1]
     before[2] = memory[at + 2]
     return Rebound(code >= 4, effects.values[effects.restitution], before)
 
 
 @kernel
-def _drive_contacts(effects: ActiveEffects, rebound: Rebound, n: int, dt: float, cos: float, sin: float, drive: EffectDrive) -> EffectDrive:
-    """What effects on the pusher and on the contact do in step n, for its derivative."""
-    m = effects.n_memory
+def _drive_contacts(effects: ActiveEffects, rebound: Rebound, n: int, geometry: StepGeometry, drive: EffectDrive) -> EffectDrive:
+    """Derivatives of the pusher and of the contacts in step n by the effects on them."""
+    m, dt, cos, sin = effects.n_memory, geometry.dt, geometry.heading[0], geometry.heading[1]
     for k in range(effects.values.shape[0]):
         if effects.moves[k]:
             now, then = effects.d_path[k, n], effects.d_path[k, n + 1]
@@ -216,93 +188,112 @@ def _drive_contacts(effects: ActiveEffects, rebound: Rebound, n: int, dt: float,
 
 
 @kernel
+def _force_of_pusher(contacts: StepContacts, code: int, impulse: Float64Array, geometry: StepGeometry, force: Float64Array) -> None:
+    """Force of the pusher on the object in a step, table axes: fills `force` [N], shape (2,)."""
+    rows, cos, sin, dt = contacts.rows, geometry.heading[0], geometry.heading[1], geometry.dt
+    fx = fy = 0.0
+    for k in range(contacts.number):
+        fx += rows[k, 0] * impulse[k]
+        fy += rows[k, 1] * impulse[k]
+    tangent = tangent_row(code, rows)
+    fx += rows[tangent, 0] * impulse[MAX_CONTACTS]
+    fy += rows[tangent, 1] * impulse[MAX_CONTACTS]
+    force[0], force[1] = (cos * fx - sin * fy) / dt, (sin * fx + cos * fy) / dt
+
+
+@kernel
 def rollout(
     push: Push,
     numerics: Numerics,
     effects: ActiveEffects | None,
-    frame_step: NDArray[np.int64],
-    frame_fraction: Float64Array,
-    derive: bool,
+    frames: Frames,
     poses: Float64Array,
     force: Float64Array,
     tape: Tape,
-    scratch: RolloutScratch,
+    scratch: Any,
 ) -> tuple[int, int]:
     """Simulate one push from rest.
+
+    Kept whole, since effects that are absent must vanish at compilation, and what the stages share is all of its state.
 
     Args:
         push: the push.
         numerics: how.
-        effects: what acts beside the base model; None compiles to the base model alone, at its speed.
-        frame_step, frame_fraction: frame j lies `fraction` of the way through step `frame_step[j]`; ascending.
-        derive: whether to fill `tape`.
+        effects: effects beside the base model; None compiles to the base model only, at its speed.
+        frames: when to report poses.
         poses: filled with the poses at the frames, shape (n_frames, 3), table frame.
         force: filled with the pusher's force on the object at each step [N], shape (n_steps, 2), table frame.
-        tape: filled with what the derivative needs; of no steps when it is not derived.
-        scratch: its space.
+        tape: filled for the derivative; of no steps where none is wanted.
+        scratch: `EffectScratch`; None without effects.
 
     Returns:
         The step that did not converge, or -1; and the total number of iterations.
     """
-    dt, eps = numerics.dt, numerics.eps
-    centre, arms, limit, mu = push.centre, push.arms, push.limit, push.mu
-    rows, contacts, tips = scratch.rows, scratch.contacts, scratch.tips
+    dt, eps, derive = numerics.dt, numerics.eps, tape.event.shape[0] > 0
+    centre, arms, limit = push.centre, push.arms, push.limit
+    rows, features = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)), np.zeros((MAX_CONTACTS, CONTACT_FIELDS))
+    found = np.zeros((max_candidates(push.corners.shape[0], push.outline.shape[0]), CONTACT_FIELDS))
+    pusher, workspace = new_relative_pusher(push.corners.shape[0]), new_step_scratch()
+    cells = new_pyramid_scratch(arms.shape[1] if numerics.diamond else 0)
     inertia = np.zeros(3) if numerics.quasi_static else push.inertia
     reach_of_body = math.sqrt(push.inertia[2] / push.inertia[0])
     cos, sin = math.cos(push.pose[2]), math.sin(push.pose[2])
-    state = np.zeros(6)
+    state, heading = np.zeros(6), np.zeros(2)
     state[0] = push.pose[0] + cos * centre[0] - sin * centre[1]
     state[1] = push.pose[1] + sin * centre[0] + cos * centre[1]
     state[2] = push.pose[2]
     poses[:] = 0.0
     force[:] = 0.0
-    impulse = np.zeros(MAX_CONTACTS + 1)
-    twist, seen, velocity = np.zeros(3), np.zeros(2), np.zeros(2)
+    impulse, twist = np.zeros(MAX_CONTACTS + 1), np.zeros(3)
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
+    support = SupportImpulse(friction, stiffness, by_yaw, stuck)
     radius, pulled = push.radius, False
     forces: Any = None
     drive: Any = None
     if effects is not None:
-        table, forces, drive = scratch.effects.table, scratch.effects.forces, scratch.effects.drive
+        table, forces, drive = scratch.table, scratch.forces, scratch.drive
         memory, before, no_derivative = np.zeros(effects.n_memory), np.zeros(3), np.zeros((0, 0))
         acts_on_table = effects.loads or effects.skews or effects.pulls
         offset = effects.values[effects.offset] if effects.offset >= 0 else 0.0
         radius += offset
-        # What is pulled at idles only where friction holds it; without inertia, it always does.
+        # An object under a pull is idle only if friction keeps it at rest; without inertia, friction always does.
         pulled = effects.pulls and not numerics.quasi_static
         if effects.loads:
             limit = table.limit
         if effects.shifts:
             sum_limits(effects, arms, push.limit, table.inputs)
-    n_steps, n_frames = push.pusher.shape[0] - 1, frame_step.shape[0]
+    geometry = StepGeometry(arms, limit, inertia, reach_of_body, centre, heading, dt)
+    n_steps, n_frames = push.pusher.shape[0] - 1, frames.step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
+        heading[0], heading[1] = cos, sin
         begin = frame
-        while frame < n_frames and frame_step[frame] == n:
-            _emit_pose(state, cos, sin, centre, 1.0 - frame_fraction[frame], poses[frame])
+        while frame < n_frames and frames.step[frame] == n:
+            _emit_pose(state, cos, sin, centre, 1.0 - frames.fraction[frame], poses[frame])
             frame += 1
 
-        spin, speed = _see_pusher(push, n, dt, state, cos, sin, seen, velocity, tips)
-        n_contacts = find_contacts(tips, radius, push.outline, _REACH + speed * dt, scratch.found, contacts)
+        speed = _locate_pusher(push, n, geometry, state, pusher)
+        n_contacts = find_contacts(pusher.corners, radius, push.outline, _REACH + speed * dt, found, features)
         if effects is not None:
-            shift_surface(contacts, n_contacts, offset)
+            shift_surface(features, n_contacts, offset)
             fill_inputs(state, push.inertia[0], centre, memory, effects.values, table.inputs)
 
         coasts = not numerics.quasi_static and (state[3] != 0.0 or state[4] != 0.0 or state[5] != 0.0)
-        untouched = n_contacts == 0 or (contacts[0, 0] >= -1e-9 and (speed == 0.0 or contacts[0, 0] > speed * dt))
-        needed = 0.0
+        untouched = n_contacts == 0 or (features[0, 0] >= -1e-9 and (speed == 0.0 or features[0, 0] > speed * dt))
+        demand = 0.0
         if effects is not None and pulled:
             table_action(effects, centre, arms, table)
-            needed = strain(effects, arms, push.limit, table)
-        event = IDLE if untouched and not coasts and needed < 1.0 else MOVED
+            demand = friction_demand(effects, arms, push.limit, table)
+        event = IDLE if untouched and not coasts and demand < 1.0 else MOVED
         if event != IDLE:
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
+            contacts = StepContacts(rows, n_contacts, push.mu)
             for k in range(n_contacts):
-                contact_rows(contacts[k], k, centre, seen, velocity, spin, dt, contacts[0], rows)
+                contact_rows(features[k], k, geometry, pusher, features[0], rows)
             if effects is not None:
-                rebound = _rebound(effects, memory, code, cos, sin, before)
+                rebound = _rebound(effects, memory, code, heading, before)
                 for k in range(n_contacts):
-                    add_rebound(contacts[k], k, rebound, dt, rows)
+                    add_rebound(features[k], k, rebound, dt, rows)
                 if acts_on_table:
                     if not pulled:
                         table_action(effects, centre, arms, table)
@@ -311,34 +302,20 @@ def rollout(
                     for i in range(limit.shape[0]):
                         limit[i] = table.factor[i] * push.limit[i]
             if numerics.diamond:
-                code, used = pyramid_step(
-                    twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, cos, sin, code, impulse,
-                    scratch.step, scratch.cells,
-                )  # fmt: skip
+                code, used = pyramid_step(twist, geometry, contacts, code, impulse, workspace, cells)
             else:
-                code, used = step(
-                    twist, arms, limit, inertia, reach_of_body, rows, n_contacts, mu, dt, eps, code, impulse, scratch.step, forces
-                )
+                code, used = step(twist, geometry, contacts, eps, code, impulse, workspace, forces)
             iterations += used
             if code == NO_MODE:
                 return n, iterations
-            fx = fy = 0.0
-            for k in range(n_contacts):
-                fx += rows[k, 0] * impulse[k]
-                fy += rows[k, 1] * impulse[k]
-            tangent = tangent_row(code, rows)
-            fx += rows[tangent, 0] * impulse[MAX_CONTACTS]
-            fy += rows[tangent, 1] * impulse[MAX_CONTACTS]
-            force[n, 0], force[n, 1] = (cos * fx - sin * fy) / dt, (sin * fx + cos * fy) / dt
-            # What is pulled at would creep, at so much of the smoothing speed.
-            creep = max(_REST, needed) * eps if needed < 1.0 else 0.0
+            _force_of_pusher(contacts, code, impulse, geometry, force[n])
+            # An object under a pull would creep, at the share `demand` of the smoothing speed.
+            creep = max(_REST, demand) * eps if demand < 1.0 else 0.0
             if code == MODE_FREE and max(math.hypot(twist[0], twist[1]), abs(twist[2]) * reach_of_body) < creep:
                 event = CAME_TO_REST
             if derive:
                 if numerics.diamond:
-                    pyramid_friction(
-                        twist, arms, limit, inertia[0], dt, cos, sin, scratch.cells, friction, stiffness, by_yaw, stuck
-                    )  # fmt: skip
+                    pyramid_friction(twist, geometry, cells, support)
                 else:
                     support_friction(twist, arms, limit, eps, True, friction, stiffness)
                     if effects is not None and effects.skews:
@@ -348,18 +325,15 @@ def rollout(
                         for j in range(3):
                             stiffness[i, j] *= dt
                 if effects is not None:
-                    drive = _drive_contacts(effects, rebound, n, dt, cos, sin, drive)
+                    drive = _drive_contacts(effects, rebound, n, geometry, drive)
                     if acts_on_table:
-                        table_sensitivity(effects, twist, centre, arms, push.limit, forces.skew, eps, dt, table, drive.seeds)
+                        table_sensitivity(effects, twist, geometry, push.limit, forces.skew, eps, table, drive.seeds)
                     if effects.loads:
                         tape.factor[n] = table.factor
                     if effects.skews:
                         tape.skew[n] = forces.skew
-                balance = StepBalance(twist, scratch.step.old, impulse, inertia, friction, stiffness, by_yaw, stuck)
-                if not step_sensitivity(
-                    balance, rows, contacts, n_contacts, code, mu, centre, seen, velocity, spin, cos, sin, dt,
-                    drive, scratch.step.mode, tape.block[n],
-                ):  # fmt: skip
+                balance = StepBalance(twist, workspace.old, code, impulse, support)
+                if not step_sensitivity(balance, geometry, contacts, features, pusher, drive, workspace.mode, tape.block[n]):
                     return n, iterations
                 tape.twist[n] = twist
             vx, vy = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
@@ -376,7 +350,7 @@ def rollout(
             state[3:] = 0.0
         cos, sin = math.cos(state[2]), math.sin(state[2])
         for j in range(begin, frame):
-            _emit_pose(state, cos, sin, centre, frame_fraction[j], poses[j])
+            _emit_pose(state, cos, sin, centre, frames.fraction[j], poses[j])
     if derive:
         tape.heading[n_steps, 0], tape.heading[n_steps, 1] = cos, sin
     return -1, iterations

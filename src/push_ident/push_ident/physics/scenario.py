@@ -31,9 +31,9 @@ class PushScenario:
 
     def __post_init__(self) -> None:
         pose, time = np.array(self.pose_object_in_table, dtype=np.float64), np.array(self.time, dtype=np.float64)
-        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+        if pose.shape != (3,) or not np.isfinite(pose).all():
             raise InputError(f"The first pose is {pose}, expected three finite numbers (x, y, yaw).")
-        if time.ndim != 1 or len(time) == 0 or not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
+        if time.ndim != 1 or len(time) == 0 or not np.isfinite(time).all() or (time[1:] < time[:-1]).any():
             raise InputError("The times to report must be finite and ascend; sort them first.")
         for name, array in (("pose_object_in_table", pose), ("time", time)):
             array.setflags(write=False)

@@ -1,4 +1,7 @@
-"""Simulate a push of an object model: the Python face of the compiled rollout."""
+"""Simulate a push of an object model: the Python face of the compiled rollout.
+
+cells -> rigid body (`body.py`) -> rollout (`rollout.py`) -> reported poses (`measurement.py`) -> derivative (`chain.py`)
+"""
 
 from __future__ import annotations
 
@@ -7,38 +10,20 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
-from push_ident.physics.contact import count_inside
+from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
+from push_ident.physics.body import BodyParameters, body_of_cells, cell_gradient, check_body, owned
+from push_ident.physics.chain import Chain, chain_backward, chain_forward
 from push_ident.physics.effect import OnTable
-from push_ident.physics.effect_values import (
-    EffectsLike,
-    EffectValues,
-    active_effects,
-    changed_friction,
-    driven_path,
-    effect_values,
-    seen_poses,
-    seen_times,
-)
+from push_ident.physics.effect_values import EffectsLike, EffectValues, changed_friction, driven_path, effect_values
+from push_ident.physics.effects import EFFECTS
+from push_ident.physics.measurement import Measurement, ReportTimes, StepClock
 from push_ident.physics.pyramid import FINAL_NU
-from push_ident.physics.rollout import N_BODY_PARAMETERS, Numerics, Push, new_rollout_scratch, rollout
+from push_ident.physics.rollout import Numerics, Push, new_effect_scratch, rollout
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.sensitivity import (
-    PARAM_CENTRE,
-    PARAM_INERTIA,
-    PARAM_LIMIT,
-    PARAM_MASS,
-    PARAM_MU,
-    PARAM_POSE,
-    Tape,
-    chain_backward,
-    chain_forward,
-    new_tape,
-)
 from push_ident.physics.support import GRAVITY
-from push_ident.physics.table import N_SUMS
+from push_ident.physics.tape import N_BODY_PARAMETERS, PARAM_LIMIT, PARAM_MU, PARAM_POSE, Frames, Tape, new_tape
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = [
@@ -57,7 +42,7 @@ class SimulationSettings:
     step: float = 1.0 / 240.0
     """Length of a time step [s]."""
     smoothing_speed: float = 1e-4
-    """Speed below which the support friction of a cell grows linearly [m/s]; the circular cone alone has it."""
+    """Speed below which the support friction of a cell grows linearly [m/s]; only for the circular cone."""
     friction_cone: Literal["circle", "pyramid"] = "circle"
     """Support friction of a cell: Coulomb's circular cone, or the paper's pyramid in table axes, solved without smoothing."""
     quasi_static: bool = False
@@ -78,31 +63,17 @@ class SimulationSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class BodyParameters:
-    """What the motion of a rigid object on a table depends on."""
-
-    mass: float
-    """[kg]"""
-    centre: Float64Array
-    """Centre of mass [m], shape (2,), object frame."""
-    inertia: float
-    """About the centre of mass [kg m^2]."""
-    limit: Float64Array
-    """Friction force of each cell when it slides [N], shape (n_cells,)."""
-
-
-@dataclass(frozen=True, slots=True)
 class Motion:
     """A simulated push."""
 
     time: Float64Array
-    """Asked for [s], shape (n_frames,)."""
+    """Times of `PushScenario` [s], shape (n_frames,)."""
     pose: Float64Array
     """Of the object frame in the table frame, shape (n_frames, 3), yaw not wrapped. NaN where the simulation failed."""
     jacobian: Float64Array
     """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell, values of the active effects),
-    shape (n_frames, 3, 8 + n_cells + n_values), the values in the order of `EffectValues.labels`; (n_frames, 3, 0) when it was not
-    asked for. NaN where the simulation failed."""
+    shape (n_frames, 3, 8 + n_cells + n_values), the values in the order of `EffectValues.labels`; (n_frames, 3, 0)
+    without it. NaN where the simulation failed."""
     force_time: Float64Array
     """Middle of each step [s], shape (n_steps,)."""
     force: Float64Array
@@ -129,68 +100,11 @@ class ModelGradient:
     motion: Motion
 
 
-def body_of_cells(shape: ObjectShape, mass: Float64Array, friction: Float64Array) -> BodyParameters:
-    """Rigid body made of the cells: square plates that each rest on their own weight.
-
-    Args:
-        shape: cells of the object.
-        mass: of each cell [kg], shape (n_cells,), >= 0 and not all zero.
-        friction: support friction coefficient of each cell, shape (n_cells,), >= 0.
-
-    Raises:
-        InputError: values of another shape, not finite, negative, or without any mass.
-    """
-    mass, friction = np.asarray(mass, dtype=np.float64), np.asarray(friction, dtype=np.float64)
-    n_cells = len(shape.cells)
-    for name, value in (("mass", mass), ("friction", friction)):
-        if value.shape != (n_cells,):
-            raise InputError(f"`{name}` has shape {value.shape}, expected ({n_cells},), a value for each cell of the object.")
-        if not np.all(np.isfinite(value) & (value >= 0)):
-            raise InputError(f"`{name}` has {int(np.sum(~(np.isfinite(value) & (value >= 0))))} cells that are not numbers >= 0.")
-    centres = shape.cells.centres
-    total = float(np.sum(mass))
-    if total <= 0:
-        raise InputError(f"The {n_cells} cells weigh {total} kg together; a body that moves needs mass > 0 in one cell at least.")
-    centre = mass @ centres / total
-    inertia = float(mass @ _moments(shape, centre))
-    return BodyParameters(mass=total, centre=centre, inertia=inertia, limit=friction * mass * GRAVITY)
-
-
-def _moments(shape: ObjectShape, centre: Float64Array) -> Float64Array:
-    """Moment of inertia about `centre` of each cell per mass [m^2], shape (n_cells,)."""
-    return np.sum((shape.cells.centres - centre) ** 2, axis=1) + shape.cells.size**2 / 6
-
-
-def cell_gradient(
-    shape: ObjectShape, mass: Float64Array, friction: Float64Array, gradient: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Chain a gradient by the body's parameters to the cells: the transposed derivative of `body_of_cells`.
-
-    Args:
-        shape, mass, friction: as for `body_of_cells`.
-        gradient: by the columns of `Motion.jacobian`, shape (..., 8 + n_cells + n_values).
-
-    Returns:
-        Gradients by the mass [1/kg] and by the friction coefficient of each cell, each of shape (..., n_cells).
-    """
-    total = float(np.sum(mass))
-    centre = mass @ shape.cells.centres / total
-    by_limit = gradient[..., PARAM_LIMIT : PARAM_LIMIT + len(mass)]
-    by_mass = (
-        gradient[..., PARAM_MASS, None]
-        + gradient[..., PARAM_CENTRE : PARAM_CENTRE + 2] @ ((shape.cells.centres - centre) / total).T
-        # The centre moves too, but about the centre of mass the inertia does not change with that.
-        + gradient[..., PARAM_INERTIA, None] * _moments(shape, centre)
-        + by_limit * (friction * GRAVITY)
-    )
-    return by_mass, by_limit * (mass * GRAVITY)
-
-
 def compile_kernels(*, effects: bool = False) -> None:
-    """Compile (or load from the cache) all kernels, so that the first push need not wait for it: a minute once, else a moment.
+    """Compile all kernels, or load them from the cache, so that the first push need not wait. Compilation takes a minute, loading a second.
 
     Args:
-        effects: those for pushes with effects as well, which are another set.
+        effects: whether to include the second set of kernels, for pushes with effects.
     """
     square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
@@ -201,7 +115,7 @@ def compile_kernels(*, effects: bool = False) -> None:
     _, pull_back = simulate_body_with_pullback(*arguments)
     pull_back(np.zeros((2, 3)))
     if effects:
-        simulate_body(*arguments, effects=["pusher_lag"], jacobian=True)
+        simulate_body(*arguments, effects=list(EFFECTS), jacobian=True)
 
 
 def simulate(
@@ -218,7 +132,7 @@ def simulate(
         model: mechanics of the object.
         scenario: path of the pusher, first pose, times to report.
         settings: numerics.
-        effects: effects beside the base model (`effects/`, docs/effects.md): by name, each with its values in order or by name. The
+        effects: effects beside the base model (catalogue in `effects/`): by name, each with its values in order or by name. The
             poses are then those that would be reported.
         jacobian: also the derivative of the poses.
 
@@ -244,7 +158,7 @@ def loss_gradient(
 ) -> ModelGradient:
     """Loss of a simulated push and its exact gradient with respect to the mass and friction of every cell, by the adjoint method.
 
-    The cost is that of one simulation and one pass back over its steps, whatever the number of cells that are asked about.
+    The cost is that of one simulation and one pass back over its steps, whatever the number of cells.
 
     Args:
         loss: of the poses at `scenario.time`.
@@ -272,14 +186,14 @@ def simulate_body(
     effects: EffectsLike | None = None,
     jacobian: bool = False,
 ) -> Motion:
-    """As `simulate`, for the rigid body alone."""
+    """As `simulate`, for a rigid body."""
     acting = effect_values(effects)
     run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, jacobian)
     if not jacobian:
         return run.motion
     derivative = np.full((len(run.motion.time), 3, N_BODY_PARAMETERS + len(shape.cells) + len(acting)), np.nan)
     if run.motion.status is not SolveStatus.SIMULATION_FAILED:
-        chain_forward(*run.chain, derivative)
+        chain_forward(run.chain, derivative)
         if run.measurement is not None:
             derivative = run.measurement.of_jacobian(derivative)
     motion = run.motion
@@ -307,13 +221,13 @@ class PullBack:
             InputError: `by_pose` has another shape.
         """
         motion = self._run.motion
-        by_pose = _owned(by_pose)
+        by_pose = owned(by_pose)
         if by_pose.shape != motion.pose.shape:
             raise InputError(f"`by_pose` has shape {by_pose.shape}, expected {motion.pose.shape} as the poses.")
         chain, measurement = self._run.chain, self._run.measurement
         gradient = np.full(N_BODY_PARAMETERS + chain.arms.shape[1] + self._run.n_values, np.nan)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
-            chain_backward(*chain, by_pose if measurement is None else measurement.by_true_pose(by_pose), gradient)
+            chain_backward(chain, by_pose if measurement is None else measurement.by_true_pose(by_pose), gradient)
             if measurement is not None:
                 measurement.add_gradient(by_pose, gradient)
         return gradient
@@ -334,59 +248,14 @@ def simulate_body_with_pullback(
     return run.motion, PullBack(run)
 
 
-class _Chain(NamedTuple):
-    """Arguments that `chain_forward` and `chain_backward` have in common."""
-
-    tape: Tape
-    centre: Float64Array
-    arms: Float64Array
-    diamond: bool
-    eps: float
-    dt: float
-    frame_step: NDArray[np.int64]
-    frame_fraction: Float64Array
-
-
-@dataclass(frozen=True, slots=True)
-class _Measurement:
-    """How reported poses depend on the true ones at the times when they were seen, and on effects outside the rollout."""
-
-    by_pose: Float64Array
-    """Shape (n_frames, 3, 3)."""
-    by_value: Float64Array
-    """Shape (n_frames, 3, n_values)."""
-    mu_by_value: Float64Array
-    """Of the pusher's friction coefficient, shape (n_values,)."""
-
-    def of_jacobian(self, jacobian: Float64Array) -> Float64Array:
-        """That of the reported poses from that of the true ones."""
-        n_values = len(self.mu_by_value)
-        jacobian[:, :, -n_values:] += jacobian[:, :, PARAM_MU, None] * self.mu_by_value
-        reported: Float64Array = self.by_pose @ jacobian
-        reported[:, :, -n_values:] += self.by_value
-        return reported
-
-    def by_true_pose(self, by_pose: Float64Array) -> Float64Array:
-        """Gradient by the true poses from that by the reported ones."""
-        return np.einsum("fij,fi->fj", self.by_pose, by_pose)
-
-    def add_gradient(self, by_pose: Float64Array, gradient: Float64Array) -> None:
-        """Add the values' own part to the gradient of a loss."""
-        n_values = len(self.mu_by_value)
-        gradient[-n_values:] += gradient[PARAM_MU] * self.mu_by_value + np.einsum("fiv,fi->v", self.by_value, by_pose)
-
-
 class _Run(NamedTuple):
+    """A simulated push, with what its derivative needs."""
+
     motion: Motion
-    chain: _Chain
+    chain: Chain
     n_values: int
-    measurement: _Measurement | None
+    measurement: Measurement | None
     """None where no effect is active."""
-
-
-def _owned(values: ArrayLike) -> Float64Array:
-    """A writable copy in C order: numba would compile every kernel once more for arrays that are read-only or laid out otherwise."""
-    return np.array(values, dtype=np.float64, order="C")
 
 
 def _run(
@@ -399,104 +268,92 @@ def _run(
     derive: bool,
 ) -> _Run:
     """Simulate, with what the derivative needs where `derive`."""
-    pusher, time = scenario.pusher, scenario.time
-    _check_body(shape, body, pusher_friction)
-    n_values, mu = len(effects), float(pusher_friction)
-    if n_values > 0:
-        _check_effects(effects, settings)
-        mu, mu_by_value = changed_friction(effects, mu)
-        if mu < 0:
-            raise InputError(f"The effects make the pusher's friction coefficient {mu:.3g}, expected a number >= 0.")
-
-    # The object is at rest until it is touched, so the clock starts with the pusher.
-    start = float(pusher.time[0])
-    n_steps = max(1, int(np.ceil((max(float(time[-1]), float(pusher.time[-1])) - start) / settings.step)))
-    clock = start + settings.step * np.arange(n_steps + 1)
-    path = np.zeros((n_steps + 1, 3))
-    for axis in (0, 1):
-        path[:, axis] = np.interp(clock, pusher.time, pusher.position[:, axis])
-    if pusher.yaw is not None:
-        path[:, 2] = np.interp(clock, pusher.time, pusher.yaw)
-    centre = _owned(body.centre)
-    arms = _owned((shape.cells.centres - centre).T)
-    active, seen_at = None, time
-    if n_values > 0:
+    check_body(shape, body, pusher_friction)
+    mu, mu_by_value = _pusher_friction(float(pusher_friction), settings, effects)
+    clock = _clock(scenario, settings.step)
+    path = _pusher_on_steps(scenario.pusher, clock)
+    arms = owned((shape.cells.centres - owned(body.centre)).T)
+    active = None
+    if len(effects) > 0:
         path, d_path = driven_path(effects, settings.step, path)
         active = active_effects(effects, d_path, arms, float(shape.cells.size), scenario.order)
-        seen_at, seen_at_by_value = seen_times(effects, time)
-    at = np.clip((seen_at - start) / settings.step, 0.0, n_steps)
-    frame_step = np.minimum(at.astype(np.int64), n_steps - 1)
-    frame_fraction = at - frame_step
-    corners = np.zeros((1, 2)) if pusher.polygon is None else _owned(pusher.polygon)
-    push = Push(
-        pose=_owned(scenario.pose_object_in_table),
+    times = ReportTimes.of(scenario.time, clock, effects)
+    push = _push(shape, body, mu, scenario, path, arms)
+    pose, force, tape, status = _roll(push, settings, active, times.wanted, derive)
+    measurement = None
+    if len(effects) > 0:
+        pose, measurement = Measurement.of(effects, times, pose, mu_by_value)
+    motion = Motion(scenario.time, pose, np.empty((len(scenario.time), 3, 0)), clock.middles, force, status)
+    diamond = settings.friction_cone == "pyramid"
+    eps = FINAL_NU if diamond else settings.smoothing_speed
+    return _Run(motion, Chain(tape, push.centre, push.arms, diamond, eps, settings.step, times.frames), len(effects), measurement)
+
+
+def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: EffectValues) -> tuple[float, Float64Array]:
+    """The pusher's friction coefficient under the effects, and its derivative by their values. Refuses effects without a law here."""
+    if len(effects) == 0:
+        return coefficient, np.zeros(0)
+    _check_effects(effects, settings)
+    mu, mu_by_value = changed_friction(effects, coefficient)
+    if mu < 0:
+        raise InputError(f"The effects make the pusher's friction coefficient {mu:.3g}, expected a number >= 0.")
+    return mu, mu_by_value
+
+
+def _clock(scenario: PushScenario, step: float) -> StepClock:
+    """Steps until the pusher is at rest and the last pose is reported.
+
+    The object is at rest before the first contact, so the clock starts with the pusher.
+    """
+    start = float(scenario.pusher.time[0])
+    end = max(float(scenario.time[-1]), float(scenario.pusher.time[-1]))
+    return StepClock.of(start, end, step)
+
+
+def _pusher_on_steps(pusher: PusherPath, clock: StepClock) -> Float64Array:
+    """Pose of the pusher at the steps' ends, shape (n_steps + 1, 3), table frame."""
+    path = np.zeros((len(clock.ends), 3))
+    for axis in (0, 1):
+        path[:, axis] = np.interp(clock.ends, pusher.time, pusher.position[:, axis])
+    if pusher.yaw is not None:
+        path[:, 2] = np.interp(clock.ends, pusher.time, pusher.yaw)
+    return path
+
+
+def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushScenario, path: Float64Array, arms: Float64Array) -> Push:
+    """The push in arrays."""
+    polygon = scenario.pusher.polygon
+    return Push(
+        pose=owned(scenario.pose_object_in_table),
         pusher=path,
-        corners=corners,
-        radius=float(pusher.radius),
-        outline=_owned(shape.outline),
+        corners=np.zeros((1, 2)) if polygon is None else owned(polygon),
+        radius=float(scenario.pusher.radius),
+        outline=owned(shape.outline),
         arms=arms,
-        limit=_owned(body.limit),
-        centre=centre,
+        limit=owned(body.limit),
+        centre=owned(body.centre),
         inertia=np.array([body.mass, body.mass, body.inertia]),
         mu=mu,
     )
-    diamond = settings.friction_cone == "pyramid"
-    numerics = Numerics(settings.step, settings.smoothing_speed, diamond, settings.quasi_static)
-    wanted_step, wanted_fraction = frame_step, frame_fraction
-    delayed = n_values > 0 and bool(np.any(seen_at_by_value))
-    if delayed:
-        # The ends of each frame's step as well, for the velocity.
-        wanted_step = np.repeat(frame_step, 3)
-        wanted_fraction = np.column_stack([np.zeros_like(at), np.ones_like(at), frame_fraction]).ravel()
-    pose = np.empty((len(wanted_step), 3))
-    force = np.empty((n_steps, 2))
+
+
+def _roll(
+    push: Push, settings: SimulationSettings, active: ActiveEffects | None, frames: Frames, derive: bool
+) -> tuple[Float64Array, Float64Array, Tape, SolveStatus]:
+    """The rollout: poses at the frames (NaN where it failed), force of the pusher at each step, tape, status."""
+    n_steps, n_cells = len(push.pusher) - 1, push.arms.shape[1]
+    numerics = Numerics(settings.step, settings.smoothing_speed, settings.friction_cone == "pyramid", settings.quasi_static)
     tape = new_tape(n_steps if derive else 0)
     if active is not None:
-        n_cells, n_sums = len(shape.cells) if active.loads else 0, N_SUMS if active.shifts else 0
-        tape = new_tape(n_steps if derive else 0, n_cells, active.n_memory, n_values, n_sums, skewed=active.skews)
-    scratch = new_rollout_scratch(len(shape.cells), len(corners), len(shape.outline), active, diamond=diamond)
-    failed_at, _ = rollout(push, numerics, active, wanted_step, wanted_fraction, derive, pose, force, tape, scratch)
+        n_loaded, n_sums = n_cells if active.loads else 0, N_SUMS if active.shifts else 0
+        tape = new_tape(n_steps if derive else 0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews)
+    pose, force = np.empty((len(frames.step), 3)), np.empty((n_steps, 2))
+    scratch = None if active is None else new_effect_scratch(n_cells, active)
+    failed_at, _ = rollout(push, numerics, active, frames, pose, force, tape, scratch)
     if failed_at >= 0:
-        status = SolveStatus.SIMULATION_FAILED
         pose[:] = np.nan
-    else:
-        status = SolveStatus.CONVERGED if np.any(force) else SolveStatus.NO_CONTACT
-    measurement = None
-    if n_values > 0:
-        by_time = np.zeros((len(time), 3))
-        if delayed:
-            moves = (at > 0.0) & (at < n_steps)
-            by_time = (pose[1::3] - pose[::3]) / settings.step * moves[:, None]
-            pose = np.ascontiguousarray(pose[2::3])
-        pose, by_pose, by_value = seen_poses(effects, pose)
-        by_value += np.einsum("fij,fj,vf->vfi", by_pose, by_time, seen_at_by_value)
-        measurement = _Measurement(by_pose, np.moveaxis(by_value, 0, 2), mu_by_value)
-    middle = np.asarray(clock[:-1] + settings.step / 2, dtype=np.float64)
-    motion = Motion(time, pose, np.empty((len(time), 3, 0)), middle, force, status)
-    eps = FINAL_NU if diamond else settings.smoothing_speed
-    return _Run(motion, _Chain(tape, centre, push.arms, diamond, eps, settings.step, frame_step, frame_fraction), n_values, measurement)
-
-
-def _check_body(shape: ObjectShape, body: BodyParameters, pusher_friction: float) -> None:
-    """Refuse what no simulation can make sense of."""
-    if not (np.isfinite(body.mass) and body.mass > 0 and np.isfinite(body.inertia) and body.inertia > 0):
-        raise InputError(f"The body has mass {body.mass} kg and inertia {body.inertia} kg m^2, expected positive numbers.")
-    if np.shape(body.centre) != (2,) or not np.all(np.isfinite(body.centre)):
-        raise InputError(f"The body's centre of mass is {body.centre}, expected two finite numbers in metres.")
-    n_inside = count_inside(_owned(shape.cells.centres), _owned(shape.outline))
-    # Outlines are traced and straightened: a few centres at the rim may lie outside.
-    if 2 * n_inside < len(shape.cells):
-        raise InputError(
-            f"{n_inside} of {len(shape.cells)} cell centres lie inside the outline, expected at least half; "
-            "give cells and outline in the same frame, in metres."
-        )
-    limit = np.asarray(body.limit)
-    if limit.shape != (len(shape.cells),):
-        raise InputError(f"The body's friction limits have shape {limit.shape}, expected ({len(shape.cells)},) as the cells.")
-    if not np.all(np.isfinite(limit) & (limit >= 0)):
-        raise InputError(f"{int(np.sum(~(np.isfinite(limit) & (limit >= 0))))} friction limits of cells are not forces >= 0 N.")
-    if not (np.isfinite(pusher_friction) and pusher_friction >= 0):
-        raise InputError(f"The pusher's friction coefficient is {pusher_friction}, expected a number >= 0.")
+        return pose, force, tape, SolveStatus.SIMULATION_FAILED
+    return pose, force, tape, SolveStatus.CONVERGED if np.any(force) else SolveStatus.NO_CONTACT
 
 
 def _check_effects(effects: EffectValues, settings: SimulationSettings) -> None:
@@ -507,4 +364,4 @@ def _check_effects(effects: EffectValues, settings: SimulationSettings) -> None:
                 f"The effect {effect.name} needs the circular cone, got friction_cone={settings.friction_cone!r}; take 'circle'."
             )
         if effect.needs_inertia and settings.quasi_static:
-            raise InputError(f"The effect {effect.name} means nothing without inertia, got quasi_static=True; take False.")
+            raise InputError(f"The effect {effect.name} has no meaning without inertia, got quasi_static=True; take False.")

@@ -1,21 +1,21 @@
 """One implicit step of a rigid object pushed on a table (compiled).
 
-The object has three velocities, those of its centre of mass, `twist` = (vx, vy, omega), here in axes fixed in the object. One
-step of length dt finds the new twist u and the contact impulses:
+The state has three velocities, `twist` = (vx, vy, omega) of the centre of mass, in axes fixed in the object. One step of length dt
+finds the new twist u and the contact impulses:
 
     D (u - u_old) + dt sum_i f_i J_i' phi(J_i u) = sum_k N_k' n_k + T' t,      phi(v) = v / sqrt(|v|^2 + eps^2)
     0 <= n_k  perpendicular to  N_k u - b_k >= 0,      b_k = -n . v_pusher - gap / dt
-    |t| <= mu sum_k n_k, against the slip  T u - t . v_pusher      (which contacts the sum is over: `modes.py`)
+    |t| <= mu sum_k n_k, opposite to the slip  T u - t . v_pusher      (contacts of the sum: see `modes.py`)
 
 with D = diag(m, m, I), J_i the velocity of cell i, f_i = mu_i m_i g its support friction. This is the problem of Song & Boularias
 (2020, Eq. 2 and its figure of the equations of motion) with the rigid joints eliminated and the friction pyramid of a cell
-replaced by its circular cone (`pyramid.py` keeps the pyramid). Friction of the pusher is exact (stick or slip, no smoothing); only
-the support friction is smoothed, at eps. With D = 0 the step is quasi-static. Effects (`table.py`) may add a pull to the right-hand
-side and turn phi into (I + E) phi.
+replaced by its circular cone (`pyramid.py` keeps the pyramid). Friction of the pusher is exact (stick or slip, no smoothing). Only
+the support friction is smoothed, with eps. With D = 0 the step is quasi-static. Effects (`table.py`) may add a force to the right-hand
+side and replace phi by (I + E) phi.
 
-Each iteration replaces the support friction by a linear model, whose small contact problem is solved exactly by trying its
-modes. The model is Newton's; where Newton does not contract, the majorising one of iteratively reweighted least squares, which
-always descends.
+Each iteration linearises the support friction and solves the small contact problem exactly by enumeration of its modes. The linear
+model is Newton's. Where Newton's method does not contract, it is the majoriser of iteratively reweighted least squares, which always
+descends.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, new_mode_scratch, solve_modes
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, StepContacts, new_mode_scratch, solve_modes
+from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import add_skew, support_friction
 from push_ident.types import Float64Array
 
 __all__ = ["StepScratch", "TableForces", "new_step_scratch", "step"]
 
-_MAX_ITERATIONS = 1000  # some twenty are the rule; where the last cells come to rest at once the majoriser may need hundreds
+_MAX_ITERATIONS = 1000  # about twenty are usual; the majoriser may need hundreds where the last cells come to rest at the same time
 _TOLERANCE = 1e-10
 
 
 class StepScratch(NamedTuple):
-    """Space that a step works in, so that it allocates nothing."""
+    """Scratch space of a step, so that it allocates no memory."""
 
     old: Float64Array
     """Twist before the step, shape (3,)."""
@@ -50,14 +51,15 @@ class StepScratch(NamedTuple):
 
 
 class TableForces(NamedTuple):
-    """What effects add to the forces of the table in a step; object axes."""
+    """Contributions of effects to the forces of the table in a step; object axes."""
 
     skew: Float64Array
     """(a, b) of E = [[a, b], [b, -a]], shape (2,)."""
     pull: Float64Array
-    """On the object (fx, fy, torque) [N, N, N m], shape (3,)."""
+    """Force and torque on the object (fx, fy, torque) [N, N, N m], shape (3,)."""
 
 
+@kernel
 def new_step_scratch() -> StepScratch:
     """Scratch space of `step`."""
     return StepScratch(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2 * MAX_CONTACTS), new_mode_scratch())
@@ -66,14 +68,8 @@ def new_step_scratch() -> StepScratch:
 @kernel
 def step(
     twist: Float64Array,
-    arms: Float64Array,
-    limit: Float64Array,
-    inertia: Float64Array,
-    reach: float,
-    contacts: Float64Array,
-    n_contacts: int,
-    mu: float,
-    dt: float,
+    geometry: StepGeometry,
+    contacts: StepContacts,
     eps: float,
     last_code: int,
     impulse: Float64Array,
@@ -83,26 +79,21 @@ def step(
     """Advance `twist` by one step, in place.
 
     Args:
-        twist: of the centre of mass before, then after the step, object axes [m/s, m/s, rad/s], shape (3,).
-        arms: cell centres from the centre of mass [m], shape (2, n_cells).
-        limit: sliding friction of each cell [N], shape (n_cells,).
-        inertia: (m, m, I) about the centre of mass [kg, kg, kg m^2]; zeros for the quasi-static step.
-        reach: length that turns a rotation rate into a speed [m].
-        contacts: the contacts, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`.
-        n_contacts: how many contacts there are.
-        mu: friction coefficient of the pusher.
-        dt: [s]
+        twist: twist of the centre of mass before the step, overwritten by that after it, object axes [m/s, m/s, rad/s], shape (3,).
+        geometry: the object.
+        contacts: contacts of the step.
         eps: smoothing speed of the support friction [m/s].
-        last_code: mode code of the step before; only a first guess.
+        last_code: mode code of the step before, as a first guess.
         impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
-        scratch: its space.
-        table: what effects on the table add; None without effects.
+        scratch: scratch space.
+        table: contributions of effects on the table; None without effects.
 
     Returns:
         The mode code and the number of iterations; the code is `NO_MODE` when the step did not converge.
     """
     old, du, gradient, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
-    row, matrix, column = scratch.mode.row, scratch.mode.matrix, scratch.mode.right
+    arms, limit, inertia, reach, dt = geometry.arms, geometry.limit, geometry.inertia, geometry.reach, geometry.dt
+    rows = contacts.rows
     old[:] = twist
     newton = True
     last_change = np.inf
@@ -121,8 +112,8 @@ def step(
             h[i, i] += inertia[i]
             right[i] = inertia[i] * (old[i] - twist[i]) - dt * gradient[i]
         for i in range(2 * MAX_CONTACTS):
-            miss[i] = contacts[i, BOUND] - contacts[i, 0] * twist[0] - contacts[i, 1] * twist[1] - contacts[i, 2] * twist[2]
-        code = solve_modes(h, right, contacts, n_contacts, miss, mu, code, du, impulse, row, matrix, column)
+            miss[i] = rows[i, BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
+        code = solve_modes(h, right, contacts, miss, code, du, impulse, scratch.mode)
         if code == NO_MODE:
             return NO_MODE, iteration
         change = 0.0
@@ -134,13 +125,13 @@ def step(
             size = max(size, abs(twist[i]) * unit)
         if newton and change <= _TOLERANCE * size + 1e-16:
             return code, iteration + 1
-        # Newton jumps across the kink of a cell that comes to rest; the majoriser creeps but never fails. After a failure of
-        # Newton the majoriser leads until its own steps have become a few times shorter than before that failure.
+        # Newton's method oscillates across the kink of a cell that comes to rest; the majoriser is slow but always descends. After
+        # Newton fails, the majoriser continues until its steps are a few times shorter than Newton's were before it failed.
         if newton and change > 0.5 * last_change:
             newton = False
             retry_below = 0.2 * min(last_change, change)
         elif not newton:
-            # A short step of the majoriser proves nothing; the last one is Newton's.
+            # A short step of the majoriser does not prove convergence, so the last step must be Newton's.
             newton = change < max(retry_below, _TOLERANCE * size)
         last_change = change
     return NO_MODE, _MAX_ITERATIONS

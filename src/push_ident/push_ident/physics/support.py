@@ -1,13 +1,13 @@
 """Friction between the table and the cells (compiled).
 
-A cell that moves with velocity v is held back by f phi(v), f = mu_i m_i g its limit. Two laws, both of which meet Coulomb's:
+Friction f phi(v) opposes the velocity v of a cell; f = mu_i m_i g is its limit. There are two laws, both smoothed forms of Coulomb's:
 
     circle    phi(v) = v / sqrt(|v|^2 + eps^2)
     diamond   phi(v) = 1/2 sum_{d = (1,1), (1,-1)} d s(d . v),      s(t) = t / (eps + sqrt(eps^2 + t^2)),  v in table axes
 
-The diamond is the paper's friction pyramid (rows +-x, +-y; multipliers that sum to at most f): |phi_x| + |phi_y| <= 1 is a square, so
-that it splits into two one-dimensional frictions of half the limit along its diagonals, with dissipation f max(|v_x|, |v_y|). Here eps is
-the end of the central path of `pyramid.py`, far below any speed that matters.
+The diamond is the paper's friction pyramid (rows +-x, +-y; multipliers that sum to at most f). |phi_x| + |phi_y| <= 1 is a square, so
+that it splits into two one-dimensional frictions of half the limit along its diagonals, with dissipation f max(|v_x|, |v_y|). For the
+diamond, eps is the end of the central path of `pyramid.py`, far below any relevant speed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import NamedTuple
 from push_ident.physics.kernel import fast_kernel
 from push_ident.types import Float64Array
 
-__all__ = ["GRAVITY", "Cone", "add_skew", "cell_friction", "support_friction", "unit_friction"]
+__all__ = ["GRAVITY", "Cone", "SupportImpulse", "add_skew", "cell_friction", "support_friction", "unit_friction"]
 
 GRAVITY = 9.81
 """[m/s^2]"""
@@ -28,17 +28,31 @@ class Cone(NamedTuple):
     """Law of the support friction during one step."""
 
     diamond: bool
-    """The paper's pyramid; else the circle."""
+    """Whether the law is the paper's pyramid; else it is the circle."""
     eps: float
     """Smoothing speed [m/s]."""
     cos: float
-    """Of the object's yaw: the diamond stands in table axes."""
+    """Cosine of the object's yaw: the diamond is fixed in table axes."""
     sin: float
+
+
+class SupportImpulse(NamedTuple):
+    """Impulse of the support friction in a solved step, and its derivatives; object axes."""
+
+    impulse: Float64Array
+    """dt sum_i f_i J_i' phi_i [N s, N s, N m s], shape (3,)."""
+    stiffness: Float64Array
+    """Its derivative with respect to the twist, without R' R, shape (3, 3)."""
+    by_yaw: Float64Array
+    """Its derivative with respect to the yaw at a fixed twist in object axes, without R' s. Zero for the circular cone. Shape (3,)."""
+    stuck: Float64Array
+    """[R s] of the sticking cells of the pyramid: R' R is their derivative with respect to the twist, R' s that with respect to the yaw.
+    Zero for the circular cone. Shape (3, 4)."""
 
 
 @fast_kernel
 def unit_friction(ux: float, uy: float, cone: Cone) -> tuple[float, float]:
-    """phi of a cell's velocity, both in object axes."""
+    """phi(v) of a cell with velocity (ux, uy), both in object axes."""
     if not cone.diamond:
         q = 1.0 / math.sqrt(ux * ux + uy * uy + cone.eps * cone.eps)
         return q * ux, q * uy
@@ -57,11 +71,11 @@ def support_friction(
     """Friction of the table on all cells: sum_i f_i J_i' phi(J_i u) and its derivative with respect to u.
 
     Args:
-        twist: of the centre of mass, object axes [m/s, m/s, rad/s], shape (3,).
+        twist: twist of the centre of mass, object axes [m/s, m/s, rad/s], shape (3,).
         arms: cell centres from the centre of mass [m], shape (2, n_cells), object axes.
         limit: friction force of each cell when it slides [N], shape (n_cells,).
-        eps: speed at which friction is smoothed [m/s].
-        newton: the true derivative; else the majorising one.
+        eps: smoothing speed [m/s].
+        newton: whether to compute the exact derivative; else that of the majoriser.
         gradient: filled [N, N, N m], shape (3,).
         hessian: filled, shape (3, 3).
     """
@@ -109,9 +123,9 @@ def add_skew(
     gradient: Float64Array,
     hessian: Float64Array,
 ) -> None:
-    """Add what friction that depends on the direction of motion, f E phi(v), brings to the results of `support_friction`.
+    """Add friction that depends on the direction of motion, f E phi(v), to the results of `support_friction`.
 
-    E = [[a, b], [b, -a]] in object axes, `skew` (a, b). It is no gradient of a potential: its derivative is unsymmetric.
+    E = [[a, b], [b, -a]] in object axes; `skew` is (a, b). The force is not the gradient of a potential: its derivative is unsymmetric.
     """
     vx, vy, w = twist[0], twist[1], twist[2]
     a, b = skew[0], skew[1]

@@ -214,7 +214,7 @@ class PushCutter:
             self._open = None
 
     def _take(self, name: str, stamp: float) -> bool:
-        """Whether a sample belongs to what is collected now."""
+        """Whether a sample is used: it is newer than the previous one, and not from before time was set back."""
         stream = self._streams.setdefault(name, _Stream())
         stream.silent = 0
         if stamp < stream.latest - _JUMP_BACK:
@@ -238,7 +238,7 @@ class PushCutter:
             stream.is_behind = stream.latest > stamp + _JUMP_BACK
 
     def reset(self) -> None:
-        """Begin anew: forget everything that was buffered, keep the shapes."""
+        """Drop everything that was buffered, keep the shapes."""
         self._forget_all()
         self._streams.clear()
 
@@ -251,7 +251,7 @@ class PushCutter:
         self._open = None
         self._last_end = self._handed_out_until = self._now = -math.inf
 
-    # ---- what is complete
+    # ---- output
 
     def partial(self, object_id: str) -> PushRecord | None:
         """The part so far of the push under way; None while there is none, or too little of it."""
@@ -289,7 +289,7 @@ class PushCutter:
 
     @property
     def is_under_way(self) -> bool:
-        """Whether the pusher is pushing, as far as is known."""
+        """Whether a run of pusher samples has not ended yet."""
         return self._open is not None
 
     @property
@@ -299,7 +299,7 @@ class PushCutter:
 
     @property
     def _passed(self) -> float:
-        """Up to when everything has arrived [s]."""
+        """Time up to which all samples have arrived [s]."""
         return min((s.latest for s in self._streams.values() if s.silent <= _SILENT_CALLS and not s.is_behind), default=self._now)
 
     def _observed_after(self, end: float) -> bool:
@@ -339,14 +339,14 @@ class PushCutter:
         if reason := _unusable(interval.error_code, int(np.count_nonzero(samples)), len(chosen)):
             return reason
         time, positions = self._pusher.select(np.flatnonzero(samples))
-        felt, forces = self._wrench.select(np.flatnonzero(_within(np.array(self._wrench.time), start, end)))
+        wrench_time, forces = self._wrench.select(np.flatnonzero(_within(np.array(self._wrench.time), start, end)))
         stamps, observed = poses.select(chosen)
         return PushRecord(
             object_id=object_id,
             shape=self._shapes[object_id],
             poses=PoseTrack(stamps, np.array([pose for pose, _ in observed]), np.array([covariance for _, covariance in observed])),
             pusher=PusherPath(time, np.array(positions), self._radius),
-            wrench=WrenchTrack(felt, np.array(forces)) if len(felt) else None,
+            wrench=WrenchTrack(wrench_time, np.array(forces)) if len(wrench_time) else None,
             source=f"push at {time[0]:.2f} s",
         )
 

@@ -1,12 +1,11 @@
-"""What a simulator needs to know of an object, whatever the format.
+"""Description of an object for a simulator, independent of the format.
 
-The object is a frame that carries the outline, and below it one link per cell. A cell stands on the table on one point below its
-centre; the outline hovers over the table, so that it meets the pusher alone. Cells that slide along the vertical each rest on their
-own weight, as the model has it; the frame then moves in the plane only (x, y, yaw). Cells that are fixed make one rigid body that moves
-freely in space, and leave to the engine how they share its weight.
+The object is a frame that carries the outline, and below it one link per cell. A cell touches the table at one point below its centre; the
+outline is slightly above the table, so that only the pusher touches it. Cells on vertical joints carry their own weight, as in the model;
+the frame then moves in the plane only (x, y, yaw). Fixed cells form one rigid body that moves freely in space, and the engine distributes
+its weight over them.
 
-Effects that were identified beside the maps go into what a format has for them; those it has nothing for stand in a comment, with their
-equation and values.
+A file represents the effects that its format can express. A comment in the file gives equation and values of the others.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from push_ident.types import Float64Array, ObjectModel
 __all__ = ["CLEARANCE", "DEFAULT_HEIGHT", "ObjectDescription", "add_comment", "describe", "effect_notes", "numbers", "printable"]
 
 CLEARANCE = 1e-3
-"""Of the outline over the table [m]."""
+"""Height of the outline above the table [m]."""
 DEFAULT_HEIGHT = 0.03
-"""Of an object whose height nobody gave [m]."""
+"""Default height of an object [m]."""
 _FOOT_RADIUS = 0.125
-"""Of the ball that a cell stands on, in cells: small, so that it stays within the outline under cells at its edge."""
+"""Radius of the sphere under a cell, in cell edges: small, so that it lies within the outline also under cells at its edge."""
 _FRAME_SHARE = 1e-10
-"""Mass and inertia of a link that is no cell, as a share of the object's: most engines refuse a moving link without."""
+"""Mass and inertia of a link other than a cell, as a fraction of the object's: most engines require them for a moving link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,36 +41,36 @@ class ObjectDescription:
     """One object as links and joints. Everything in the object frame: origin on the table, z up."""
 
     name: str
-    """Of the object frame, `object_<id>`."""
+    """Name of the object frame, `object_<id>`."""
     centres: Float64Array
     """Feet of the cells [m], shape (n_cells, 2)."""
     mass: Float64Array
-    """[kg], shape (n_cells,)."""
+    """Mass of each cell [kg], shape (n_cells,)."""
     friction: Float64Array
-    """Of each cell on the table, shape (n_cells,)."""
+    """Friction coefficient of each cell on the table, shape (n_cells,)."""
     inertia: Float64Array
-    """Of each cell about its own centre of mass, (I_xx, I_yy, I_zz) [kg m^2], shape (n_cells, 3): a square plate of the object's height."""
+    """Inertia of each cell about its centre of mass, (I_xx, I_yy, I_zz) [kg m^2], shape (n_cells, 3), as a square plate."""
     frame_mass: float
-    """Of each link that is no cell [kg]."""
+    """Mass of each link other than a cell [kg]."""
     frame_inertia: float
-    """The same about each axis [kg m^2]."""
+    """Inertia of such a link about each axis [kg m^2]."""
     pieces: tuple[Float64Array, ...]
     """Convex polygons whose union is the outline, counter-clockwise [m], each shape (n, 2)."""
     pusher_friction: float
-    """With the effect on it, where there is one."""
+    """Friction coefficient of the pusher, including an effect on it."""
     effects: Mapping[str, tuple[float, ...]]
-    """Values of the effects that act beside the maps, by name."""
+    """Values of the identified effects, by name."""
     height: float
-    """Of the top of the outline [m]."""
+    """Height of the top of the outline [m]."""
     foot_radius: float
-    """[m]"""
+    """Radius of the sphere under each cell [m]."""
     sliding: bool
-    """Whether each cell is on a vertical joint of its own."""
+    """Whether each cell has its own vertical joint."""
     provenance: str
-    """One line: what it was made from and by what."""
+    """One line: source and version of the program."""
 
     def exported(self, part: ExportAs) -> tuple[float, ...] | None:
-        """Values of the effects that `part` of a file carries, added up; None where there are none."""
+        """Sum of the values of the effects that `part` of a file represents; None if there are none."""
         own = [values for name, values in self.effects.items() if EFFECTS[name].export is part]
         return tuple(map(sum, zip(*own, strict=True))) if len(own) > 1 else next(iter(own), None)
 
@@ -82,12 +81,12 @@ class ObjectDescription:
 
     @property
     def cell_height(self) -> float:
-        """Of the centre of mass of every cell [m]."""
+        """Height of the centre of mass of every cell [m]."""
         return self.height / 2
 
     @property
     def prisms(self) -> list[Float64Array]:
-        """The pieces as solids: their corners at the bottom, then at the top [m], each shape (2 n, 3)."""
+        """The pieces as prisms: bottom corners, then top corners [m], each shape (2 n, 3)."""
         return [np.array([[x, y, z] for z in (CLEARANCE, self.height) for x, y in piece]) for piece in self.pieces]
 
 
@@ -104,11 +103,11 @@ def describe(
 
     Args:
         model: the maps.
-        object_id: gives the frame its name, `object_<id>`; characters that names cannot have become `_`.
-        source: file the model comes from, for the reader.
-        height: of the object [m]; a push in the plane does not depend on it.
-        sliding: each cell on a vertical joint of its own; else one rigid body.
-        effects: that act beside the maps.
+        object_id: gives the frame its name, `object_<id>`; invalid characters become `_`.
+        source: file of the model, for the comment.
+        height: height of the object [m]; a push in the plane does not depend on it.
+        sliding: whether each cell has its own vertical joint; else the object is one rigid body.
+        effects: the identified effects.
 
     Raises:
         InputError: a height within the clearance of the outline, or an outline that is no simple polygon.
@@ -137,35 +136,35 @@ def describe(
     )
 
 
-def effect_notes(thing: ObjectDescription, carried: Mapping[ExportAs, str]) -> list[str]:
-    """A line for each effect.
+def effect_notes(description: ObjectDescription, carried: Mapping[ExportAs, str]) -> list[str]:
+    """One line for each effect.
 
     Args:
-        thing: the object.
-        carried: by kind of effect, where it stands in the file; effects of no such kind are not in the file.
+        description: the object.
+        carried: place in the file of each part that represents an effect. The file represents no other effects.
     """
     lines = []
-    for name, values in thing.effects.items():
+    for name, values in description.effects.items():
         effect = EFFECTS[name]
         sizes = ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in zip(effect.parameters, values, strict=True))
         place = carried.get(effect.export) if effect.export else None
-        where = f"stands in {place}." if place else f"is NOT in this file. {effect.what} {effect.equation}"
+        where = f"is in {place}." if place else f"is NOT in this file. {effect.what} {effect.equation}"
         lines.append(f"Effect {name} ({sizes}) {where}")
     return lines
 
 
 def numbers(*values: float) -> str:
-    """Numbers for an attribute, each with all the digits that bring back the same float."""
+    """Numbers for an attribute, with enough digits to reproduce each float exactly."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def add_comment(root: ElementTree.Element, *lines: str) -> None:
-    """Append a comment of some lines, whatever stands in them."""
-    # XML has no two hyphens within a comment, and none of the characters that do not print.
+    """Append a comment. Its lines may contain any characters."""
+    # XML allows neither two hyphens nor unprintable characters in a comment.
     text = [printable(line).replace("--", "- -") for line in lines]
     root.append(ElementTree.Comment("\n    " + "\n    ".join(text) + "\n  "))
 
 
 def printable(line: str) -> str:
-    """The line with `?` for characters that do not print, such as line breaks."""
+    """The line with `?` in place of unprintable characters, such as line breaks."""
     return "".join(c if c.isprintable() else "?" for c in line)

@@ -1,50 +1,50 @@
-"""Exported models as files."""
+"""Files of exported models."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError
 from push_ident.identification.export.description import ObjectDescription, printable
 from push_ident.identification.export.mjcf import mjcf
 from push_ident.identification.export.sdf import sdf
 from push_ident.identification.export.urdf import urdf
+from push_ident.identification.files import write_whole
 
 __all__ = ["SUFFIXES", "write_description"]
 
 SUFFIXES = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
-"""Of the files of each format."""
+"""Suffix of the file of each format."""
 
 
-def write_description(path: Path, thing: ObjectDescription, format_name: str) -> list[Path]:
+def write_description(path: Path, description: ObjectDescription, format_name: str) -> list[Path]:
     """Write an object for a simulator. The same object gives the same bytes.
 
     Args:
-        path: file to write. SDF and URDF have no solids from corners: their outline goes into a mesh beside it, `path` with .obj added.
-        thing: the object.
+        path: file to write. SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added.
+        description: the object.
         format_name: one of `SUFFIXES`.
 
     Returns:
         The files written.
 
     Raises:
-        InputError: a format that is not known.
-        PushIdentError: a file cannot be written.
+        InputError: unknown format.
+        ModelFileError: a file cannot be written.
     """
     mesh = path.with_name(path.name + ".obj")
     if format_name == "mjcf":
-        files = {path: _xml(mjcf(thing))}
+        files = {path: _xml(mjcf(description))}
     elif format_name in SUFFIXES:
         write = sdf if format_name == "sdf" else urdf
-        files = {mesh: _outline_mesh(thing).encode(), path: _xml(write(thing, mesh.name))}
+        files = {mesh: _outline_mesh(description).encode(), path: _xml(write(description, mesh.name))}
     else:
-        raise InputError(f"The format `{format_name}` is not known, expected one of {', '.join(SUFFIXES)}.")
+        raise InputError(f"The format `{format_name}` is unknown, expected one of {', '.join(SUFFIXES)}.")
     for file, content in files.items():
-        _write_whole(file, content)
+        write_whole(file, content, "the description")
     return list(files)
 
 
@@ -53,11 +53,11 @@ def _xml(root: ElementTree.Element) -> bytes:
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
-def _outline_mesh(thing: ObjectDescription) -> str:
+def _outline_mesh(description: ObjectDescription) -> str:
     """Wavefront OBJ, one object for each convex piece: Bullet takes the convex hull of each."""
-    lines = [f"# {printable(thing.provenance)}"]
+    lines = [f"# {printable(description.provenance)}"]
     first = 1
-    for number, prism in enumerate(thing.prisms):
+    for number, prism in enumerate(description.prisms):
         n = len(prism) // 2
         lines.append(f"o piece_{number}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in prism.tolist()]
@@ -70,17 +70,3 @@ def _outline_mesh(thing: ObjectDescription) -> str:
         lines += ["f " + " ".join(map(str, face)) for face in faces]
         first += 2 * n
     return "\n".join(lines) + "\n"
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """The file appears whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None

@@ -1,4 +1,4 @@
-"""SDF, the format of Gazebo; the outline is a mesh beside it."""
+"""SDF, the format of Gazebo; the outline is a mesh in a second file."""
 
 from __future__ import annotations
 
@@ -17,49 +17,49 @@ _CARRIED = {
     ExportAs.CELL_ANISOTROPY: "mu, mu2 and fdir1 of the cells",
 }
 _NOTE = (
-    "Gazebo takes the smaller of two coefficients of friction: the table's and the pusher's must be no smaller than the object's.",
-    "The table can have the default collide_bitmask; with 2 the pusher meets the outline alone.",
-    "PyBullet reads neither friction nor inertia of SDF, and no joint to the world: take the URDF for it.",
+    "Gazebo uses the smaller of two coefficients of friction: those of table and pusher must be at least those of the object.",
+    "The table can have the default collide_bitmask; with 2 the pusher touches only the outline.",
+    "PyBullet reads neither friction nor inertia of SDF, and no joint to the world: use the URDF for it.",
 )
 _NO_LIMIT = 1e6
-"""[m, rad]. The format wants limits where there are none."""
+"""Limit of a joint without limits [m, rad]: the format requires one."""
 _CELL_BIT, _OUTLINE_BITS = "1", "3"
 
 
-def sdf(thing: ObjectDescription, mesh: str) -> Element:
+def sdf(description: ObjectDescription, mesh: str) -> Element:
     """The object as a model; `mesh` is the file name of its outline. Sliding cells hang on a chain of joints from the world."""
     root = Element("sdf", version=_VERSION)
-    add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
-    model = SubElement(root, "model", name=thing.name)
-    frame_inertia = [thing.frame_inertia] * 3
-    if thing.sliding:
+    add_comment(root, description.provenance, *_NOTE, *effect_notes(description, _CARRIED))
+    model = SubElement(root, "model", name=description.name)
+    frame_inertia = [description.frame_inertia] * 3
+    if description.sliding:
         for link in ("x", "y"):
-            _add_inertial(SubElement(model, "link", name=f"{thing.name}_{link}"), thing.frame_mass, 0.0, frame_inertia)
-    frame = SubElement(model, "link", name=thing.name)
-    _add_inertial(frame, thing.frame_mass, 0.0, frame_inertia)
+            _add_inertial(SubElement(model, "link", name=f"{description.name}_{link}"), description.frame_mass, 0.0, frame_inertia)
+    frame = SubElement(model, "link", name=description.name)
+    _add_inertial(frame, description.frame_mass, 0.0, frame_inertia)
     for element in ("visual", "collision"):
         part = SubElement(frame, element, name="outline")
         _add_text(SubElement(SubElement(part, "geometry"), "mesh"), "uri", mesh)
         if element == "collision":
-            _add_surface(part, thing.pusher_friction, _OUTLINE_BITS)
-    rows = zip(thing.cell_names, thing.centres, thing.mass, thing.inertia, thing.friction, strict=True)
+            _add_surface(part, description.pusher_friction, _OUTLINE_BITS)
+    rows = zip(description.cell_names, description.centres, description.mass, description.inertia, description.friction, strict=True)
     for name, (x, y), mass, inertia, friction in rows:
         cell = SubElement(model, "link", name=name)
         _add_text(cell, "pose", numbers(x, y, 0, 0, 0, 0))
-        _add_inertial(cell, mass, thing.cell_height, inertia)
+        _add_inertial(cell, mass, description.cell_height, inertia)
         foot = SubElement(cell, "collision", name="foot")
-        _add_text(foot, "pose", numbers(0, 0, thing.foot_radius, 0, 0, 0))
-        _add_text(SubElement(SubElement(foot, "geometry"), "sphere"), "radius", numbers(thing.foot_radius))
-        _add_surface(foot, friction, _CELL_BIT, thing.exported(ExportAs.CELL_ANISOTROPY) or (0.0, 0.0))
-    if thing.sliding:
-        _add_joint(model, f"{thing.name}_x_joint", "prismatic", "world", f"{thing.name}_x", "1 0 0")
-        _add_joint(model, f"{thing.name}_y_joint", "prismatic", f"{thing.name}_x", f"{thing.name}_y", "0 1 0")
-        _add_joint(model, f"{thing.name}_yaw_joint", "continuous", f"{thing.name}_y", thing.name, "0 0 1")
-    for name in thing.cell_names:
-        if thing.sliding:
-            _add_joint(model, f"{name}_joint", "prismatic", thing.name, name, "0 0 1")
+        _add_text(foot, "pose", numbers(0, 0, description.foot_radius, 0, 0, 0))
+        _add_text(SubElement(SubElement(foot, "geometry"), "sphere"), "radius", numbers(description.foot_radius))
+        _add_surface(foot, friction, _CELL_BIT, description.exported(ExportAs.CELL_ANISOTROPY) or (0.0, 0.0))
+    if description.sliding:
+        _add_joint(model, f"{description.name}_x_joint", "prismatic", "world", f"{description.name}_x", "1 0 0")
+        _add_joint(model, f"{description.name}_y_joint", "prismatic", f"{description.name}_x", f"{description.name}_y", "0 1 0")
+        _add_joint(model, f"{description.name}_yaw_joint", "continuous", f"{description.name}_y", description.name, "0 0 1")
+    for name in description.cell_names:
+        if description.sliding:
+            _add_joint(model, f"{name}_joint", "prismatic", description.name, name, "0 0 1")
         else:
-            _add_joint(model, f"{name}_joint", "fixed", thing.name, name, None)
+            _add_joint(model, f"{name}_joint", "fixed", description.name, name, None)
     return root
 
 
@@ -92,7 +92,7 @@ def _add_inertial(link: Element, mass: float, height: float, inertia: Iterable[f
 
 
 def _add_surface(collision: Element, friction: float, bits: str, skew: tuple[float, ...] = (0.0, 0.0)) -> None:
-    """`skew`: (a, b) of E = [[a, b], [b, -a]], by whose eigenvalues friction is more along one direction and less across it."""
+    """`skew`: (a, b) of E = [[a, b], [b, -a]]. Its eigenvalues raise friction along one direction and lower it across that direction."""
     surface = SubElement(collision, "surface")
     ode = SubElement(SubElement(surface, "friction"), "ode")
     strength = math.hypot(*skew)

@@ -1,6 +1,6 @@
-"""URDF, with the friction where Bullet looks for it; the outline is a mesh beside it.
+"""URDF with the friction in the elements that Bullet reads; the outline is a mesh in a second file.
 
-URDF has no collision filters: cells and outline are kept apart by their places alone (feet within the outline, outline over the table).
+URDF has no collision filters: only their positions separate cells and outline (feet within the outline, outline above the table).
 """
 
 from __future__ import annotations
@@ -13,48 +13,50 @@ from push_ident.physics.effect import ExportAs
 __all__ = ["urdf"]
 
 _NOTE = (
-    "Friction stands in `contact`, an extension of Bullet. It multiplies the coefficients of two bodies: give table and pusher 1.",
+    "Friction is in `contact`, an extension of Bullet. Bullet multiplies the coefficients of two bodies: set 1 for table and pusher.",
     "In PyBullet: loadURDF(flags=URDF_USE_INERTIA_FROM_FILE), setPhysicsEngineParameter(enableConeFriction=1), and for all links",
     "changeDynamics(linearDamping=0, angularDamping=0) and setJointMotorControl2(VELOCITY_CONTROL, force=0).",
-    "Bullet swells meshes by 1 mm: make a round pusher 1 mm thinner, and rather a capsule than a cylinder.",
-    "PyBullet cannot tell the state of a body with more than 127 joints.",
+    "Bullet grows meshes by 1 mm: make a round pusher 1 mm thinner, and use a capsule instead of a cylinder.",
+    "PyBullet cannot report the state of a body with more than 127 joints.",
 )
 _CARRIED = {ExportAs.PUSHER_FRICTION: "the friction of the outline"}
 _NO_LIMIT = 1e6
-"""For effort [N], speed [m/s] and way [m]: the format wants limits where there are none."""
+"""Limit of effort [N], speed [m/s] and travel [m] of a joint without limits: the format requires one."""
 
 
-def urdf(thing: ObjectDescription, mesh: str) -> Element:
+def urdf(description: ObjectDescription, mesh: str) -> Element:
     """The object as a robot; `mesh` is the file name of its outline. Sliding cells hang on a chain of joints from the link `table`."""
-    root = Element("robot", name=thing.name)
-    add_comment(root, thing.provenance, *_NOTE, *effect_notes(thing, _CARRIED))
-    if thing.sliding:
+    root = Element("robot", name=description.name)
+    add_comment(root, description.provenance, *_NOTE, *effect_notes(description, _CARRIED))
+    if description.sliding:
         table = SubElement(root, "link", name="table")
-        # Without mass: Bullet then keeps it where it is.
+        # Bullet fixes a link without mass.
         _add_inertial(table, 0.0, 0.0, [0.0, 0.0, 0.0])
         parent = "table"
         chain = [("x", "prismatic", "1 0 0"), ("y", "prismatic", "0 1 0"), ("yaw", "continuous", "0 0 1")]
         for joint, kind, axis in chain:
-            child = thing.name if joint == "yaw" else f"{thing.name}_{joint}"
-            _add_joint(root, f"{thing.name}_{joint}_joint", kind, parent, child, axis=axis)
+            child = description.name if joint == "yaw" else f"{description.name}_{joint}"
+            _add_joint(root, f"{description.name}_{joint}_joint", kind, parent, child, axis=axis)
             parent = child
         for joint in ("x", "y"):
-            _add_inertial(SubElement(root, "link", name=f"{thing.name}_{joint}"), thing.frame_mass, 0.0, [thing.frame_inertia] * 3)
-    frame = SubElement(root, "link", name=thing.name)
-    _add_inertial(frame, thing.frame_mass, 0.0, [thing.frame_inertia] * 3)
-    _add_friction(frame, thing.pusher_friction)
+            _add_inertial(
+                SubElement(root, "link", name=f"{description.name}_{joint}"), description.frame_mass, 0.0, [description.frame_inertia] * 3
+            )
+    frame = SubElement(root, "link", name=description.name)
+    _add_inertial(frame, description.frame_mass, 0.0, [description.frame_inertia] * 3)
+    _add_friction(frame, description.pusher_friction)
     for element in ("visual", "collision"):
         SubElement(SubElement(SubElement(frame, element), "geometry"), "mesh", filename=mesh)
-    rows = zip(thing.cell_names, thing.centres, thing.mass, thing.inertia, thing.friction, strict=True)
+    rows = zip(description.cell_names, description.centres, description.mass, description.inertia, description.friction, strict=True)
     for name, (x, y), mass, inertia, friction in rows:
-        kind = "prismatic" if thing.sliding else "fixed"
-        _add_joint(root, f"{name}_joint", kind, thing.name, name, axis="0 0 1" if thing.sliding else None, xyz=numbers(x, y, 0))
+        kind = "prismatic" if description.sliding else "fixed"
+        _add_joint(root, f"{name}_joint", kind, description.name, name, axis="0 0 1" if description.sliding else None, xyz=numbers(x, y, 0))
         cell = SubElement(root, "link", name=name)
-        _add_inertial(cell, mass, thing.cell_height, inertia)
+        _add_inertial(cell, mass, description.cell_height, inertia)
         _add_friction(cell, friction)
         collision = SubElement(cell, "collision")
-        SubElement(collision, "origin", xyz=numbers(0, 0, thing.foot_radius))
-        SubElement(SubElement(collision, "geometry"), "sphere", radius=numbers(thing.foot_radius))
+        SubElement(collision, "origin", xyz=numbers(0, 0, description.foot_radius))
+        SubElement(SubElement(collision, "geometry"), "sphere", radius=numbers(description.foot_radius))
     return root
 
 

@@ -333,7 +333,7 @@ class PerceptionNode(Node):
         for name, camera in self._further.items():
             if camera.input.silence > _SILENT:
                 self._leave_out(name, "silent", self._silence_of(camera))
-        why = self._why_nothing(silent, rate)
+        why = self._why_no_pose(silent, rate)
         if silent or rate == 0:
             self._log("nothing", why)
         values: dict[str, Any] = {
@@ -341,7 +341,7 @@ class PerceptionNode(Node):
             "images": self._main.input.n_images,
             **self._counter,
             "last_error": self._last_error,
-            "why_nothing": why,
+            "why_no_pose": why,
         }
         if self._latencies:
             values["latency_ms"] = f"{1e3 * float(np.median(self._latencies)):.1f} median, {1e3 * max(self._latencies):.1f} worst"
@@ -358,7 +358,7 @@ class PerceptionNode(Node):
         self._diagnostics_publisher.publish(msg)
         self._diagnosed_at, self._frames_diagnosed = now, self._counter["frames"]
 
-    def _why_nothing(self, silent: bool, rate: float) -> str:
+    def _why_no_pose(self, silent: bool, rate: float) -> str:
         if self.get_parameter("use_sim_time").value and self.get_clock().now().nanoseconds == 0:
             return f"use_sim_time is set but nothing comes on /clock ({self.count_publishers('/clock')} publishers)"
         if silent:
@@ -368,7 +368,7 @@ class PerceptionNode(Node):
         if self._perception is None and source != "parameters" and waited > self._configured["extrinsics_timeout"]:
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_observation is None:
-            return self._last_error or "no depth frame has been taken in yet"
+            return self._last_error or "no depth frame has been processed yet"
         return self._last_observation.why_no_pose()
 
     def _silence_of(self, camera: _Camera) -> str:

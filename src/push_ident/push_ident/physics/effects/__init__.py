@@ -1,4 +1,4 @@
-"""The catalogue of effects: every module of this folder holds one as `EFFECT`. To add an effect, add a file.
+"""The catalogue of effects. Every module of this folder defines one as `EFFECT`. To add an effect, add a file.
 
 Files in the folders of `PUSH_IDENT_EFFECTS` (`effect_folders.py`) belong to the catalogue too.
 """
@@ -46,9 +46,10 @@ def _check_names(found: dict[str, Effect]) -> None:
 
 
 def _with_both_directions(found: dict[str, Effect], extra: set[str]) -> dict[str, Effect]:
-    """The effects, each mutual relation stated on both sides.
+    """The effects, with each mutual relation present in both.
 
-    Two files of this folder both have to state it. An effect of another folder states it alone: nobody edits an installed file for it.
+    Two effects of this folder must both declare it. For an effect of another folder one declaration suffices, because installed files are
+    not edited.
     """
     complete = dict(found)
     for field in _MUTUAL:
@@ -67,7 +68,7 @@ EFFECTS = _discover()
 """All effects by name."""
 
 CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_unknown_cause)
-"""Names of the effects that are a cause."""
+"""Names of the effects that are a named cause."""
 
 
 def _accuracy(name: str) -> float:
@@ -75,4 +76,4 @@ def _accuracy(name: str) -> float:
 
 
 CAMERA_ERRORS = tuple(sorted((name for name, effect in EFFECTS.items() if effect.is_camera_error), key=_accuracy))
-"""Names of the effects that belong to the base model where a camera traced the outline, by their size; the order decides last bits only."""
+"""Names of the effects in the base model where a camera traced the outline, sorted by accuracy. The order affects rounding only."""

@@ -1,4 +1,4 @@
-"""The object's base rubs more along one of its directions than across it."""
+"""The friction of the object's base depends on the direction of motion in the object."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["EFFECT"]
 
 @equation
 def _skew(p: Any, body: Body) -> Any:
-    # Zero times the mass makes it a number of the kind that derivatives need.
+    # Adding zero times the mass gives the result the number type of the derivative.
     return p[0] + 0.0 * body.mass, p[1] + 0.0 * body.mass
 
 
@@ -25,9 +25,9 @@ EFFECT = Effect(
     ),
     acts=OnTable(skew=_skew),
     law=Law.APPROXIMATE,
-    signature="A sideways force and a turn that depend on the heading in the body with a period of 180 degrees.",
+    signature="A sideways force and a turn that depend on the heading in the object, with a period of 180 degrees.",
     rivals=(Rival(MAPS, "pushes on new faces"), Rival("table_anisotropy", "pushes at one heading in the table, on several faces")),
-    check="Look for a grain on the underside of the object.",
+    check="Inspect the underside of the object for a grain or ribs.",
     source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
     export=ExportAs.CELL_ANISOTROPY,
 )

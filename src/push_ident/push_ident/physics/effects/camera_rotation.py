@@ -1,4 +1,4 @@
-"""The camera is turned about the table's normal."""
+"""The camera is rotated about the table's normal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law
 __all__ = ["EFFECT"]
 
 
-def _see(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
+def _reported(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
     angle = values[0]
     cos, sin = np.cos(angle), np.sin(angle)
     x, y, yaw = pose.T
@@ -18,13 +18,13 @@ def _see(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
 
 EFFECT = Effect(
     name="camera_rotation",
-    what="All reported poses are turned about the origin of the table frame.",
+    what="All reported poses are rotated about the origin of the table frame.",
     equation="reported = (R(angle) (x, y), yaw + angle)",
     parameters=(EffectParameter("angle", "rad", "counter-clockwise", scale=0.01, typical=0.01, camera_std=2.5e-3, low=-0.3, high=0.3),),
-    acts=OnPoses(_see),
+    acts=OnPoses(_reported),
     law=Law.EXACT,
-    signature="The object seems to move askew to the pusher, by one angle at every heading.",
+    signature="The direction of reported motion deviates from that of the pusher by the same angle at every heading.",
     rivals=(Rival("table_anisotropy", "pushes all over the table"), Rival("position_dependent_friction", "pushes all over the table")),
-    check="Look at two marks of known positions with the camera.",
+    check="Measure two marks of known positions with the camera.",
     source="Error of the camera's extrinsic calibration.",
 )

@@ -7,10 +7,10 @@ from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law
 __all__ = ["EFFECT"]
 
 
-def _see(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
-    seen = pose.copy()
-    seen[:, :2] += values
-    return seen
+def _reported(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
+    reported = pose.copy()
+    reported[:, :2] += values
+    return reported
 
 
 EFFECT = Effect(
@@ -21,11 +21,11 @@ EFFECT = Effect(
         EffectParameter("x", "m", "displacement along the table's x axis", scale=2e-3, typical=2e-3, camera_std=5e-4, low=-0.05, high=0.05),
         EffectParameter("y", "m", "displacement along the table's y axis", scale=2e-3, typical=2e-3, camera_std=5e-4, low=-0.05, high=0.05),
     ),
-    acts=OnPoses(_see),
+    acts=OnPoses(_reported),
     law=Law.EXACT,
     signature="A contact offset that is fixed in the table. The first pose is displaced as well.",
     rivals=(Rival("tool_offset", "no push: only a measurement of a known mark"),),
-    check="Look at a mark of known position with the camera.",
+    check="Measure a mark of known position with the camera.",
     source="Error of the camera's extrinsic calibration.",
     exact_twins=("tool_offset",),
 )

@@ -1,4 +1,4 @@
-"""Contents shift against the motion and take the load with them."""
+"""Contents shift against the motion, and the load with them."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ EFFECT = Effect(
     what="Loose or liquid contents shift against the motion, and the load with them.",
     equation="N_i ~ 1 + (r_i - c)' S^-1 q, tau dq/dt = -shift v - q, q in the object, v the direction of the centre of mass",
     parameters=(
-        EffectParameter("shift", "m", "how far the load falls behind in the end", scale=5e-3, typical=5e-3, low=0.0, high=0.05),
-        EffectParameter("tau", "s", "time in which it does", scale=0.1, typical=0.1, nominal=0.1, low=0.01, high=2.0, shape=True),
+        EffectParameter("shift", "m", "final distance of the load behind the motion", scale=5e-3, typical=5e-3, low=0.0, high=0.05),
+        EffectParameter("tau", "s", "time constant of the shift", scale=0.1, typical=0.1, nominal=0.1, low=0.01, high=2.0, shape=True),
     ),
     acts=OnTable(shift=_shift),
     law=Law.APPROXIMATE,
     memory=Memory(2, _remember),
     signature="The first 0.2 s of each push; the centre of friction lags behind the motion.",
     rivals=(
-        Rival("push_height", "the load leads at once; wait, repeat, reverse a push"),
-        Rival("position_dependent_friction", "the same push again after a wait, and reversed"),
+        Rival("push_height", "repeat a push after a wait, and reversed: the load leads at once"),
+        Rival("position_dependent_friction", "the same push repeated after a wait, and reversed"),
     ),
     check="Shake the object and listen; wait ten seconds and repeat a push.",
     source="First-order model of sloshing; q moves the centre of friction c; c and the covariance S weigh cells by their limits.",

@@ -1,4 +1,4 @@
-"""The object is a little larger, or smaller, than its outline says."""
+"""The object is slightly larger or smaller than its outline."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["EFFECT"]
 
 EFFECT = Effect(
     name="outline_error",
-    what="The surface that the pusher meets lies outside (> 0) or inside the outline.",
+    what="The surface that the pusher touches lies outside (> 0) or inside (< 0) the outline.",
     equation="gap - offset; contact point + offset n",
     parameters=(
         EffectParameter(
@@ -24,5 +24,5 @@ EFFECT = Effect(
         Rival("tool_offset", "several faces: it is fixed in the table"),
     ),
     check="Measure the object with a calliper.",
-    source="Offset curve of the outline; equals an error of the pusher's radius.",
+    source="Offset curve of the outline; equivalent to an error of the pusher's radius.",
 )

@@ -11,8 +11,8 @@ __all__ = ["EFFECT"]
 
 @equation
 def _shift(p: Any, body: Body, load: Load, memory: Any) -> Any:
-    # The table's friction on the whole object, over what it is while that does not turn: cells that go round cancel one another. For a
-    # velocity field v + omega x r its mean direction is nearly that of v, shorter by the share of the turning.
+    # Total friction of the table relative to that of pure translation. Rotation reduces it, as the friction of opposite cells cancels. For
+    # a velocity field v + omega x r the mean direction of motion is approximately v / sqrt(v^2 + omega^2 <r^2>).
     squared = load.xx + load.yy + load.x * load.x + load.y * load.y
     speed = analytic_sqrt(body.vx * body.vx + body.vy * body.vy + body.omega * body.omega * squared + STILL * STILL)
     return p[0] * (body.cos * body.vx + body.sin * body.vy) / speed, p[0] * (body.cos * body.vy - body.sin * body.vx) / speed
@@ -20,12 +20,12 @@ def _shift(p: Any, body: Body, load: Load, memory: Any) -> Any:
 
 EFFECT = Effect(
     name="push_height",
-    what="Pushed above its base, an object bears more on the cells that lead.",
-    equation="N_i ~ 1 + (r_i - c)' S^-1 q, q = lever v / sqrt(v^2 + omega^2 <r^2>), v of the centre of mass",
+    what="A push above the base shifts load to the leading cells.",
+    equation="N_i ~ 1 + (r_i - c)' S^-1 q, q = lever v / sqrt(v^2 + omega^2 <r^2>), v: velocity of the centre of mass",
     parameters=(EffectParameter("lever", "m", "friction coefficient times height", scale=5e-3, typical=5e-3, low=0.0, high=0.05),),
     acts=OnTable(shift=_shift),
     law=Law.APPROXIMATE,
-    signature="The centre of friction runs ahead of the motion, by the lever; never behind it, and less where the object turns.",
+    signature="The centre of friction leads the motion by the lever, never trails it, and leads less where the object rotates.",
     rivals=(
         Rival("table_tilt", "pushes on opposite faces"),
         Rival("moving_contents", "pushes on opposite faces"),

@@ -1,4 +1,4 @@
-"""The pusher is rougher, or smoother, than assumed."""
+"""The pusher is rougher or smoother than assumed."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Exp
 __all__ = ["EFFECT"]
 
 
-def _change(values: ComplexArray, coefficient: ComplexArray) -> ComplexArray:
+def _changed(values: ComplexArray, coefficient: ComplexArray) -> ComplexArray:
     changed = coefficient + values[0]
-    # No surface is smoother than one without friction.
+    # A friction coefficient is never negative.
     return changed if changed[0].real > 0.0 else 0.0 * changed
 
 
@@ -18,11 +18,11 @@ EFFECT = Effect(
     what="The pusher's friction coefficient is not the nominal one.",
     equation="max(0, mu_p + excess)",
     parameters=(EffectParameter("excess", "", "above the coefficient of the model", scale=0.15, typical=0.15, low=-2.0, high=2.0),),
-    acts=OnPusherFriction(_change),
+    acts=OnPusherFriction(_changed),
     law=Law.APPROXIMATE,
     signature="Slip along the face: oblique and off-centre pushes.",
     rivals=(Rival("push_height", "pushes mirrored at +-20 degrees"),),
-    check="Make sure that the tip of the pusher does not turn; cover it with a tape of known friction.",
-    source="Coulomb's law at the contact (the paper's mu_p). A tip that turns has less friction. A fit of the coefficient absorbs it.",
+    check="Verify that the tip of the pusher does not rotate; cover it with a tape of known friction.",
+    source="Coulomb's law at the contact (the paper's mu_p). A rotating tip has less friction. A fit of the coefficient absorbs it.",
     export=ExportAs.PUSHER_FRICTION,
 )

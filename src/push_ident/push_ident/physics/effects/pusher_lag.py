@@ -1,4 +1,4 @@
-"""The pusher follows its commanded path with a delay of first order."""
+"""The pusher follows its reported path with a first-order lag."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["EFFECT"]
 
 @kernel
 def _follow(path: ComplexArray, behind: complex, decay: complex, driven: ComplexArray) -> None:
-    """Exact response to a path that is linear between samples; `behind` is the final lag per step of travel."""
+    """Exact response to a path that is linear between samples; `behind` is the steady lag per step of travel."""
     for axis in range(path.shape[1]):
         lag = 0.0j
         driven[0, axis] = path[0, axis]
@@ -31,14 +31,14 @@ def _move(values: ComplexArray, dt: float, path: ComplexArray) -> ComplexArray:
 
 EFFECT = Effect(
     name="pusher_lag",
-    what="The pusher follows its reported path with a delay of first order.",
-    equation="tau dp/dt = p_reported - p, at rest at first",
+    what="The pusher follows its reported path with a first-order lag.",
+    equation="tau dp/dt = p_reported - p, initially at rest",
     parameters=(EffectParameter("tau", "s", "time constant", scale=0.03, typical=0.03, low=0.0, high=0.5),),
     acts=OnPusherPath(_move),
     law=Law.EXACT,
     signature="Speed times tau while the pusher moves; fades after it stops.",
     rivals=(
-        Rival("pose_latency", "the frames after the stop: it lasts as long as the motion"),
+        Rival("pose_latency", "the frames after the stop: it ends with the motion"),
         Rival("outline_error", "pushes of several speeds: it does not depend on speed"),
         Rival("pusher_speed_scale", "pushes with steps of speed: it grows with travel"),
     ),

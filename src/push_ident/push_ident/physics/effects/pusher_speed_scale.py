@@ -1,4 +1,4 @@
-"""The pusher goes further than its path says, or less far."""
+"""The pusher moves further, or less far, than its reported path."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ EFFECT = Effect(
     name="pusher_speed_scale",
     what="The pusher moves faster than its reported path from the same start.",
     equation="p = p0 + (1 + s) (p_reported - p0)",
-    parameters=(EffectParameter("s", "", "additional share of speed", scale=0.03, typical=0.03, low=-0.3, high=0.3),),
+    parameters=(EffectParameter("s", "", "relative excess of speed", scale=0.03, typical=0.03, low=-0.3, high=0.3),),
     acts=OnPusherPath(_move),
     law=Law.EXACT,
-    signature="Grows in proportion to the way driven.",
+    signature="Grows in proportion to the pusher's travel.",
     rivals=(
         Rival("pose_latency", "pushes of two lengths at one speed: it ends with the motion"),
         Rival("pusher_lag", "pushes of two lengths at one speed: it ends with the motion"),

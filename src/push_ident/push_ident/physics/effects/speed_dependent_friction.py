@@ -1,4 +1,4 @@
-"""Friction grows, or falls, with the logarithm of the speed."""
+"""Friction increases or decreases with the logarithm of the speed."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from push_ident.physics.effect import MAPS, Body, Cell, Effect, EffectParameter,
 
 __all__ = ["EFFECT"]
 
-_REFERENCE = 0.1  # speed at which friction is that of the map [m/s]
-_SLOWEST = 0.01  # below it friction hardly changes with the speed [m/s]
-_ROUNDING = 1e-4  # keeps the speed smooth at rest [m/s]
+_REFERENCE = 0.1  # speed at which friction equals that of the map [m/s]
+_SLOWEST = 0.01  # speed below which friction hardly depends on the speed [m/s]
+_ROUNDING = 1e-4  # smooths the speed at rest [m/s]
 
 
 @equation
@@ -26,8 +26,8 @@ EFFECT = Effect(
     parameters=(EffectParameter("b", "", "change of friction per factor e of speed", scale=0.1, typical=0.1, low=-0.5, high=0.5),),
     acts=OnTable(load=_load),
     law=Law.APPROXIMATE,
-    signature="Coasting distance; a fast turn against a slow one. A film of oil acts alike.",
+    signature="Distance of coasting; fast rotations compared with slow ones. A film of oil has a similar effect.",
     rivals=(Rival(MAPS, "the same push at 0.04, 0.12 and 0.3 m/s"), Rival("push_height", "the same push at 0.04, 0.12 and 0.3 m/s")),
-    check="Make sure that there is no film of oil; repeat a push at a quarter of its speed.",
-    source="Logarithmic law of rate-dependent friction; Ruina, Slip instability and state variable friction laws, 1983, without its state.",
+    check="Verify that there is no film of oil; repeat a push at a quarter of its speed.",
+    source="Logarithmic law of rate-dependent friction; Ruina, Slip instability and state variable friction laws, 1983, without state.",
 )

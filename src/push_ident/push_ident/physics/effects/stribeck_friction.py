@@ -1,4 +1,4 @@
-"""Friction rises at low speed."""
+"""Friction is higher at low speed."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ EFFECT = Effect(
     what="Friction is higher at low speed.",
     equation="f (1 + s exp(-(v / v_s)^2))",
     parameters=(
-        EffectParameter("s", "", "additional share of friction at rest", scale=0.2, typical=0.2, low=-0.5, high=2.0),
+        EffectParameter("s", "", "relative increase of friction at rest", scale=0.2, typical=0.2, low=-0.5, high=2.0),
         EffectParameter("v_s", "m/s", "speed at which it fades", scale=0.01, typical=0.01, nominal=0.02, low=0.002, high=0.2, shape=True),
     ),
     acts=OnTable(load=_load),
     law=Law.APPROXIMATE,
-    signature="Only below some 30 mm/s: stops and starts. Hardly visible at usual speeds.",
+    signature="Only below about 30 mm/s, at stops and starts. Hardly visible at usual speeds.",
     rivals=(Rival("speed_dependent_friction", "pushes below 30 mm/s"),),
     check="Repeat a push at 10 mm/s.",
     source="Bo & Pavelescu, The friction-speed relation and its influence on the critical velocity of stick-slip motion, Wear 82, 1982.",

@@ -1,4 +1,4 @@
-"""The table rubs more along one of its directions than across it."""
+"""The friction of the table depends on the direction of motion in the table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["EFFECT"]
 
 @equation
 def _skew(p: Any, body: Body) -> Any:
-    # A symmetric traceless matrix turns at twice the angle of the axes.
+    # The components of a symmetric traceless matrix rotate at twice the angle of the axes.
     cos2, sin2 = body.cos * body.cos - body.sin * body.sin, 2.0 * body.sin * body.cos
     return cos2 * p[0] + sin2 * p[1], cos2 * p[1] - sin2 * p[0]
 
@@ -26,7 +26,7 @@ EFFECT = Effect(
     ),
     acts=OnTable(skew=_skew),
     law=Law.APPROXIMATE,
-    signature="A sideways force and a turn that depend on the heading in the table with a period of 180 degrees.",
+    signature="A sideways force and a turn that depend on the heading in the table, with a period of 180 degrees.",
     rivals=(
         Rival("table_tilt", "the same contact at object yaws of 0, 90 and 180 degrees: its period is 360 degrees"),
         Rival("position_dependent_friction", "the same contact at object yaws of 0, 90 and 180 degrees"),

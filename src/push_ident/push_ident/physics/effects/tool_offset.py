@@ -1,4 +1,4 @@
-"""The tool tip is not where the arm says."""
+"""The tool tip is displaced from the position that the arm reports."""
 
 from __future__ import annotations
 

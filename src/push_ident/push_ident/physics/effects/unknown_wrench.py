@@ -1,4 +1,4 @@
-"""A smooth force and torque of unknown cause: what no named effect explains."""
+"""A smooth force and torque of unknown cause, for motion that no named effect explains."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["COMPONENTS", "EFFECT", "FEATURES"]
 COMPONENTS: Final = {
     "along": "force along the motion",
     "across": "force across the motion",
-    "torque": "torque while it moves along",
-    "turning": "torque against turning",
+    "torque": "torque during translation",
+    "turning": "torque against rotation",
 }
-"""Parts of the wrench, each smooth in all features."""
+"""Components of the wrench, each smooth in all features."""
 FEATURES: Final = {
     "even": ("even",),
     "place": ("x", "y"),
@@ -24,14 +24,14 @@ FEATURES: Final = {
     "speed": ("speed",),
     "order of the pushes": ("order",),
 }
-"""What it may vary with, and the functions that say how."""
+"""Features that the wrench may depend on, each with its basis functions."""
 
 _GRAVITY = 9.81  # [m/s^2]
-_SLOW = 2e-3  # below it the wrench fades: an object at rest needs none [m/s]
+_SLOW = 2e-3  # speed below which the wrench fades; it is zero at rest [m/s]
 _REFERENCE = 0.1  # speed at which the function of the speed is zero [m/s]
-_SLOWEST = 0.01  # below it that function hardly changes [m/s]
-_FAR = 0.1  # [m] at which the functions of the place are 1
-_MANY = 10.0  # pushes after which the function of their order is 1
+_SLOWEST = 0.01  # speed below which that function hardly changes [m/s]
+_FAR = 0.1  # coordinate at which the functions of the place are 1 [m]
+_MANY = 10.0  # number of pushes after which the function of their order is 1
 _PER_COMPONENT = sum(len(functions) for functions in FEATURES.values())
 
 
@@ -77,12 +77,12 @@ EFFECT = Effect(
     name="unknown_wrench",
     what="A smooth force and torque of unknown cause.",
     equation="(-a d + c d_perp) m g, (t |d|^2 - s w) m g rho; a, c, t, s linear in smooth functions of place, headings, speed and order; "
-    "(d, w): direction of the motion, turning counted as rho omega; rho: radius of gyration of the area",
+    "(d, w): direction of the motion, rotation counted as rho omega; rho: radius of gyration of the area",
     parameters=_parameters(),
     acts=OnTable(pull=_pull),
     law=Law.APPROXIMATE,
-    signature="Systematic residuals that no effect of the catalogue explains; one that explains as much is preferred.",
+    signature="Systematic residuals that no effect of the catalogue explains. A named effect that explains them equally well is preferred.",
     rivals=(),
-    source="An additive Gaussian process in the features: each weight is a normal variable of the prior.",
+    source="An additive Gaussian process in the features: the prior of each weight is normal.",
     is_unknown_cause=True,
 )

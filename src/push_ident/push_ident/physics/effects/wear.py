@@ -1,4 +1,4 @@
-"""Friction drifts from push to push."""
+"""Friction changes from push to push."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def _plane(p: Any, body: Body, memory: Any) -> Any:
 
 EFFECT = Effect(
     name="wear",
-    what="Friction changes with every push that was done, as surfaces are polished or pick up dirt.",
-    equation="f (1 + w n), n pushes done before",
+    what="Friction changes with every push, as surfaces are polished or collect dirt.",
+    equation="f (1 + w n), n: number of pushes before",
     parameters=(EffectParameter("w", "", "change of friction per push", scale=0.02, typical=0.02, low=-0.2, high=0.2),),
     acts=OnTable(plane=_plane),
     law=Law.APPROXIMATE,
-    signature="Drift from push to push.",
+    signature="Drift of the motion from push to push.",
     rivals=(Rival(MAPS, "the first push repeated at the end, or pushes in random order"),),
     check="Repeat the first push last.",
-    source="First-order drift; seen by Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
+    source="First-order drift; Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
 )

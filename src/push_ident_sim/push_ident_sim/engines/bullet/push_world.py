@@ -121,7 +121,7 @@ class PushWorld:
         step = self.time_step
         start = self._begin(path.position[0])
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
-        # counts as a deep one, and shoots the object away. Bodies far apart have none.
+        # counts as a deep one, and throws the object away. Distant bodies have no contact.
         self._place_pusher(start + _ASIDE)
         self._object.place(checked_pose(pose_object_in_table))
         self._client.performCollisionDetection()

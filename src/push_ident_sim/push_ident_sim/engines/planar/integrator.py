@@ -380,7 +380,7 @@ def _shift_loads(laws: Laws, body: Body, frame: _Frame, state: State, bears: NDA
     cos, sin, velocity, lean, contents, rubbed = frame.cos, frame.sin, frame.velocity, state.lean, state.contents, state.rubbed
     weight = body.mass * laws.gravity
     share = dt / _BED_TIME
-    # Pushed at the height of its centre of mass, the object leans by the moment of the table's friction alone.
+    # Pushed at the height of its centre of mass, only the moment of the table's friction makes the object lean.
     lean[0] -= share * (laws.height * (cos * rubbed[0] + sin * rubbed[1]) / weight + lean[0])
     lean[1] -= share * (laws.height * (cos * rubbed[1] - sin * rubbed[0]) / weight + lean[1])
     speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2)

@@ -49,7 +49,7 @@ class Judged:
     """Of the weakest true effect, beside its hardest rival; by slopes at null, and of a single one by fits of both as well."""
     detectable: bool
     """Every true effect is detectable on average."""
-    surely: bool
+    clearly_detectable: bool
     """Each is detectable nine times out of ten."""
     values: Json
 
@@ -85,7 +85,7 @@ def judge(result: CaseResult) -> Judged:
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
         noncentrality=_noncentrality(values),
         detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
-        surely=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
+        clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
         values=values,
     )
 
@@ -137,7 +137,7 @@ def figures(cases: Sequence[Judged]) -> Json:
     plain = [c for c in detected if c.noncentrality >= _PLAIN]
     below = [c for c in singles if not c.detectable]
     both_detectable = [c for c in pairs if c.detectable]
-    clearly = [c for c in singles if c.surely]
+    clearly = [c for c in singles if c.clearly_detectable]
     # A case in which the base model is not trustworthy counts as visible.
     visible = [c for c in outside if c.values.get("visibility") is None or c.values["visibility"] >= _PLAIN]
     shrunk = [c for c in (*detected, *both_detectable) if None not in (c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"])]

@@ -58,7 +58,7 @@ def new_figure(columns: int, rows: int = 1, width: float = 4.6, height: float = 
 def dots(ax: Axes, position: float, values_m: Sequence[float], colour: str, *, width: float = 0.3, label: str | None = None) -> None:
     """Every value as a dot [mm] beside `position`, spread sideways evenly, with a bar at their mean."""
     n = len(values_m)
-    # Multiples of the golden section spread neighbours apart without randomness.
+    # Multiples of the golden section separate neighbours without randomness.
     across = [position + width * ((i * 0.6180339887498949) % 1.0 - 0.5) for i in range(n)]
     ax.plot(across, [1e3 * v for v in values_m], ".", color=colour, markersize=3.5, alpha=0.5, markeredgewidth=0)
     mean = 1e3 * sum(values_m) / n
@@ -103,7 +103,7 @@ def save(figure: Figure, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110, metadata={"Software": None})
     except OSError as error:
-        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a folder with write permission.") from None
 
 
 def millimetres(metres: float | None, digits: int = 2) -> str:

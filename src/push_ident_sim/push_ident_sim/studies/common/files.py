@@ -20,7 +20,7 @@ def write_json(path: Path, content: Json) -> None:
         partial.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n", encoding="utf-8")
         partial.replace(path)
     except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a place that can be written to.") from None
+        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder with write permission.") from None
 
 
 def read_json(path: Path) -> Json:

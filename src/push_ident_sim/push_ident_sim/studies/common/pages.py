@@ -90,7 +90,7 @@ def _write(page: Path, head: list[str], found: Sequence[tuple[Study, Json]], ori
     try:
         page.write_text("\n".join(parts), encoding="utf-8")
     except OSError as error:
-        raise PushIdentError(f"Cannot write {page}: {error.strerror}; choose a place that can be written to.") from None
+        raise PushIdentError(f"Cannot write {page}: {error.strerror}; choose a folder with write permission.") from None
     return written
 
 

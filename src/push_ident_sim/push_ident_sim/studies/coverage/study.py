@@ -31,7 +31,7 @@ _N_SAMPLES = 500
 _LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 _NOMINAL = 0.9
 _QUANTITIES = {
-    "ends": "end poses of unseen pushes",
+    "ends": "end poses of held-out pushes",
     "centre": "centre of friction",
     "pusher_friction": "friction of the pusher",
     "cells": "mass times friction of the cells",

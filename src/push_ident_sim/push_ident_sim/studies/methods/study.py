@@ -109,7 +109,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
         ax.axhline(1e3 * own[0]["truth_m"], color=COLOURS["truth"], linestyle=":", label="true maps")
         ax.set_xscale("log")
         ax.set_xlabel("time of the solve [s]")
-        log_millimetres(ax, "mean cell error on unseen pushes [mm]", low=0.3, high=60.0)
+        log_millimetres(ax, "mean cell error on held-out pushes [mm]", low=0.3, high=60.0)
         ax.set_title(f"{name}, {own[0]['cells']} cells", fontsize=10)
         label_below(ax, 3)
     save(figure, folder / "methods.png")

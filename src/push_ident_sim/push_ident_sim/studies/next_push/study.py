@@ -90,7 +90,7 @@ def _row(name: str, curve: Json) -> list[str]:
 
 
 def _tables(summary: Json) -> str:
-    head = ["mean cell error on unseen pushes [mm]", *(f"{n} push{'es' if n > 1 else ''}" for n in summary["pushes"])]
+    head = ["mean cell error on held-out pushes [mm]", *(f"{n} push{'es' if n > 1 else ''}" for n in summary["pushes"])]
     rows = [_row(name, curve) for name, curve in summary["curves"].items()]
     if "gain" in summary:
         rows.append(_row("gain on the same object", summary["gain"]))
@@ -104,7 +104,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
         axes.errorbar(summary["pushes"], 1e3 * np.array(curve["mean_m"]), bars, label=name, color=colour, marker="o", capsize=3)
     axes.set_xlabel("pushes learned from")
     axes.set_xticks(summary["pushes"])
-    log_millimetres(axes, "mean cell error on unseen pushes [mm]", low=0.5, high=20.0)
+    log_millimetres(axes, "mean cell error on held-out pushes [mm]", low=0.5, high=20.0)
     label_below(axes, 2)
     save(figure, folder / "next-push.png")
     return {"next-push.png": "Error on held-out pushes with every push after the first chosen, and random; bars are standard errors."}

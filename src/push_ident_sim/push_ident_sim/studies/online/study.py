@@ -184,7 +184,7 @@ def _curve(errors: Sequence[Sequence[float]]) -> Json:
 
 
 def _tables(summary: Json) -> str:
-    head = ["mean cell error on unseen pushes [mm]", "cases", *(f"after {n}" for n in _SHOWN)]
+    head = ["mean cell error on held-out pushes [mm]", "cases", *(f"after {n}" for n in _SHOWN)]
     rows = [
         [f"{variant}, {name}", str(curve["n"]), *(_cell(curve, n - 1) for n in _SHOWN)]
         for variant, curves in summary["curves"].items()
@@ -207,7 +207,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     axes.axhline(1e3 * _AIM, color=COLOURS["truth"], lw=1.0, ls=":")
     axes.set_xlabel("pushes learned from")
     axes.set_xticks(summary["pushes"])
-    log_millimetres(axes, "mean cell error on unseen pushes [mm]", low=0.5, high=20.0)
+    log_millimetres(axes, "mean cell error on held-out pushes [mm]", low=0.5, high=20.0)
     label_below(axes, 2)
     save(figure, folder / "online.png")
     return {"online.png": "Error on held-out pushes by the number of pushes; bars are standard errors, dotted: 3 mm."}

@@ -125,7 +125,7 @@ def _measured(player: _Player, pid: int, n_frames: int) -> Json:
             first_pose_at = number
         if first_pose_at is None and time.perf_counter() - start > _PATIENCE:
             raise PerceptionError(
-                f"No pose within {_PATIENCE:.0f} s of images; perception reports: {player.said.get('why_nothing', 'nothing')}."
+                f"No pose within {_PATIENCE:.0f} s of images; perception reports: {player.said.get('why_no_pose', 'nothing')}."
             )
         if first_pose_at is not None and number == first_pose_at + _WARM_UP:
             cpu_at_start = processor_time(pid)

@@ -129,9 +129,9 @@ class LiveCell:
 
     def cancel(self, sent: SentGoal) -> float:
         """Cancel a goal; returns the time of the request [s]."""
-        asked = time.monotonic()
+        requested = time.monotonic()
         self._ask(sent.handle.cancel_goal_async)
-        return asked
+        return requested
 
     def reset_object(self) -> None:
         """Put the object back to the middle; the arm must not be there."""
@@ -151,9 +151,9 @@ class LiveCell:
 
     def _ask(self, question: Callable[[], Any]) -> Any:
         # Called in the thread that spins: from another one, the answer may arrive before the request is registered, and is dropped.
-        asked = self._executor.create_task(question)
-        self.wait(asked.done, 20.0, "the observer's own thread did not answer")
-        return asked.result()
+        answer = self._executor.create_task(question)
+        self.wait(answer.done, 20.0, "the observer's own thread did not answer")
+        return answer.result()
 
     def _on_state(self, msg: JointState) -> None:
         received = time.monotonic()

@@ -228,7 +228,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
 
 def _row(pushes: Sequence[Json]) -> Json:
     made = [push for push in pushes if push["made"]]
-    asked = [push for push in made if push["purpose"] == PushRecord.PURPOSE_REQUESTED]
+    requested = [push for push in made if push["purpose"] == PushRecord.PURPOSE_REQUESTED]
     if not made:
         return {"asked": 0, "refused": len(pushes)}
 
@@ -239,9 +239,9 @@ def _row(pushes: Sequence[Json]) -> Json:
         return _rounded(np.sqrt(np.mean([push[key] ** 2 for push in made if push[key] is not None])))
 
     return {
-        "asked": len(asked),
+        "asked": len(requested),
         "refused": len(pushes) - len(made),
-        "recentred": len(made) - len(asked),
+        "recentred": len(made) - len(requested),
         "contact": sum(push["moved"] for push in made),
         "succeeded": sum(push["code"] == PushCode.NONE for push in made),
         "cross_rms_m": rms("cross_rms_m"),

@@ -55,7 +55,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
 def _tables(summary: Json) -> str:
     rows = {**summary["objects"], "all": summary["all"]}
     return markdown_table(
-        ["mean cell error on unseen pushes [mm]", *MODELS, "identified: median", "90 %", "largest", "pushes"],
+        ["mean cell error on held-out pushes [mm]", *MODELS, "identified: median", "90 %", "largest", "pushes"],
         [
             [
                 name,
@@ -76,7 +76,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
             level = 1e3 * own[model]["mean_m"]
             ax.plot([i - 0.35, i + 0.35], [level, level], color=COLOURS[model], linewidth=2, label=model if i == 0 else None)
     ax.set_xticks(range(len(summary["objects"])), list(summary["objects"]))
-    log_millimetres(ax, "cell error on unseen pushes [mm]")
+    log_millimetres(ax, "cell error on held-out pushes [mm]")
     label_below(ax, 4)
     save(figure, folder / "real-protocol.png")
     return {"real-protocol.png": "Two training pushes of which only the end poses are known; every dot one test push, bars the means."}

@@ -77,7 +77,7 @@ def _solve(results: Sequence[CaseResult]) -> Json:
 
 def _tables(summary: Json) -> str:
     numbers = summary["numbers"]
-    head = ["mean cell error on unseen pushes [mm]", *(f"{n} push{'es' if n != '1' else ''}" for n in numbers)]
+    head = ["mean cell error on held-out pushes [mm]", *(f"{n} push{'es' if n != '1' else ''}" for n in numbers)]
     names = [name for name in _COMPARED if all(name in own["all"] for own in numbers.values())]
     overall = [[name, *(mean_in_millimetres(own["all"][name]) for own in numbers.values())] for name in names]
     objects = list(next(iter(numbers.values()))["objects"])
@@ -136,12 +136,12 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
                 )
     errors.set_xticks(range(len(numbers)), list(numbers))
     errors.set_xlabel("training pushes")
-    log_millimetres(errors, "cell error on unseen pushes [mm]")
+    log_millimetres(errors, "cell error on held-out pushes [mm]")
     label_below(errors, 5)
     errors.set_title("every dot one push, bars the means", fontsize=10)
     steps.set_xscale("log")
     steps.set_xlabel("simulations of each training push")
-    log_millimetres(steps, "mean cell error on unseen pushes [mm]", low=0.5, high=50.0)
+    log_millimetres(steps, "mean cell error on held-out pushes [mm]", low=0.5, high=50.0)
     label_below(steps, 4)
     steps.set_title("while the solver works", fontsize=10)
     save(figure, folder / "training.png")

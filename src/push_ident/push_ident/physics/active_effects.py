@@ -1,0 +1,143 @@
+"""The active effects of a push, in the arrays that the kernels take.
+
+The effects work on one array of inputs, real or complex, so that a complex step can turn any of them:
+
+    0-5   state: centre of mass x, y, yaw and their velocities, table axes
+    6     mass
+    7-8   centre of mass, object frame
+    9-    memory of the effects, then their values, then the sums over the cells of f (1, rx, ry, rx rx, rx ry, ry ry), f their friction
+          limits and r from the nominal centre of mass, object axes; behind them a few that are not used
+
+As far as inputs act on a step, they are columns of its block too (`tape.py`): the first nine of them from its state on, the
+rest behind those of the body; the sums only where an effect shifts the load.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.physics.effect import OnContact, OnPusherPath, OnTable
+from push_ident.physics.effect_values import EffectValues
+from push_ident.physics.effects import EFFECTS
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = ["INPUT_CENTRE", "INPUT_MASS", "N_FIXED_INPUTS", "N_SUMS", "ActiveEffects", "Places", "active_effects"]
+
+INPUT_MASS = 6
+INPUT_CENTRE = 7
+N_FIXED_INPUTS = 9
+N_SUMS = 6
+"""Number of sums of the friction limits among the inputs."""
+
+
+class Places(NamedTuple):
+    """Where each effect of `EFFECTS` finds its numbers among the inputs."""
+
+    values: NDArray[np.int64]
+    """Index of its first value, -1 where it is not active, shape (n_effects,)."""
+    memory: NDArray[np.int64]
+    """Index of the first number of its memory; 0 where it has none."""
+
+
+class ActiveEffects(NamedTuple):
+    """The active effects of a rollout, in the arrays that the kernels take."""
+
+    values: Float64Array
+    """Of all parameters of the active effects, shape (n_values,)."""
+    on_table: BoolArray
+    """Which values belong to effects that act on the table, shape (n_values,)."""
+    pulled: BoolArray
+    """Which of them are those of a pull, which is linear in them, shape (n_values,)."""
+    places: Places
+    n_memory: int
+    loading: NDArray[np.int64]
+    """Places in `EFFECTS` of those that change the friction limits of the cells."""
+    is_plane: BoolArray
+    """Of each of `EFFECTS`, whether it does so by a factor that is linear over the object, shape (n_effects,)."""
+    loads: bool
+    """Whether one of them does; kernels skip kinds of effects that are absent, which saves time."""
+    planes: bool
+    """Whether one does so by such a factor."""
+    shifts: bool
+    """Whether one does so by such a factor that depends on where the limits lie."""
+    uneven: bool
+    """Whether one does so by a factor of any other shape."""
+    skews: bool
+    pulls: bool
+    offset: int
+    """Index of the value that shifts the contact surface, or -1."""
+    restitution: int
+    """Index of the coefficient of restitution, or -1."""
+    rebound: int
+    """Index of the first of three numbers of the memory: the velocity before the last step."""
+    moves: BoolArray
+    """Which values move the pusher, shape (n_values,)."""
+    d_path: Float64Array
+    """Derivative of the pusher's path by the values, shape (n_values, n_steps + 1, 3)."""
+    spread: tuple[float, float, float]
+    """Mean of rx, ry and r' r over the area of the cells [m, m, m^2], from the nominal centre of mass, object axes."""
+    cell_size: float
+    """[m]"""
+    order: float
+    """Number of pushes made before this one."""
+
+
+def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cell_size: float, order: float) -> ActiveEffects:
+    """The effects in the arrays of the kernels.
+
+    Args:
+        effects: which act.
+        d_path: derivative of the path, as from `driven_path`.
+        arms: cell centres from the centre of mass [m], shape (2, n_cells).
+        cell_size: edge of a cell [m].
+        order: how many pushes went before.
+    """
+    first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
+    places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
+    on_table, pulled, moves = (np.zeros(len(effects), dtype=np.bool_) for _ in range(3))
+    names = list(EFFECTS)
+    quantities = {"offset": -1, "restitution": -1}
+    n_memory = 0
+    rebound = -1
+    for effect, own in [(effect, effects.slice_of(effect.name)) for effect in effects.effects]:
+        place, acts = names.index(effect.name), effect.acts
+        places.values[place] = first_value + own.start
+        on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
+        pulled[own] = isinstance(acts, OnTable) and acts.pull is not None
+        if isinstance(acts, OnContact):
+            quantities[acts.quantity] = own.start
+            rebound = n_memory if acts.quantity == "restitution" else rebound
+        if effect.memory is not None:
+            places.memory[place] = N_FIXED_INPUTS + n_memory
+            n_memory += effect.memory.size
+    loading = np.array(
+        [names.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)], dtype=np.int64
+    )
+    x, y = arms
+    table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
+    return ActiveEffects(
+        values=np.array(effects.values),
+        on_table=on_table,
+        pulled=pulled,
+        places=places,
+        n_memory=n_memory,
+        loading=loading,
+        is_plane=np.array([isinstance(effect.acts, OnTable) and effect.acts.is_plane for effect in EFFECTS.values()]),
+        loads=len(loading) > 0,
+        planes=any(acts.is_plane for acts in table),
+        shifts=any(acts.shift is not None for acts in table),
+        uneven=any(acts.load is not None for acts in table),
+        skews=any(acts.skew is not None for acts in table),
+        pulls=any(acts.pull is not None for acts in table),
+        offset=quantities["offset"],
+        restitution=quantities["restitution"],
+        rebound=rebound,
+        moves=moves,
+        d_path=d_path,
+        spread=(float(x.mean()), float(y.mean()), float(np.mean(x * x + y * y) + cell_size**2 / 6)),
+        cell_size=cell_size,
+        order=float(order),
+    )

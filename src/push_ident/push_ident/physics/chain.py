@@ -1,0 +1,381 @@
+"""The derivatives of the steps of a push, chained over all of them: forward to the Jacobian, backward to a gradient (compiled).
+
+Forward, each step carries the derivative of the state (`tape.py`),
+
+    ds+ = J ds + K dp,      J, K from the block [A B C] of the step,
+
+a part of the columns at a time. Backward, the adjoint variables pass through the transposed blocks: J' and K'. The kernels stay long
+where their parts would share all of their arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from push_ident.physics.active_effects import N_FIXED_INPUTS
+from push_ident.physics.kernel import fast_kernel, kernel
+from push_ident.physics.support import Cone, unit_friction
+from push_ident.physics.tape import (
+    BLOCK_EFFECTS,
+    BLOCK_IMPULSE,
+    BLOCK_MASS,
+    BLOCK_STATE,
+    IDLE,
+    MOVED,
+    N_BODY_PARAMETERS,
+    PARAM_CENTRE,
+    PARAM_MASS,
+    PARAM_POSE,
+    Frames,
+    Tape,
+)
+from push_ident.types import Float64Array
+
+__all__ = ["Chain", "chain_backward", "chain_forward"]
+
+_CHUNK = 256  # columns of the Jacobian carried at a time, so that they stay in the cache
+
+
+class Chain(NamedTuple):
+    """A rollout, ready to be differentiated."""
+
+    tape: Tape
+    centre: Float64Array
+    """Of mass [m], shape (2,), object frame."""
+    arms: Float64Array
+    """Cell centres from the centre of mass [m], shape (2, n_cells)."""
+    diamond: bool
+    """Law of the support friction, with `eps` (`support.py`)."""
+    eps: float
+    """[m/s]"""
+    dt: float
+    """[s]"""
+    frames: Frames
+
+
+class _Columns(NamedTuple):
+    """A part of the columns of the Jacobian."""
+
+    first: int
+    last: int
+    arms: Float64Array
+    """Of the cells among them, shape (2, n)."""
+
+
+@fast_kernel
+def _limit_columns(d: Float64Array, twist: Float64Array, arms: Float64Array, cone: Cone, dt: float, du: Float64Array) -> None:
+    """Change of the twist after a step per unit of the friction limit of each cell, shape (3, n_cells)."""
+    x, y = arms[0], arms[1]
+    for i in range(x.shape[0]):
+        rx, ry = x[i], y[i]
+        px, py = unit_friction(twist[0] - twist[2] * ry, twist[1] + twist[2] * rx, cone)
+        fx, fy = -dt * px, -dt * py
+        ft = rx * fy - ry * fx
+        du[0, i] = d[0, 0] * fx + d[0, 1] * fy + d[0, 2] * ft
+        du[1, i] = d[1, 0] * fx + d[1, 1] * fy + d[1, 2] * ft
+        du[2, i] = d[2, 0] * fx + d[2, 1] * fy + d[2, 2] * ft
+
+
+@fast_kernel
+def _add_skew_columns(
+    d: Float64Array, twist: Float64Array, arms: Float64Array, skew: Float64Array, eps: float, dt: float, du: Float64Array
+) -> None:
+    """Add friction that depends on the direction of motion to `_limit_columns` of the circular cone."""
+    x, y = arms[0], arms[1]
+    a, b = skew[0], skew[1]
+    for i in range(x.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = twist[0] - twist[2] * ry, twist[1] + twist[2] * rx
+        scale = -dt / math.sqrt(ux * ux + uy * uy + eps * eps)
+        fx, fy = scale * (a * ux + b * uy), scale * (b * ux - a * uy)
+        ft = rx * fy - ry * fx
+        du[0, i] += d[0, 0] * fx + d[0, 1] * fy + d[0, 2] * ft
+        du[1, i] += d[1, 0] * fx + d[1, 1] * fy + d[1, 2] * ft
+        du[2, i] += d[2, 0] * fx + d[2, 1] * fy + d[2, 2] * ft
+
+
+@kernel
+def _effect_columns(chain: Chain, n: int, columns: _Columns, n_values: int, memory: Float64Array, du: Float64Array) -> None:
+    """Let effects change the part of the twist after step n that does not come from the state; `memory` is the derivative of the memory
+    at the start of the step."""
+    tape, arms, eps, dt = chain.tape, chain.arms, chain.eps, chain.dt
+    own_arms, first, last = columns.arms, columns.first, columns.last
+    block = tape.block[n]
+    n_memory = tape.memory.shape[1]
+    n_body = max(0, N_BODY_PARAMETERS - first)
+    if tape.skew.shape[0] > 0:
+        _add_skew_columns(block, tape.twist[n], own_arms, tape.skew[n], eps, dt, du[:, n_body:])
+    if tape.factor.shape[1] > 0:
+        factor = tape.factor[n, first + n_body - N_BODY_PARAMETERS :]
+        for i in range(3):
+            for p in range(own_arms.shape[1]):
+                du[i, n_body + p] *= factor[p]
+    first_value = N_BODY_PARAMETERS + arms.shape[1]
+    first_sum = BLOCK_EFFECTS + n_memory + n_values
+    if block.shape[1] > first_sum:
+        x, y = own_arms[0], own_arms[1]
+        for i in range(3):
+            b = block[i, first_sum:]
+            for p in range(own_arms.shape[1]):
+                du[i, n_body + p] += b[0] + (b[1] + b[3] * x[p] + b[4] * y[p]) * x[p] + (b[2] + b[5] * y[p]) * y[p]
+    for i in range(3):
+        for p in range(max(first, first_value), last):
+            du[i, p - first] = block[i, BLOCK_EFFECTS + n_memory + p - first_value]
+        if n_memory > 0 and first == 0:
+            du[i, :PARAM_MASS] = 0.0
+        for j in range(n_memory):
+            for p in range(last - first):
+                du[i, p] += block[i, BLOCK_EFFECTS + j] * memory[j, p]
+
+
+@kernel
+def _advance_memory(by_inputs: Float64Array, s: Float64Array, first: int, last: int, n_cells: int, memory: Float64Array) -> None:
+    """Carry the derivative of the memory, columns `first` to `last`, over one step; `s` is that of the state at its start."""
+    before = memory.copy()
+    n_memory = memory.shape[0]
+    first_value = N_BODY_PARAMETERS + n_cells
+    for j in range(n_memory):
+        g = by_inputs[j]
+        for p in range(last - first):
+            memory[j, p] = 0.0
+            for i in range(6):
+                memory[j, p] += g[i] * s[i, p]
+            for i in range(n_memory):
+                memory[j, p] += g[N_FIXED_INPUTS + i] * before[i, p]
+        if first == 0:
+            # Mass and centre of mass stand side by side in both orders.
+            for i in range(3):
+                memory[j, PARAM_MASS + i] += g[6 + i]
+        for p in range(max(first, first_value), last):
+            memory[j, p - first] += g[N_FIXED_INPUTS + n_memory + p - first_value]
+
+
+@fast_kernel
+def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
+    """Carry the derivative of the state, shape (6, n), over one step; `du` is the part of the twist that does not come from the state."""
+    vx_table, vy_table = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
+    for p in range(s.shape[1]):
+        s0, s1, s2, s3, s4, s5 = s[0, p], s[1, p], s[2, p], s[3, p], s[4, p], s[5, p]
+        u = du[0, p] + d[0, 3] * s0 + d[0, 4] * s1 + d[0, 5] * s2 + d[0, 6] * s3 + d[0, 7] * s4 + d[0, 8] * s5
+        v = du[1, p] + d[1, 3] * s0 + d[1, 4] * s1 + d[1, 5] * s2 + d[1, 6] * s3 + d[1, 7] * s4 + d[1, 8] * s5
+        w = du[2, p] + d[2, 3] * s0 + d[2, 4] * s1 + d[2, 5] * s2 + d[2, 6] * s3 + d[2, 7] * s4 + d[2, 8] * s5
+        vx = cos * u - sin * v - vy_table * s2
+        vy = sin * u + cos * v + vx_table * s2
+        s[0, p] = s0 + dt * vx
+        s[1, p] = s1 + dt * vy
+        s[2, p] = s2 + dt * w
+        s[3, p], s[4, p], s[5, p] = vx, vy, w
+
+
+@kernel
+def _emit(
+    s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, first: int, last: int, jacobian: Float64Array
+) -> None:
+    """Add `weight` times the derivative of the pose of the object frame, columns `first` to `last`, to that of one frame."""
+    rx, ry = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
+    for p in range(first, last):
+        jacobian[0, p] += weight * (s[0, p - first] + ry * s[2, p - first])
+        jacobian[1, p] += weight * (s[1, p - first] - rx * s[2, p - first])
+        jacobian[2, p] += weight * s[2, p - first]
+    if first == 0:
+        jacobian[0, PARAM_CENTRE] -= weight * cos
+        jacobian[0, PARAM_CENTRE + 1] += weight * sin
+        jacobian[1, PARAM_CENTRE] -= weight * sin
+        jacobian[1, PARAM_CENTRE + 1] -= weight * cos
+
+
+@kernel
+def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
+    """Derivative of the poses at the frames with respect to all parameters.
+
+    Args:
+        chain: the rollout.
+        jacobian: filled, shape (n_frames, 3, 8 + n_cells + n_values), columns: `PARAM_...`.
+    """
+    tape, centre, arms, dt = chain.tape, chain.centre, chain.arms, chain.dt
+    diamond, eps, frame_step, frame_fraction = chain.diamond, chain.eps, chain.frames.step, chain.frames.fraction
+    n_parameters = jacobian.shape[2]
+    n_frames = frame_step.shape[0]
+    n_memory = tape.memory.shape[1]
+    n_values = n_parameters - N_BODY_PARAMETERS - arms.shape[1]
+    jacobian[:] = 0.0
+    for first in range(0, n_parameters, _CHUNK):
+        last = min(first + _CHUNK, n_parameters)
+        n_body = max(0, N_BODY_PARAMETERS - first)
+        own_arms = arms[:, first + n_body - N_BODY_PARAMETERS : last - N_BODY_PARAMETERS]
+        columns = _Columns(first, last, own_arms)
+        s = np.zeros((6, last - first))
+        du = np.zeros((3, last - first))
+        memory = np.zeros((n_memory, last - first))
+        if first == 0:
+            cos, sin = tape.heading[0, 0], tape.heading[0, 1]
+            s[0, 0], s[1, 1], s[2, 2] = 1.0, 1.0, 1.0
+            s[0, 2], s[1, 2] = -(sin * centre[0] + cos * centre[1]), cos * centre[0] - sin * centre[1]
+            s[0, PARAM_CENTRE], s[0, PARAM_CENTRE + 1] = cos, -sin
+            s[1, PARAM_CENTRE], s[1, PARAM_CENTRE + 1] = sin, cos
+        frame = 0
+        for n in range(tape.event.shape[0]):
+            cos, sin = tape.heading[n, 0], tape.heading[n, 1]
+            begin = frame
+            while frame < n_frames and frame_step[frame] == n:
+                _emit(s, cos, sin, centre, 1.0 - frame_fraction[frame], first, last, jacobian[frame])
+                frame += 1
+            if tape.event[n] != IDLE:
+                block, twist = tape.block[n], tape.twist[n]
+                if first == 0:
+                    for i in range(3):
+                        for p in range(PARAM_MASS, N_BODY_PARAMETERS):
+                            du[i, p] = block[i, BLOCK_MASS + p - PARAM_MASS]
+                _limit_columns(block, twist, own_arms, Cone(diamond, eps, cos, sin), dt, du[:, n_body:])
+                if n_values > 0:
+                    _effect_columns(chain, n, columns, n_values, memory, du)
+            if n_memory > 0:
+                _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
+            if tape.event[n] != IDLE:
+                _advance(s, du, tape.block[n], tape.twist[n], cos, sin, dt)
+            if tape.event[n] != MOVED:
+                s[3:] = 0.0
+            for j in range(begin, frame):
+                _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
+
+
+@fast_kernel
+def _add_limit_gradient(
+    twist: Float64Array, arms: Float64Array, cone: Cone, dt: float, by_impulse: Float64Array, gradient: Float64Array
+) -> None:
+    """Add d loss / d limit of each cell in one step, where `by_impulse` is d loss / d impulse on the object, shape (3,)."""
+    a, b, c = -dt * by_impulse[0], -dt * by_impulse[1], -dt * by_impulse[2]
+    x, y = arms[0], arms[1]
+    for i in range(x.shape[0]):
+        rx, ry = x[i], y[i]
+        px, py = unit_friction(twist[0] - twist[2] * ry, twist[1] + twist[2] * rx, cone)
+        gradient[i] += px * (a - c * ry) + py * (b + c * rx)
+
+
+@fast_kernel
+def _add_skew_gradient(
+    twist: Float64Array, arms: Float64Array, skew: Float64Array, eps: float, dt: float, by_impulse: Float64Array, gradient: Float64Array
+) -> None:
+    """Transpose of `_add_skew_columns`, as `_add_limit_gradient`."""
+    x, y = arms[0], arms[1]
+    a, b = skew[0], skew[1]
+    for i in range(x.shape[0]):
+        rx, ry = x[i], y[i]
+        ux, uy = twist[0] - twist[2] * ry, twist[1] + twist[2] * rx
+        scale = -dt / math.sqrt(ux * ux + uy * uy + eps * eps)
+        fx, fy = scale * (a * ux + b * uy), scale * (b * ux - a * uy)
+        gradient[i] += by_impulse[0] * fx + by_impulse[1] * fy + by_impulse[2] * (rx * fy - ry * fx)
+
+
+@fast_kernel
+def _add_sum_gradient(by_sums: Float64Array, arms: Float64Array, by_twist: Float64Array, gradient: Float64Array) -> None:
+    """Add what the limit of each cell does to the loss through their sums; `by_sums` is d twist / d sums of one step, shape (3, 6)."""
+    b = np.zeros(by_sums.shape[1])
+    for i in range(3):
+        for m in range(by_sums.shape[1]):
+            b[m] += by_sums[i, m] * by_twist[i]
+    x, y = arms[0], arms[1]
+    for p in range(x.shape[0]):
+        gradient[p] += b[0] + (b[1] + b[3] * x[p] + b[4] * y[p]) * x[p] + (b[2] + b[5] * y[p]) * y[p]
+
+
+@kernel
+def _take_frame(
+    by_pose: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_state: Float64Array, gradient: Float64Array
+) -> None:
+    """Transpose of `_emit`: add what the pose of one frame does to the loss."""
+    gx, gy, gt = weight * by_pose[0], weight * by_pose[1], weight * by_pose[2]
+    rx, ry = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
+    by_state[0] += gx
+    by_state[1] += gy
+    by_state[2] += gt + ry * gx - rx * gy
+    gradient[PARAM_CENTRE] -= cos * gx + sin * gy
+    gradient[PARAM_CENTRE + 1] += sin * gx - cos * gy
+
+
+@kernel
+def chain_backward(chain: Chain, by_pose: Float64Array, gradient: Float64Array) -> None:
+    """Gradient of a loss of the poses with respect to all parameters: the transpose of `chain_forward`, at the cost of one pass.
+
+    Args:
+        chain: the rollout.
+        by_pose: d loss / d pose at the frames, shape (n_frames, 3).
+        gradient: filled, shape (8 + n_cells + n_values,), entries: `PARAM_...`.
+    """
+    tape, centre, arms, dt = chain.tape, chain.centre, chain.arms, chain.dt
+    diamond, eps, frame_step, frame_fraction = chain.diamond, chain.eps, chain.frames.step, chain.frames.fraction
+    gradient[:] = 0.0
+    by_state = np.zeros(6)
+    by_twist = np.zeros(3)
+    by_impulse = np.zeros(3)
+    n_cells, n_memory = arms.shape[1], tape.memory.shape[1]
+    first_value = N_BODY_PARAMETERS + n_cells
+    n_values = gradient.shape[0] - first_value
+    first_sum = BLOCK_EFFECTS + n_memory + n_values
+    by_memory = np.zeros(n_memory)
+    by_limit = np.zeros(n_cells if n_values > 0 else 0)
+    frame = frame_step.shape[0] - 1
+    for n in range(tape.event.shape[0] - 1, -1, -1):
+        cos, sin = tape.heading[n, 0], tape.heading[n, 1]
+        end = frame
+        while frame >= 0 and frame_step[frame] == n:
+            _take_frame(by_pose[frame], tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[frame], by_state, gradient)
+            frame -= 1
+        if tape.event[n] != MOVED:
+            by_state[3:] = 0.0
+        by_memory_after = by_memory.copy()
+        if n_memory > 0:
+            by_memory[:] = 0.0
+        if tape.event[n] != IDLE:
+            block, twist = tape.block[n], tape.twist[n]
+            vx, vy = by_state[3] + dt * by_state[0], by_state[4] + dt * by_state[1]
+            by_twist[0], by_twist[1] = cos * vx + sin * vy, -sin * vx + cos * vy
+            by_twist[2] = by_state[5] + dt * by_state[2]
+            by_state[2] += vy * (cos * twist[0] - sin * twist[1]) - vx * (sin * twist[0] + cos * twist[1])
+            by_state[3:] = 0.0
+            by_impulse[:] = 0.0
+            for i in range(3):
+                for j in range(3):
+                    by_impulse[j] += block[i, BLOCK_IMPULSE + j] * by_twist[i]
+                for j in range(6):
+                    by_state[j] += block[i, BLOCK_STATE + j] * by_twist[i]
+                for p in range(PARAM_MASS, N_BODY_PARAMETERS):
+                    gradient[p] += block[i, BLOCK_MASS + p - PARAM_MASS] * by_twist[i]
+            if n_values == 0:
+                _add_limit_gradient(twist, arms, Cone(diamond, eps, cos, sin), dt, by_impulse, gradient[N_BODY_PARAMETERS:])
+            else:
+                by_limit[:] = 0.0
+                _add_limit_gradient(twist, arms, Cone(diamond, eps, cos, sin), dt, by_impulse, by_limit)
+                if tape.skew.shape[0] > 0:
+                    _add_skew_gradient(twist, arms, tape.skew[n], eps, dt, by_impulse, by_limit)
+                for i in range(n_cells):
+                    gradient[N_BODY_PARAMETERS + i] += by_limit[i] * (tape.factor[n, i] if tape.factor.shape[1] > 0 else 1.0)
+                if block.shape[1] > first_sum:
+                    _add_sum_gradient(block[:, first_sum:], arms, by_twist, gradient[N_BODY_PARAMETERS:first_value])
+                for i in range(3):
+                    for j in range(n_memory):
+                        by_memory[j] += block[i, BLOCK_EFFECTS + j] * by_twist[i]
+                    for j in range(n_values):
+                        gradient[first_value + j] += block[i, BLOCK_EFFECTS + n_memory + j] * by_twist[i]
+        for j in range(n_memory):
+            g = tape.memory[n, j]
+            for i in range(6):
+                by_state[i] += g[i] * by_memory_after[j]
+            for i in range(3):
+                gradient[PARAM_MASS + i] += g[6 + i] * by_memory_after[j]
+            for i in range(n_memory):
+                by_memory[i] += g[N_FIXED_INPUTS + i] * by_memory_after[j]
+            for i in range(n_values):
+                gradient[first_value + i] += g[N_FIXED_INPUTS + n_memory + i] * by_memory_after[j]
+        for j in range(frame + 1, end + 1):
+            _take_frame(by_pose[j], cos, sin, centre, 1.0 - frame_fraction[j], by_state, gradient)
+    cos, sin = tape.heading[0, 0], tape.heading[0, 1]
+    gradient[PARAM_POSE], gradient[PARAM_POSE + 1] = by_state[0], by_state[1]
+    gradient[PARAM_POSE + 2] = (
+        by_state[2] - (sin * centre[0] + cos * centre[1]) * by_state[0] + (cos * centre[0] - sin * centre[1]) * by_state[1]
+    )
+    gradient[PARAM_CENTRE] += cos * by_state[0] + sin * by_state[1]
+    gradient[PARAM_CENTRE + 1] += -sin * by_state[0] + cos * by_state[1]

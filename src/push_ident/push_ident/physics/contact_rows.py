@@ -1,0 +1,188 @@
+"""Constraints that the contacts between pusher and outline impose on a step, and their derivative, object axes (compiled).
+
+The physical surface may lie `offset` outside the outline: gaps are those of a pusher that is larger by the offset, and contact points
+move with the surface. An impact may be elastic, see `add_rebound`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from push_ident.physics.contact import CURVATURE, GAP, KIND, NORMAL, ON_EDGE, ON_SIDE, PARALLEL, POINT, TIP
+from push_ident.physics.kernel import kernel
+from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
+from push_ident.physics.step_geometry import StepGeometry
+from push_ident.types import Float64Array
+
+__all__ = [
+    "RECOVERY_SPEED", "ContactEffects", "Rebound", "RelativeChange", "RelativePusher", "add_rebound", "contact_rows", "contact_rows_seed",
+    "new_relative_pusher", "shift_surface",
+]  # fmt: skip
+
+RECOVERY_SPEED = 0.02
+"""Greatest speed at which an overlap closes [m/s]. Noisy poses cause overlaps; closing one within a step would throw the object."""
+
+_TOUCHES = 2e-5  # greatest gap of a contact that closed in the last step [m]
+
+
+class RelativePusher(NamedTuple):
+    """The pusher during one step, in the object frame at the start of the step. Each step overwrites the arrays."""
+
+    centre: Float64Array
+    """[m], shape (2,)."""
+    velocity: Float64Array
+    """[m/s], shape (2,)."""
+    spin: Float64Array
+    """Angular velocity [rad/s], shape (1,)."""
+    corners: Float64Array
+    """Of the pusher's core [m], shape (n_corners, 2)."""
+
+
+@kernel
+def new_relative_pusher(n_corners: int) -> RelativePusher:
+    """Space for one step."""
+    return RelativePusher(np.zeros(2), np.zeros(2), np.zeros(1), np.zeros((n_corners, 2)))
+
+
+class RelativeChange(NamedTuple):
+    """Derivative of the pusher relative to the object, and of the centre of mass, with respect to one input."""
+
+    pusher: Float64Array
+    """Of the pusher's centre, shape (2,)."""
+    angle: Float64Array
+    """Of its angle, shape (1,)."""
+    centre: Float64Array
+    """Of the centre of mass, shape (2,)."""
+    velocity: Float64Array
+    """Of the pusher's velocity, shape (2,)."""
+
+
+class Rebound(NamedTuple):
+    """State of an elastic impact, from the step before."""
+
+    acts: bool
+    """Whether a contact pressed in the last step."""
+    restitution: float
+    """From 0 (pusher and object stay in contact) to 1."""
+    twist: Float64Array
+    """Of the centre of mass before the last step, object axes, shape (3,)."""
+
+
+class ContactEffects(NamedTuple):
+    """How effects change the contacts of a step, and the derivatives of these changes with respect to one input."""
+
+    offset: float
+    """Of the surface from the outline [m]."""
+    rebound: Rebound
+    d_spin: float
+    """Of the pusher's angular velocity."""
+    d_offset: float
+    d_restitution: float
+    d_twist: Float64Array
+    """Of the twist of `Rebound`, shape (3,)."""
+
+
+@kernel
+def contact_rows(
+    contact: Float64Array, k: int, geometry: StepGeometry, pusher: RelativePusher, face: Float64Array, rows: Float64Array
+) -> None:
+    """Write contact k into `rows`, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`; `face` is the first contact.
+
+    N u >= b,   b = -n . v_pusher - max(gap / dt, -RECOVERY_SPEED)        v_pusher at the contact point
+    T u - t . v_pusher                                                   slip
+    """
+    centre, dt = geometry.centre, geometry.dt
+    velocity, spin = pusher.velocity, pusher.spin[0]
+    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
+    vx = velocity[0] - spin * (contact[POINT + 1] - pusher.centre[1])
+    vy = velocity[1] + spin * (contact[POINT] - pusher.centre[0])
+    tx, ty = -ny, nx
+    i = MAX_CONTACTS + k
+    rows[k, 0], rows[k, 1], rows[k, 2] = -nx, -ny, -(ax * ny - ay * nx)
+    rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
+    rows[k, BOUND] = -(nx * vx + ny * vy) - max(contact[GAP] / dt, -RECOVERY_SPEED)
+    rows[i, BOUND] = tx * vx + ty * vy
+    rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= PARALLEL else 0.0
+
+
+@kernel
+def shift_surface(contacts: Float64Array, n_contacts: int, offset: float) -> None:
+    """Move contact points to the surface, for contacts that were found with a radius larger by `offset` [m]."""
+    for k in range(n_contacts):
+        contacts[k, POINT] += offset * contacts[k, NORMAL]
+        contacts[k, POINT + 1] += offset * contacts[k, NORMAL + 1]
+
+
+@kernel
+def add_rebound(contact: Float64Array, k: int, rebound: Rebound, dt: float, rows: Float64Array) -> None:
+    """Newton's law of impact at contact k: the surfaces separate at `restitution` times their speed of approach.
+
+    The law acts in the step after one in which the contact pressed. That step has closed the gap without rebound, so that an impact
+    takes two steps. As the restitution tends to 0, the motion tends to the one without it.
+    """
+    if rebound.acts and contact[GAP] <= _TOUCHES:
+        before = rebound.twist
+        pusher = rows[k, BOUND] + max(contact[GAP] / dt, -RECOVERY_SPEED)
+        approach = pusher - rows[k, 0] * before[0] - rows[k, 1] * before[1] - rows[k, 2] * before[2]
+        rows[k, BOUND] += rebound.restitution * max(0.0, approach)
+
+
+@kernel
+def contact_rows_seed(
+    contact: Float64Array,
+    k: int,
+    geometry: StepGeometry,
+    relative: RelativePusher,
+    change: RelativeChange,
+    effects: ContactEffects | None,
+    d_rows: Float64Array,
+) -> None:
+    """Derivative of `contact_rows` for a change of the pusher, of the centre of mass and, where effects act, of their values."""
+    centre, dt = geometry.centre, geometry.dt
+    pusher, velocity, spin = relative.centre, relative.velocity, relative.spin[0]
+    d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle[0], change.centre, change.velocity
+    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    tx, ty = -ny, nx
+    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
+    bx, by = contact[POINT] - pusher[0], contact[POINT + 1] - pusher[1]
+    vx, vy = velocity[0] - spin * by, velocity[1] + spin * bx
+    d_tip_x = d_pusher[0] - d_angle * (contact[TIP + 1] - pusher[1])
+    d_tip_y = d_pusher[1] + d_angle * (contact[TIP] - pusher[0])
+    along = tx * d_tip_x + ty * d_tip_y
+    turn = d_angle if contact[KIND] == ON_SIDE else contact[CURVATURE] * along
+    slide = along if contact[KIND] == ON_EDGE else 0.0
+    dnx, dny = turn * tx, turn * ty
+    dtx, dty = -dny, dnx
+    d_point_x, d_point_y = slide * tx, slide * ty
+    d_gap = nx * d_tip_x + ny * d_tip_y
+    if effects is not None:
+        d_point_x += effects.offset * dnx + effects.d_offset * nx
+        d_point_y += effects.offset * dny + effects.d_offset * ny
+        d_gap -= effects.d_offset
+    dax, day = d_point_x - d_centre[0], d_point_y - d_centre[1]
+    dvx = d_velocity[0] - spin * (d_point_y - d_pusher[1])
+    dvy = d_velocity[1] + spin * (d_point_x - d_pusher[0])
+    if effects is not None:
+        dvx -= effects.d_spin * by
+        dvy += effects.d_spin * bx
+    # A deeper overlap closes at the recovery speed, whatever its depth.
+    if contact[GAP] <= -RECOVERY_SPEED * dt:
+        d_gap = 0.0
+    d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
+    d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
+    d_bound = -(dnx * vx + dny * vy + nx * dvx + ny * dvy)
+    d_rows[k, BOUND] = d_bound - d_gap / dt
+    if effects is not None and effects.rebound.acts and contact[GAP] <= _TOUCHES:
+        before, d_before = effects.rebound.twist, effects.d_twist
+        approach = nx * (before[0] - vx) + ny * (before[1] - vy) + (ax * ny - ay * nx) * before[2]
+        if approach > 0.0:
+            d_approach = d_bound + nx * d_before[0] + ny * d_before[1] + (ax * ny - ay * nx) * d_before[2]
+            d_approach -= d_rows[k, 0] * before[0] + d_rows[k, 1] * before[1] + d_rows[k, 2] * before[2]
+            d_rows[k, BOUND] += effects.d_restitution * approach + effects.rebound.restitution * d_approach
+    i = MAX_CONTACTS + k
+    d_rows[i, 0], d_rows[i, 1] = dtx, dty
+    d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx
+    d_rows[i, BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy

@@ -1,0 +1,126 @@
+"""When and how the poses of a rollout are reported, and the derivative of reported poses.
+
+With effects on times and poses, the pose reported for the time t is
+
+    reported(t) = see(pose(move(t))),      d reported = see' (d pose + pose' d move) + d see
+
+pose' is the velocity, the slope of the rollout between the ends of the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.physics.effect_values import EffectValues, measurement_times, reported_poses
+from push_ident.physics.tape import PARAM_MU, Frames
+from push_ident.types import Float64Array
+
+__all__ = ["Measurement", "ReportTimes", "StepClock"]
+
+
+@dataclass(frozen=True, slots=True)
+class StepClock:
+    """The steps of a rollout."""
+
+    start: float
+    """Of the first step [s]."""
+    step: float
+    """Length of a step [s]."""
+    n_steps: int
+
+    ends: Float64Array
+    """Start of the first step and ends of all [s], shape (n_steps + 1,)."""
+
+    @classmethod
+    def of(cls, start: float, end: float, step: float) -> StepClock:
+        """Steps from `start` until at least `end` [s], one at least."""
+        n_steps = max(1, int(np.ceil((end - start) / step)))
+        return cls(start, step, n_steps, np.asarray(start + step * np.arange(n_steps + 1), dtype=np.float64))
+
+    @property
+    def middles(self) -> Float64Array:
+        """Of the steps [s], shape (n_steps,)."""
+        return np.asarray(self.ends[:-1] + self.step / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTimes:
+    """When the reported poses are measured."""
+
+    clock: StepClock
+    at: Float64Array
+    """In steps since the start, within the rollout, shape (n_frames,)."""
+    frames: Frames
+    """The same as step and fraction."""
+    by_value: Float64Array
+    """Derivative of the times by the values of the effects [s], shape (n_values, n_frames)."""
+
+    @classmethod
+    def of(cls, time: Float64Array, clock: StepClock, effects: EffectValues) -> ReportTimes:
+        """For poses that are reported for `time` [s], shape (n_frames,)."""
+        measured, by_value = measurement_times(effects, time) if len(effects) > 0 else (time, np.zeros((0, len(time))))
+        at = np.clip((measured - clock.start) / clock.step, 0.0, clock.n_steps)
+        step = np.minimum(at.astype(np.int64), clock.n_steps - 1)
+        return cls(clock, at, Frames(step, at - step), by_value)
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether effects move the times, so that the derivative needs the velocity."""
+        return len(self.by_value) > 0 and bool(np.any(self.by_value))
+
+    @property
+    def wanted(self) -> Frames:
+        """Frames to simulate: those reported, each after the ends of its step where the velocity is needed."""
+        if not self.is_moved:
+            return self.frames
+        fraction = np.column_stack([np.zeros_like(self.at), np.ones_like(self.at), self.frames.fraction]).ravel()
+        return Frames(np.repeat(self.frames.step, 3), fraction)
+
+    def split(self, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Poses at the frames and their velocities, each shape (n_frames, 3), from those at the frames `wanted`."""
+        if not self.is_moved:
+            return pose, np.zeros((len(self.at), 3))
+        moves = (self.at > 0.0) & (self.at < self.clock.n_steps)
+        velocity = (pose[1::3] - pose[::3]) / self.clock.step * moves[:, None]
+        return np.ascontiguousarray(pose[2::3]), velocity
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """Derivative of reported poses by the true ones at the times of measurement, and by effects outside the rollout."""
+
+    by_pose: Float64Array
+    """Shape (n_frames, 3, 3)."""
+    by_value: Float64Array
+    """Shape (n_frames, 3, n_values)."""
+    mu_by_value: Float64Array
+    """Of the pusher's friction coefficient, shape (n_values,)."""
+
+    @classmethod
+    def of(
+        cls, effects: EffectValues, times: ReportTimes, pose: Float64Array, mu_by_value: Float64Array
+    ) -> tuple[Float64Array, Measurement]:
+        """Reported poses at the frames, shape (n_frames, 3), and their derivative, from poses at the frames that `times` wants."""
+        pose, velocity = times.split(pose)
+        pose, by_pose, by_value = reported_poses(effects, pose)
+        by_value += np.einsum("fij,fj,vf->vfi", by_pose, velocity, times.by_value)
+        return pose, cls(by_pose, np.moveaxis(by_value, 0, 2), mu_by_value)
+
+    def of_jacobian(self, jacobian: Float64Array) -> Float64Array:
+        """That of the reported poses from that of the true ones."""
+        n_values = len(self.mu_by_value)
+        jacobian[:, :, -n_values:] += jacobian[:, :, PARAM_MU, None] * self.mu_by_value
+        reported: Float64Array = self.by_pose @ jacobian
+        reported[:, :, -n_values:] += self.by_value
+        return reported
+
+    def by_true_pose(self, by_pose: Float64Array) -> Float64Array:
+        """Gradient by the true poses from that by the reported ones."""
+        return np.einsum("fij,fi->fj", self.by_pose, by_pose)
+
+    def add_gradient(self, by_pose: Float64Array, gradient: Float64Array) -> None:
+        """Add the values' own part to the gradient of a loss."""
+        n_values = len(self.mu_by_value)
+        gradient[-n_values:] += gradient[PARAM_MU] * self.mu_by_value + np.einsum("fiv,fi->v", self.by_value, by_pose)

@@ -1,0 +1,256 @@
+"""Exact derivative of one step (compiled).
+
+The step's optimality conditions are differentiated at their solution (implicit function theorem). Sliding contact makes that linear
+system unsymmetric: the impulse acts along N + drag T while the constraint is on N only. This system must be solved, not its
+transpose. Sticking cells of the pyramid are too stiff to be added to the inertia in double precision; they enter as up to three more
+conditions. With H the derivative of the balance of impulses with respect to the twist and C the conditions of the mode,
+
+    | H  -P' | | du |   | seed of the balance    |
+    | C   0  | | dx | = | seed of the conditions |       one right-hand side for each column of the block (`tape.py`)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from push_ident.physics.contact_rows import ContactEffects, Rebound, RelativeChange, RelativePusher, contact_rows_seed
+from push_ident.physics.kernel import kernel
+from push_ident.physics.modes import (
+    BOUND,
+    CONTACT_COLUMNS,
+    MAX_CONTACTS,
+    SHARES_TANGENT,
+    ModeScratch,
+    StepContacts,
+    drag_sign,
+    mode_system,
+    solve_small,
+    tangent_row,
+)
+from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.support import SupportImpulse
+from push_ident.physics.tape import (
+    BLOCK_CENTRE,
+    BLOCK_EFFECTS,
+    BLOCK_IMPULSE,
+    BLOCK_INERTIA,
+    BLOCK_MASS,
+    BLOCK_MU,
+    BLOCK_STATE,
+    BLOCK_VELOCITY,
+    BLOCK_YAW,
+)
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = ["EffectDrive", "StepBalance", "new_effect_drive", "step_sensitivity"]
+
+
+class StepBalance(NamedTuple):
+    """A solved step; object axes."""
+
+    twist: Float64Array
+    """After the step, shape (3,)."""
+    old: Float64Array
+    """Before the step, shape (3,)."""
+    code: int
+    """Mode of the contacts (`modes.py`)."""
+    impulse: Float64Array
+    """Normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,)."""
+    support: SupportImpulse
+    """Of the table."""
+
+
+class EffectDrive(NamedTuple):
+    """Derivatives of a step by the numbers of the effects; object axes. Rows belong to the memory of the effects, then their values, then
+    the sums of the limits of the cells."""
+
+    offset: float
+    """Of the contact surface [m]."""
+    rebound: Rebound
+    pusher: Float64Array
+    """Change of the pusher's centre, shape (n, 2)."""
+    angle: Float64Array
+    """Of its angle, shape (n,)."""
+    velocity: Float64Array
+    """Of its velocity, shape (n, 2)."""
+    spin: Float64Array
+    by_offset: Float64Array
+    """Of the offset, shape (n,)."""
+    restitution: Float64Array
+    twist: Float64Array
+    """Of the twist of the rebound, shape (n, 3)."""
+    seeds: Float64Array
+    """Impulse that effects on the table add, by the columns of the block [N s, N s, N m s], shape (3, n_columns)."""
+    touches: BoolArray
+    """Which act on the contacts at all, shape (n,)."""
+
+
+def new_effect_drive(n_memory: int, n_values: int, n_sums: int) -> EffectDrive:
+    """Drive of no effect that acts on the contacts."""
+    n = n_memory + n_values + n_sums
+    return EffectDrive(
+        0.0, Rebound(False, 0.0, np.zeros(3)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros((n, 3)), np.zeros((3, BLOCK_EFFECTS + n)), np.zeros(n, dtype=np.bool_),
+    )  # fmt: skip
+
+
+@kernel
+def _contact_effects(drive: EffectDrive, column: int, d_pusher: Float64Array, d_velocity: Float64Array) -> ContactEffects:
+    """Effects on the contacts per unit of one column; fills the change of the pusher where that is a value that drives it."""
+    rebound = drive.rebound
+    if column < BLOCK_EFFECTS:
+        d_twist = np.zeros(3)
+        if column == BLOCK_YAW:
+            d_twist[0], d_twist[1] = rebound.twist[1], -rebound.twist[0]
+        return ContactEffects(drive.offset, rebound, 0.0, 0.0, 0.0, d_twist)
+    e = column - BLOCK_EFFECTS
+    d_pusher[:], d_velocity[:] = drive.pusher[e], drive.velocity[e]
+    return ContactEffects(drive.offset, rebound, drive.spin[e], drive.by_offset[e], drive.restitution[e], drive.twist[e])
+
+
+@kernel
+def _stuck_size(stuck: Float64Array, j: int) -> float:
+    """Scale of row j of [R s]: 1 + its length, so that a row of rounding errors stays small."""
+    return 1.0 + math.sqrt(stuck[j, 0] ** 2 + stuck[j, 1] ** 2 + stuck[j, 2] ** 2)
+
+
+@kernel
+def _add_stuck(stuck: Float64Array, n: int, a: Float64Array) -> int:
+    """Give the system `a` of n unknowns those of the cells that stick, p = R du + s dyaw with R' p in the balance, each row scaled.
+
+    Returns the number of unknowns then.
+    """
+    if stuck[0, 0] == 0.0 and stuck[1, 1] == 0.0 and stuck[2, 2] == 0.0:
+        return n
+    a[:n, n : n + 3] = 0.0
+    a[n : n + 3, : n + 3] = 0.0
+    for j in range(3):
+        size = _stuck_size(stuck, j)
+        for i in range(3):
+            a[n + j, i] = a[i, n + j] = stuck[j, i] / size
+        a[n + j, n + j] = -1.0 / (size * size)
+    return n + 3
+
+
+@kernel
+def step_sensitivity(
+    step: StepBalance,
+    geometry: StepGeometry,
+    contacts: StepContacts,
+    features: Float64Array,
+    pusher: RelativePusher,
+    drive: EffectDrive | None,
+    scratch: ModeScratch,
+    block: Float64Array,
+) -> bool:
+    """Derivative of the twist after a step: fills its block (`Tape.block`). False where the system is singular.
+
+    Kept whole: its parts share a dozen arrays, and it runs once a step.
+
+    Args:
+        step: the solution.
+        geometry: the object.
+        contacts: the contacts as rows of the step.
+        features: the same contacts as `contact.py` found them.
+        pusher: the pusher.
+        drive: derivatives by the effects; None without effects.
+        scratch: its space.
+        block: filled, shape (3, n_columns).
+    """
+    twist, old, inertia, impulse, stiffness = step.twist, step.old, geometry.inertia, step.impulse, step.support.stiffness
+    rows, n_contacts, code, stuck = contacts.rows, contacts.number, step.code, step.support.stuck
+    cos, sin, centre = geometry.heading[0], geometry.heading[1], geometry.centre
+    row = scratch.row
+    tangent, sign = tangent_row(code, rows), drag_sign(code)
+    h = stiffness.copy()
+    for i in range(3):
+        h[i, i] += inertia[i]
+    n = mode_system(code, h, contacts, row, scratch.matrix)
+    size = _add_stuck(stuck, 3 + n, scratch.matrix)
+    n_columns = BLOCK_EFFECTS if drive is None else drive.seeds.shape[1]
+    b = np.zeros((size, n_columns))
+    if drive is not None:
+        b[:3] = drive.seeds
+    for i in range(3):
+        b[i, BLOCK_IMPULSE + i] = 1.0
+    d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
+    change = RelativeChange(np.empty(2), np.empty(1), np.empty(2), np.empty(2))
+    d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle, change.centre, change.velocity
+    for column in range(BLOCK_STATE, n_columns):
+        d_pusher[:], d_centre[:], d_velocity[:] = 0.0, 0.0, 0.0
+        d_angle[0] = 0.0
+        if column == BLOCK_STATE:
+            d_pusher[0], d_pusher[1] = -cos, sin
+        elif column == BLOCK_STATE + 1:
+            d_pusher[0], d_pusher[1] = -sin, -cos
+        elif column == BLOCK_YAW:
+            # A rotation of the object by d rotates everything else by -d in object axes.
+            d_angle[0] = -1.0
+            d_pusher[0], d_pusher[1] = pusher.centre[1] - centre[1], -(pusher.centre[0] - centre[0])
+            d_velocity[0], d_velocity[1] = pusher.velocity[1], -pusher.velocity[0]
+            b[0, column] += inertia[0] * old[1]
+            b[1, column] -= inertia[1] * old[0]
+            for i in range(3):
+                b[i, column] -= step.support.by_yaw[i]
+            for j in range(3 + n, size):
+                b[j, column] = -stuck[j - 3 - n, 3] / _stuck_size(stuck, j - 3 - n)
+        elif column == BLOCK_VELOCITY:
+            b[0, column] += inertia[0] * cos
+            b[1, column] -= inertia[1] * sin
+        elif column == BLOCK_VELOCITY + 1:
+            b[0, column] += inertia[0] * sin
+            b[1, column] += inertia[1] * cos
+        elif column == BLOCK_VELOCITY + 2:
+            b[2, column] += inertia[2]
+        elif column == BLOCK_MASS:
+            if inertia[0] > 0.0:
+                b[0, column] += old[0] - twist[0]
+                b[1, column] += old[1] - twist[1]
+        elif column == BLOCK_CENTRE or column == BLOCK_CENTRE + 1:
+            d_centre[column - BLOCK_CENTRE] = 1.0
+            d_pusher[column - BLOCK_CENTRE] = 1.0
+            # Cell arms shrink by dc: their velocities change by omega (dc_y, -dc_x), their torques by -dc x force.
+            sx, sy = twist[2] * d_centre[1], -twist[2] * d_centre[0]
+            for i in range(3):
+                b[i, column] -= stiffness[i, 0] * sx + stiffness[i, 1] * sy
+            for j in range(3 + n, size):
+                b[j, column] = -(scratch.matrix[j, 0] * sx + scratch.matrix[j, 1] * sy)
+            b[2, column] += d_centre[0] * step.support.impulse[1] - d_centre[1] * step.support.impulse[0]
+        elif column == BLOCK_INERTIA:
+            if inertia[2] > 0.0:
+                b[2, column] += old[2] - twist[2]
+        elif column == BLOCK_MU:
+            carried = 0.0
+            for k in range(n_contacts):
+                carried += impulse[k] * rows[k, SHARES_TANGENT]
+            for i in range(3):
+                b[i, column] += sign * carried * rows[tangent, i]
+        if n == 0 or not (
+            BLOCK_STATE <= column <= BLOCK_YAW or column == BLOCK_CENTRE or column == BLOCK_CENTRE + 1 or column >= BLOCK_EFFECTS
+        ):
+            continue
+        if drive is not None and column >= BLOCK_EFFECTS and not drive.touches[column - BLOCK_EFFECTS]:
+            continue
+        if drive is None:
+            for k in range(n_contacts):
+                contact_rows_seed(features[k], k, geometry, pusher, change, None, d_rows)
+        else:
+            effects = _contact_effects(drive, column, d_pusher, d_velocity)
+            if column >= BLOCK_EFFECTS:
+                d_angle[0] = drive.angle[column - BLOCK_EFFECTS]
+            for k in range(n_contacts):
+                contact_rows_seed(features[k], k, geometry, pusher, change, effects, d_rows)
+        for i in range(3):
+            b[i, column] += d_rows[tangent, i] * impulse[MAX_CONTACTS]
+            for k in range(n_contacts):
+                b[i, column] += d_rows[k, i] * impulse[k]
+        for j in range(n):
+            k = row[j]
+            b[3 + j, column] = d_rows[k, BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
+    if not solve_small(scratch.matrix, b, size, n_columns):
+        return False
+    block[:] = b[:3]
+    return True

@@ -1,0 +1,92 @@
+"""What a rollout keeps for its derivative, and the order of the parameters in derivatives.
+
+The state is s = (centre of mass x, y, yaw; velocity x, y, yaw rate), table axes. With v = R(yaw) u for the linear part, a step is
+
+    s+ = (x + dt v, y.., yaw + dt omega, v, omega),      du = B ds + C dp + A sum_i (d impulse_i / d limit_i) d limit_i
+
+where the 3 x 14 block [A B C] of a step is all that a rollout must keep. Active effects (`table.py`) add to it the response E to their
+memory m and their values q, and where an effect shifts the load to the sums of the limits of all cells that it depends on. The memory
+evolves by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.physics.active_effects import N_FIXED_INPUTS
+from push_ident.types import Float64Array
+
+__all__ = [
+    "BLOCK_CENTRE", "BLOCK_EFFECTS", "BLOCK_IMPULSE", "BLOCK_INERTIA", "BLOCK_MASS", "BLOCK_MU", "BLOCK_STATE", "BLOCK_VELOCITY",
+    "BLOCK_YAW", "CAME_TO_REST", "IDLE", "MOVED", "N_BODY_PARAMETERS", "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS",
+    "PARAM_MU", "PARAM_POSE", "Frames", "Tape", "new_tape",
+]  # fmt: skip
+
+PARAM_POSE = 0
+"""First of the three columns of the first pose (x, y, yaw)."""
+PARAM_MASS = 3
+PARAM_CENTRE = 4
+"""First of the two columns of the centre of mass, object frame."""
+PARAM_INERTIA = 6
+PARAM_MU = 7
+PARAM_LIMIT = 8
+"""First column of the friction limits of the cells; the values of the active effects follow them."""
+N_BODY_PARAMETERS = 8
+
+BLOCK_IMPULSE = 0
+"""First column of A in the block of a step, the response to a unit impulse on each velocity. B (state) and C (body) follow."""
+BLOCK_STATE = 3
+BLOCK_YAW = BLOCK_STATE + 2
+BLOCK_VELOCITY = BLOCK_STATE + 3
+BLOCK_MASS = 9
+BLOCK_CENTRE = 10
+BLOCK_INERTIA = 12
+BLOCK_MU = 13
+BLOCK_EFFECTS = 14
+"""First column of the memory of the effects, then their values."""
+
+IDLE = 0
+MOVED = 1
+CAME_TO_REST = 2
+"""Result of a step: no motion; one implicit step; one after which the velocities were set to zero."""
+
+
+class Frames(NamedTuple):
+    """When poses are reported."""
+
+    step: NDArray[np.int64]
+    """Step within which each frame lies, ascending, shape (n_frames,)."""
+    fraction: Float64Array
+    """Fraction of that step before the frame, shape (n_frames,)."""
+
+
+class Tape(NamedTuple):
+    """What the derivative needs of each step of a rollout."""
+
+    event: NDArray[np.int8]
+    """`IDLE`, `MOVED` or `CAME_TO_REST`, shape (n_steps,)."""
+    block: Float64Array
+    """[A B C E], shape (n_steps, 3, 14 + n_memory + n_values), object axes; `N_SUMS` columns more where one shifts the load."""
+    twist: Float64Array
+    """After the step, object axes at its start, shape (n_steps, 3)."""
+    heading: Float64Array
+    """cos and sin of the yaw at the start of each step and at the end of the last, shape (n_steps + 1, 2)."""
+    factor: Float64Array
+    """Of the friction limit of each cell, shape (n_steps, n_cells); of no cells where no effect changes them."""
+    skew: Float64Array
+    """Of the friction's direction, (a, b) in object axes, shape (n_steps, 2); of no steps where there is none."""
+    memory: Float64Array
+    """Derivative of the memory after a step by the inputs at its start (`table.py`), shape (n_steps, n_memory, n_inputs)."""
+
+
+def new_tape(n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, n_sums: int = 0, *, skewed: bool = False) -> Tape:
+    """Empty tape of a rollout; `n_cells` is 0 where no effect changes friction limits."""
+    n_inputs = N_FIXED_INPUTS + n_memory + n_values
+    return Tape(
+        np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, BLOCK_EFFECTS + n_memory + n_values + n_sums)), np.zeros((n_steps, 3)),
+        np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros((n_steps if skewed else 0, 2)),
+        np.zeros((n_steps, n_memory, n_inputs)),
+    )  # fmt: skip
