@@ -15,6 +15,7 @@ SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
 ORDER = [
     "types",
     "errors",
+    "limits",
     "pages",
     "geometry",
     "perception",
