@@ -10,15 +10,15 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Final
+from typing import Any, Final
 
 import rclpy
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.logging import get_logger
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from push_ident.errors import PushIdentError
+from push_ident.nodes.executors import make_executor
+from push_ident.nodes.guard import Guard
 
 __all__ = ["run_node", "settle_memory"]
 
@@ -32,10 +32,10 @@ _YIELD: Final = 3e-4
 """Time for a worker thread to begin its callback [s]."""
 
 
-def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
+def run_node(factory: Callable[[], Any], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
     """Run one node until SIGINT or SIGTERM.
 
-    The signal only raises a flag: the ROS context stays valid, so a node that has a method `close()` can still publish there
+    The signal only raises a flag: the ROS context stays valid, so the component of the node can still publish there
     (hold the arm, end a bag) before it is destroyed. A process that still runs after 1.8 s is killed.
 
     Args:
@@ -74,24 +74,25 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def _spin(factory: Callable[[], Node], stop: threading.Event, n_threads: int) -> int:
+def _spin(factory: Callable[[], Any], stop: threading.Event, n_threads: int) -> int:
     try:
         node = factory()
     except PushIdentError as error:
         get_logger(os.path.basename(sys.argv[0])).fatal(str(error))
         return 1
-    executor: Executor = SingleThreadedExecutor() if n_threads == 1 else MultiThreadedExecutor(n_threads)
+    guard = getattr(node, "guard", None) or Guard(node.get_logger)
+    node.guard = guard
+    executor = make_executor(n_threads)
     executor.add_node(node)
     settle_memory()
     try:
         while not stop.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=_WAIT)
+            with guard.watch("executor"):
+                executor.spin_once(timeout_sec=_WAIT)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
                 # interpreter for the worker: 100 % of a core instead of 16 %.
                 time.sleep(_YIELD)
-    except ExternalShutdownException:
-        pass  # The node ended the context itself.
     finally:
         close = getattr(node, "close", None)
         if close is not None:
