@@ -225,8 +225,8 @@ class CellNode(LifecycleNode, ABC):
         if not found:
             names = ", ".join(f"{label} ({number})" for number, label in possible.items()) or "none; end the process and start it again"
             raise InputError(f"transition {wanted.label or wanted.id!r} is not possible in state {state}; possible: {names}.")
-        trigger = triggers.get(found[0], self.trigger_shutdown)
-        response.success = trigger() == _DONE
+        triggers.setdefault(found[0], self.trigger_shutdown)
+        response.success = triggers[found[0]]() == _DONE
         self.get_logger().info(f"{possible[found[0]]}: {state} -> {self._state_machine.current_state[1]}")
         self.report()
         return response
