@@ -71,12 +71,9 @@ def salvage_command(
 
 
 def main() -> None:
-    """Entry point: expected errors end in one line and exit status 1."""
+    """Run the command line: expected errors end in one line and exit status 1, Ctrl-C in status 130."""
     try:
         app(standalone_mode=True)
     except PushIdentError as error:
         warn(f"push-ident: {error}")
         sys.exit(1)
-    except KeyboardInterrupt:
-        warn("push-ident: stopped")
-        sys.exit(130)
