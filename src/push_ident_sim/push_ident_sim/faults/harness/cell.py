@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from geometry_msgs.msg import Point
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue, SetParametersResult
@@ -22,7 +22,7 @@ from push_ident_msgs.srv import SaveModel
 from push_ident_sim.faults.harness.monitor import Goal, Monitor, until
 from push_ident_sim.faults.harness.process import Process
 from push_ident_sim.faults.harness.proxy import Proxy, source_of
-from push_ident_sim.faults.harness.topics import OBJECT
+from push_ident_sim.faults.harness.topics import OBJECT, SEEN, TOPICS, qos_of
 from push_ident_sim.studies.common.live_nodes import own_domain
 
 __all__ = ["ARM_CELL", "CAMERA_CELL", "Cell", "CellPlan", "live_cell"]
@@ -93,6 +93,7 @@ class Cell:
         self.proxy = Proxy(self.monitor.node, plan.through)
         self.proxy.watch("joint_states", self.monitor.on_state)
         self.processes: dict[str, Process] = {}
+        self._watched: dict[str, list[tuple[float, Any]]] = {}
         for command in self._commands():
             self.add(command)
 
@@ -119,6 +120,20 @@ class Cell:
     def remove(self, name: str) -> None:
         """Stop a process that was added."""
         self.processes.pop(name).interrupt()
+
+    def watch(self, topic: str) -> list[tuple[float, Any]]:
+        """Messages of a topic of `TOPICS` from now on, each with its time of receipt [s]; the list grows."""
+        if topic not in self._watched:
+            kept = self._watched[topic] = []
+            self.monitor.node.create_subscription(
+                TOPICS[topic].kind, topic, lambda msg: kept.append((time.monotonic(), msg)), qos_of(topic)
+            )
+        del self._watched[topic][:]
+        return self._watched[topic]
+
+    def watch_poses(self) -> list[tuple[float, Any]]:
+        """The same of the poses of the first object that the camera sees."""
+        return self.watch(f"objects/{SEEN}/pose")
 
     # ---- pushes
 
