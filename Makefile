@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind test lint format clean
+.PHONY: help setup demo docs bench experiments blind faults test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -38,6 +38,9 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page
 	$(VENV)/push-ident experiment blind --seed 9000 --models 50 --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment report
+
+faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
+	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json
 
 # Tests that look at the clock run one by one; all others fill the idle time of both cores at the lowest priority.
 test: setup lint  ## lint, types and all tests

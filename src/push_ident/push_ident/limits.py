@@ -6,12 +6,17 @@ outside claim. Every limit is far above what an honest cell sends; none bounds t
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 from typing import Final
 
 from push_ident.errors import InputError, PushIdentError
 
-__all__ = ["LIMITS", "Limit", "check_coordinates"]
+__all__ = ["LIMITS", "Limit", "check_coordinates", "check_object_id", "check_stamp", "plain_text"]
+
+_ID: Final = re.compile(r"[A-Za-z0-9_]+")
+_CONTROL: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +85,9 @@ class LIMITS:
     DESCRIPTION: Final = Limit(4_194_304, "characters", "length of a robot description is", "URDF of two arms with hands: 0.2 MB")
     JOINTS: Final = Limit(100, "joints", "number of joints is", "two arms and two hands: 60")
     POINTS: Final = Limit(10_000, "points", "number of points of a path is", "100 s at 100 Hz")
+    STAMP: Final = Limit(2**31 - 1, "s", "a stamp is", "seconds are signed 32-bit integers in ROS")
+    OBJECT_ID: Final = Limit(100, "characters", "length of an object id is", "a name of a topic of 255 has it in the middle")
+    SHOWN: Final = Limit(400, "characters", "foreign text that is repeated in a log or a status has", "a few lines of a terminal")
     TRANSFORMS: Final = Limit(1_000, "transforms", "number of transforms is", "a cell has some tens of frames")
 
     # ---- bags
@@ -113,3 +121,25 @@ def check_coordinates(values: object, what: str, *, error: type[PushIdentError] 
     numbers = np.abs(np.asarray(values, dtype=np.float64))
     if numbers.size:
         LIMITS.COORDINATE.check(float(numbers.max()), what, error=error, remedy="Give lengths in metres, in the table frame.")
+
+
+def check_stamp(seconds: float) -> None:
+    """Raise InputError for a stamp [s] that no clock of ROS can give: negative, not finite or too large."""
+    if not (math.isfinite(seconds) and seconds >= 0):
+        raise InputError(f"A stamp is {seconds:g} s, expected 0 to {LIMITS.STAMP.value} s; check the clock of its source.")
+    LIMITS.STAMP.check(math.floor(seconds), "Time", remedy="Check the clock of its source.")
+
+
+def check_object_id(text: str) -> str:
+    """The same text; raises InputError unless it can stand in the name of a topic: letters, digits and underscores."""
+    LIMITS.OBJECT_ID.check(len(text), "Object id")
+    if not _ID.fullmatch(text):
+        raise InputError(f"Object id is {plain_text(text)!r}, expected letters, digits and underscores, as in the name of a topic.")
+    return text
+
+
+def plain_text(text: str) -> str:
+    """Foreign text for one line of a log or a status: no control characters, not longer than `LIMITS.SHOWN`."""
+    most = LIMITS.SHOWN.value
+    shown = _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text[:most])
+    return shown if len(text) <= most else shown + "…"
