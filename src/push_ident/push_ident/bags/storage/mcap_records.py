@@ -40,7 +40,13 @@ __all__ = [
 ]
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS = 0x02, 0x03, 0x04, 0x05, 0x06, 0x08, 0x0B
+FOOTER: Final = 0x02
+SCHEMA: Final = 0x03
+CHANNEL: Final = 0x04
+MESSAGE: Final = 0x05
+CHUNK: Final = 0x06
+CHUNK_INDEX: Final = 0x08
+STATISTICS: Final = 0x0B
 _LENGTH: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 """Topic, sequence number, log time, publish time."""
