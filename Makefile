@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind endurance test lint format clean
+.PHONY: help setup demo docs bench experiments blind endurance faults test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -42,6 +42,9 @@ blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; th
 endurance: setup  ## the live cell for an hour while its nodes are killed at random (an hour and a half in all), then the page
 	$(VENV)/push-ident experiment endurance --minutes 60 --seed 1 --models 1 --json docs/results/experiments/endurance.json
 	$(VENV)/push-ident experiment report
+
+faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
+	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json
 
 # Tests that look at the clock run one by one; all others fill the idle time of both cores at the lowest priority.
 test: setup lint  ## lint, types and all tests
