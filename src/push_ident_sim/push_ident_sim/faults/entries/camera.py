@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -89,7 +90,7 @@ def _partly(trial: Trial) -> None:
 
 def _encodings(trial: Trial) -> None:
     for encoding in ("mono16", "rgb8", "[/red]x"):
-        _wrong(trial, _IMAGE, lambda msg, encoding=encoding: _with(msg, encoding=encoding), encoding, "16UC1")
+        _wrong(trial, _IMAGE, partial(_with, encoding=encoding), encoding, "16UC1")
 
 
 def _with(msg: Any, **fields: Any) -> Any:

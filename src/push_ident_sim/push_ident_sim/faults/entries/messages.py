@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point32, PoseStamped
+from geometry_msgs.msg import Point32, PolygonStamped, PoseStamped, Quaternion
 from nav_msgs.msg import OccupancyGrid
 from shape_msgs.msg import SolidPrimitive
 
@@ -53,13 +53,13 @@ def _pose_faults(good: Any) -> Iterator[tuple[str, Any]]:
     yield but("negative covariance", lambda m: setattr(m.pose, "covariance", (-np.eye(6)).ravel()))
     yield but("infinite covariance", covariance(float("inf")))
     yield but("covariance of 1e308", lambda m: setattr(m.pose, "covariance", (np.eye(6) * 1e308).ravel()))
-    yield but("no quaternion", lambda m: [setattr(m.pose.pose.orientation, axis, 0.0) for axis in "xyzw"])
+    yield but("no quaternion", lambda m: setattr(m.pose.pose, "orientation", Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)))
     yield but("quaternion of NaN", lambda m: setattr(m.pose.pose.orientation, "w", _NAN))
     yield but("position of NaN", lambda m: setattr(m.pose.pose.position, "x", _NAN))
     yield but("infinite position", lambda m: setattr(m.pose.pose.position, "y", float("-inf")))
     yield but("another frame", lambda m: setattr(m.header, "frame_id", "map"))
     yield but("markup as frame", lambda m: setattr(m.header, "frame_id", _MARKUP))
-    yield but("a tilted pose", lambda m: (setattr(m.pose.pose.orientation, "x", 1.0), setattr(m.pose.pose.orientation, "w", 0.0)))
+    yield but("a tilted pose", lambda m: setattr(m.pose.pose, "orientation", Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)))
 
 
 def _alive_and_counted(trial: Trial, node: str, before: int, sent: int, since: float) -> None:
@@ -128,8 +128,6 @@ def _others(trial: Trial) -> None:
 
 
 def _outline(cell: Cell) -> Any:
-    from geometry_msgs.msg import PolygonStamped
-
     msg = PolygonStamped()
     msg.header.frame_id = f"object_{OBJECT}"
     msg.polygon.points = [Point32(x=_NAN, y=float("inf"), z=0.0)] * 2

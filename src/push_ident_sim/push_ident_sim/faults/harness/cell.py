@@ -59,10 +59,11 @@ class CellPlan:
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
+OBJECT_POSE: Final = f"objects/{OBJECT}/pose"
 ARM_CELL: Final = CellPlan(
     "arm",
     ("sim_cell_node", "push_executor_node", "identification_node"),
-    ("joint_states", "pusher/wrench", "/clock", "robot_description", f"objects/{OBJECT}/pose", "push_record", "pusher/pose"),
+    ("joint_states", "pusher/wrench", "/clock", "robot_description", OBJECT_POSE, "push_record", "pusher/pose"),
     {"sim_cell_node": {"camera_rate": 0.0, "truth_as_perception": True}, "push_executor_node": _EXECUTOR},
 )
 """Poses come from the simulated world, without a camera."""
@@ -199,13 +200,20 @@ class Cell:
         self.monitor.withdraw()
         for process in self.processes.values():
             process.start()
-        self.await_executor()
+        self.await_ready()
         # Where the arm was held beside the object, it stays where it is: the next push goes up first.
         self.monitor.call(Trigger, "sim_cell_node/reset", Trigger.Request())
 
+    def await_ready(self) -> None:
+        """Until the executor can plan a push; in a cell without one, until the arm reports."""
+        if "push_executor_node" in self.plan.nodes:
+            self.await_executor()
+        else:
+            until(lambda: self.monitor.last_state > 0.0, _STARTUP, "no joint states came")
+
     def await_executor(self) -> None:
         """Until the executor can plan a push."""
-        goal = self.goal() if self.plan.name == "arm" else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
+        goal = self.goal() if OBJECT_POSE in self.plan.through else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
         goal.dry_run = True
         deadline, says = time.monotonic() + _STARTUP, ""
         while time.monotonic() < deadline:
@@ -257,7 +265,7 @@ def live_cell(plan: CellPlan, folder: Path) -> Iterator[Cell]:
     domain = int(os.environ.get("ROS_DOMAIN_ID") or own_domain())
     cell = Cell(plan, folder, domain)
     try:
-        cell.await_executor()
+        cell.await_ready()
         yield cell
     finally:
         cell.close()
