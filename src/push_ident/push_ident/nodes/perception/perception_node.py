@@ -24,7 +24,8 @@ from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 
-from push_ident.errors import InputError, PerceptionError
+from push_ident.errors import InputError, PerceptionError, PushIdentError
+from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.nodes.convert import (
     TABLE_FRAME,
@@ -232,9 +233,9 @@ class PerceptionNode(Node):
             # For every node that has these parameters: perception, recorder, simulated cell.
             text = "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in self._calibrated)
             try:
-                Path(self._configured["calibration_file"]).write_text(text, encoding="utf-8")
-            except OSError as error:
-                self._refuse("calibration_not_written", f"cannot write {self._configured['calibration_file']}: {error.strerror}")
+                write_whole(Path(self._configured["calibration_file"]), text, "the calibration")
+            except PushIdentError as error:
+                self._refuse("calibration_not_written", str(error))
 
     def _robot_at(self, stamp: float) -> tuple[RobotPart, ...]:
         """Tool, hand and arm where they were at `stamp`; notes say what is missing or stale."""
