@@ -31,23 +31,32 @@ _NO_LINK: Final = os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def write_whole(
-    path: Path, content: str | bytes, what: str, *, private: bool = False, error: type[PushIdentError] = PushIdentError
+    path: Path,
+    content: str | bytes,
+    what: str,
+    *,
+    private: bool = False,
+    durable: bool = True,
+    error: type[PushIdentError] = PushIdentError,
 ) -> None:
-    """Replace a file as a whole; the content is on the disk when the function returns.
+    """Replace a file as a whole.
 
     Args:
         path: File to write; its folder is made.
         content: All of it; text is written as UTF-8.
         what: Names the content in an error.
         private: Only the user may read it (0600, new folders 0700); otherwise the umask decides.
+        durable: The content is on the disk when the function returns; otherwise it survives a kill, not a power cut.
         error: Raised where the file cannot be written.
     """
-    with replaced(path, what, private=private, error=error) as file:
+    with replaced(path, what, private=private, durable=durable, error=error) as file:
         file.write(content.encode("utf-8", "replace") if isinstance(content, str) else content)
 
 
 @contextmanager
-def replaced(path: Path, what: str, *, private: bool = False, error: type[PushIdentError] = PushIdentError) -> Iterator[IO[bytes]]:
+def replaced(
+    path: Path, what: str, *, private: bool = False, durable: bool = True, error: type[PushIdentError] = PushIdentError
+) -> Iterator[IO[bytes]]:
     """A file to write into that replaces `path` when the context ends without an exception; arguments as of `write_whole`."""
     path = Path(path)
     if not path.name or path.name == ".." or "\0" in str(path):
@@ -59,13 +68,15 @@ def replaced(path: Path, what: str, *, private: bool = False, error: type[PushId
             try:
                 yield file
                 file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
                 os.replace(part, path)
             except BaseException:
                 with suppress(OSError):
                     part.unlink()
                 raise
-        _sync_folder(path.parent)
+        if durable:
+            _sync_folder(path.parent)
     except (OSError, UnicodeEncodeError) as failure:
         raise error(f"Cannot write {what} to {plain_text(str(path))}: {_why(failure)}.") from None
 
