@@ -155,7 +155,9 @@ def test_only_one_module_writes_files() -> None:
         opens = function == "open" and any(isinstance(m, str) and len(m) < 4 and set(m) & set("wax+") for m in constant_arguments(call))
         if function in ("write_text", "write_bytes") or opens:
             found.add(name)
-    assert found == set(WRITERS) - {"push_ident/files.py"}
+    assert found == set(WRITERS) - {"push_ident/files.py"}, (
+        "write with `write_whole`, `replaced`, `open_new` or `open_log` of push_ident.files"
+    )
 
 
 def test_nothing_is_read_that_can_run_code() -> None:
