@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 
-from push_ident.errors import PerceptionError, PushIdentError
+from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
 from push_ident.nodes.cell_node import CellNode, Component, Health
@@ -39,6 +39,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.depth_input import DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
+from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.nodes.run import run_node
 from push_ident.nodes.stamps import StampCheck
@@ -90,6 +91,7 @@ class _Perception(Component):
         self._node, self._configured = node, node.settings
         self._stamps = StampCheck()
         self._perception: Perception | None = None
+        self._memory = ObjectMemory(self._configured["state_directory"])
         self._calibrated: list[str] = []
         self._robot = RobotHistory(float(self._configured["tool_radius"]), float(self._configured["tool_length"]))
         self._counter: Counter[str] = Counter()
@@ -191,6 +193,8 @@ class _Perception(Component):
             assert self._perception is not None
             if frame.stamp < self._last_stamp:
                 self._restart(frame.stamp)
+                self._perception.reset()
+                self._remember()
             self._last_stamp = frame.stamp
             followed: list[str] = []
             observation = self._perception.observe(
@@ -213,7 +217,32 @@ class _Perception(Component):
             return False
         self._report_calibration("", self._main)
         self._perception = Perception(self._main.pose, perception_settings(self._configured.as_dict()))
+        self._remember()
         return True
+
+    def _remember(self) -> None:
+        """Look for the objects of an earlier run."""
+        assert self._perception is not None
+        try:
+            objects = self._memory.load()
+        except ModelFileError as error:
+            self._refuse("state_refused", "state_directory", str(error))
+            return
+        self._perception.remember(objects)
+        if objects:
+            self._node.get_logger().info(f"Looks for {', '.join(objects)} of an earlier run.")
+
+    def _keep(self, new: Iterable[str], poses: Iterable[ObservedObject]) -> None:
+        """Keep shapes of new objects, and poses, for the next run."""
+        assert self._perception is not None
+        try:
+            for object_id in new:
+                self._memory.keep(object_id, self._perception.known(object_id))
+            for known in poses:
+                if known.pose is not None:
+                    self._memory.keep_pose(known.object_id, known.pose)
+        except ModelFileError as error:
+            self._refuse("state_not_written", "state_directory", str(error))
 
     def _on_further_frame(self, name: str, frame: DepthFrame, stamp: Time) -> None:
         camera = self._further[name]
@@ -300,6 +329,7 @@ class _Perception(Component):
             grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
         self._last_observation = observation
+        self._keep(observation.new_shapes, observation.objects)
 
     def _note_views(self, why_left_out: dict[str, str]) -> None:
         """Count which further cameras helped with the shape of a new object, and report why others did not."""
