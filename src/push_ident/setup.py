@@ -26,7 +26,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "push-ident = push_ident.cli.main:main",
+            "push-ident = push_ident.cli.entry:main",
             "perception_node = push_ident.nodes.executables:main",
             "push_executor_node = push_ident.nodes.executables:main",
             "identification_node = push_ident.nodes.executables:main",

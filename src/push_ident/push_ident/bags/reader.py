@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rosbags.interfaces import Connection
 
 from push_ident.bags import decode
 from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
 from push_ident.bags.opening import OpenBag, open_bag
+from push_ident.bags.storage.storage import RecordedTopic
 from push_ident.errors import BagError, FrameError, InputError
-from push_ident.geometry.outline import points_in_polygon
+from push_ident.geometry.outline import crosses_itself, points_in_polygon, polygon_area
+from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushInterval
-from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["BagContents", "ObjectTrack", "Samples", "read_bag"]
 
@@ -26,6 +27,8 @@ _MAX_JUMP_BACK: Final = 1_000_000_000
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
 _LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE})
 """Latched topics: a newer message replaces the previous one."""
+_AREA_RATIO: Final = 4.0
+"""Largest ratio of the areas of outline and cells [-], either way: cells as wide as half the object still cover a quarter of it."""
 _DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
 
 
@@ -163,10 +166,10 @@ def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -
     raise BagError(f"{path}: no usable messages of {names}; the bag has {present or 'no messages at all'}. Record or remap these topics.")
 
 
-def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[Connection]]:
+def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[RecordedTopic]]:
     """Topics of the contract in this bag. Raises BagError for two topics of one role, which would mix two cells."""
-    by_role: dict[TopicRole, list[Connection]] = defaultdict(list)
-    for connection in bag.connections:
+    by_role: dict[TopicRole, list[RecordedTopic]] = defaultdict(list)
+    for connection in bag.topics:
         if not (role := role_of(connection.topic)):
             continue
         if connection.msgtype != role.role.msgtype:
@@ -177,10 +180,13 @@ def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list
         names = sorted({connection.topic for connection in connections})
         if len(names) > 1 and role.role is not Role.TF_STATIC:
             raise BagError(f"{bag.path}: topics {' and '.join(names)} all have the role of `{role}`; keep the topics of one cell.")
+    LIMITS.OBJECTS.check(len({role.object_id for role in by_role if role.role in OBJECT_ROLES}), str(bag.path), error=BagError)
+    records = sum(topic.msgcount for topic in by_role.get(TopicRole(Role.PUSH_RECORD), []))
+    LIMITS.PUSHES.check(records, str(bag.path), error=BagError, remedy="Split the bag.")
     return dict(by_role)
 
 
-def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[TopicRole, _Recorded]:
+def _read(bag: OpenBag, wanted: dict[TopicRole, list[RecordedTopic]]) -> dict[TopicRole, _Recorded]:
     """Read the topics of these roles."""
     role_by_topic = {connection.topic: role for role, connections in wanted.items() for connection in connections}
     connections = [connection for group in wanted.values() for connection in group]
@@ -196,7 +202,9 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[Topic
             record.values.append(_planar(role, message))
             record.frames.add(str(message.header.frame_id))
         else:
-            record.messages = [message] if role in _LAST_COUNTS else [*record.messages, message]
+            if role in _LAST_COUNTS:
+                record.messages.clear()
+            record.messages.append(message)
     promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamps) for record in recorded.values())
     if got < promised:
         raise BagError(f"{bag.path}: its index lists {promised} messages of the contract, {got} could be read; the file is truncated.")
@@ -210,14 +218,15 @@ def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> 
     if back < -_MAX_JUMP_BACK:
         raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
     values = np.array(record.values)
-    finite = np.asarray(np.isfinite(values).all(axis=1))
+    most = LIMITS.FORCE if role.role is Role.WRENCH else LIMITS.COORDINATE
+    usable = np.asarray(np.isfinite(values).all(axis=1) & (np.abs(values[:, :2]) <= most.value).all(axis=1))
     order = np.argsort(stamps, kind="stable")
-    order = order[finite[order]]
+    order = order[usable[order]]
     first = np.append(True, np.diff(stamps[order]) > 0) if len(order) else np.empty(0, dtype=np.bool_)
     for count, what in (
         (record.unstamped, "have no stamp; their log time is used"),
         (int(np.sum(np.diff(stamps) < 0)), "were out of order; sorted"),
-        (int(np.sum(~finite)), "hold values that are not finite; dropped"),
+        (int(np.sum(~usable)), f"hold values that are not finite or beyond {most.value} {most.unit}; dropped"),
         (int(np.sum(~first)), "repeat a stamp; dropped"),
     ):
         if count:
@@ -270,10 +279,11 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
     try:
         cells, yaw = decode.cells_of(grids[-1])
         outline = decode.outline_of(polygons[-1].polygon) if polygons else None
-        if outline is None:
-            lacking = "its outline encloses nothing" if polygons else "no outline"
+        lacking = _lacking(outline, cells, bool(polygons))
+        if outline is None or lacking:
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
+            LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
         outside = int(np.sum(~points_in_polygon(cells.centres, outline)))
         if outside > len(cells) / 2:
             notes.append(f"object {object_id}: {outside} of {len(cells)} cells lie outside its outline; cells or outline are wrong.")
@@ -283,9 +293,20 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
         return None
 
 
+def _lacking(outline: Float64Array | None, cells: CellGrid, is_recorded: bool) -> str:
+    """Why a recorded outline cannot be that of the cells; empty where it can."""
+    if outline is None:
+        return "its outline encloses nothing" if is_recorded else "no outline"
+    ratio = abs(polygon_area(outline)) / (len(cells) * cells.size**2)
+    if not 1 / _AREA_RATIO < ratio < _AREA_RATIO:
+        return f"its outline encloses {ratio:.3g} times the area of its cells"
+    return "its outline crosses itself" if crosses_itself(outline) else ""
+
+
 def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
     shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
+    LIMITS.COORDINATE.check(radius or 0.0, "the radius in `pusher/shape`", error=BagError)
     if radius is None:
         notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is modelled as a point.")
         return 0.0
@@ -307,6 +328,7 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> 
     """Pose of the camera from the chain of static transforms to the table, if there is one."""
     parents = {}
     for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).messages:
+        LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=BagError)
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
     if CAMERA_FRAME not in parents:

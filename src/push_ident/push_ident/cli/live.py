@@ -8,6 +8,7 @@ import shutil
 import sys
 from enum import StrEnum
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import typer
@@ -15,8 +16,10 @@ from rich.table import Table
 
 from push_ident.bags.reader import read_bag
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
+from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.geometry.se3 import quaternion_of_pose
+from push_ident.nodes.network import listens_on
 
 __all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
 
@@ -34,13 +37,25 @@ def up_command(
     bag: Annotated[Path | None, typer.Argument(help="Bag to play, for replay.", show_default=False)] = None,
     record: Annotated[Path | None, typer.Option(metavar="BAG", help="Record the cell to this new bag.", show_default=False)] = None,
     view: Annotated[bool, typer.Option("--view", help="Serve a live view for browsers.")] = False,
+    state: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder that keeps objects and maps for the next start. Default: none.", show_default=False),
+    ] = None,
 ) -> None:
-    """Start the node processes of a cell, as the launch files do; Ctrl-C stops them all."""
+    """Start the node processes of a cell, as the launch files do; Ctrl-C stops them all.
+
+    A node that dies is started again after a pause of 1 s, doubled up to 30 s while it dies early; the maps go on where they were.
+    """
     perception = True
     if kind is CellKind.replay and bag is not None:
         perception = not read_bag(bag).has_poses
-    commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view)
-    raise typer.Exit(Supervisor(commands, console=console).run())
+    with TemporaryDirectory(prefix="push_ident_") as until_the_end:
+        folder: dict[str, object] = {"state_directory": str((state or Path(until_the_end)).resolve())}
+        states = {name: folder for name in ("perception_node", "identification_node") if perception or name != "perception_node"}
+        commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=states)
+        # A bag that is played again from its start would be another recording.
+        restart = None if kind is CellKind.replay else RestartPolicy()
+        raise typer.Exit(Supervisor(commands, console=console, restart=restart).run())
 
 
 def replay_command(
@@ -162,7 +177,7 @@ def _ros(problems: list[str]) -> dict[str, str]:
 
     found["middleware"] = get_rmw_implementation_identifier()
     found["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID", "0 (not set)")
-    found["Fast DDS profile"] = os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "none: depth images will be lost")
+    found["listens on"] = listens_on(os.environ)
     try:
         import push_ident_msgs.msg
 

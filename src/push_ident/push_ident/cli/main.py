@@ -14,7 +14,9 @@ from push_ident.cli.demo import demo_command
 from push_ident.cli.diagnose import diagnose_command
 from push_ident.cli.experiment import experiment_command
 from push_ident.cli.export import export_command
+from push_ident.cli.faults import faults_command
 from push_ident.cli.fleet import fleet_command
+from push_ident.cli.fuzz import fuzz_command
 from push_ident.cli.identify import identify_command
 from push_ident.cli.importing import import_command
 from push_ident.cli.live import doctor_command, replay_command, up_command
@@ -52,6 +54,8 @@ app.command("up")(up_command)
 app.command("experiment")(experiment_command)
 app.command("simulate")(simulate_command)
 app.command("bench")(bench_command)
+app.command("faults")(faults_command)
+app.command("fuzz")(fuzz_command)
 app.command("demo")(demo_command)
 app.command("doctor")(doctor_command)
 
@@ -69,12 +73,9 @@ def salvage_command(
 
 
 def main() -> None:
-    """Entry point: expected errors end in one line and exit status 1."""
+    """Run the command line: expected errors end in one line and exit status 1, Ctrl-C in status 130."""
     try:
         app(standalone_mode=True)
     except PushIdentError as error:
         warn(f"push-ident: {error}")
         sys.exit(1)
-    except KeyboardInterrupt:
-        warn("push-ident: stopped")
-        sys.exit(130)

@@ -1,4 +1,4 @@
-"""Start the node processes, show their output and stop them together: a replacement for `ros2 launch`."""
+"""Start the node processes, show their output, start them again where they die, and stop them together: as `ros2 launch` does."""
 
 from __future__ import annotations
 
@@ -6,34 +6,35 @@ import json
 import os
 import shlex
 import signal
-import subprocess
 import sys
-import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import IO, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from rich.console import Console
 from rich.text import Text
 
+from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProcess
+from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
+from push_ident.nodes.lifetime import LIFETIME
 
 __all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_commands"]
 
 Kind = Literal["sim", "replay", "arm"]
 
 _COLOURS: Final = ("cyan", "green", "magenta", "yellow", "blue", "bright_red")
-_TAIL_LINES: Final = 12
 _POLL_PERIOD: Final = 0.05
 _TERMINATE_AFTER: Final = 2.0
 """Time from SIGINT to SIGTERM [s]; a node of this project stops within 1.8 s."""
 _KILL_AFTER: Final = 1.0
 """Time from SIGTERM to SIGKILL [s]."""
+
+_COULD_NOT_START: Final = 1
+"""Exit code of a node that could not start; see `push_ident.nodes.run`, which imports ROS."""
 
 _SIM_NODES: Final = ("sim_cell_node",)
 """Nodes of the package push_ident_sim; the others belong to push_ident."""
@@ -52,53 +53,42 @@ class SupervisorError(PushIdentError):
     """A process could not be started, or a node did not end as expected."""
 
 
-@dataclass(frozen=True, slots=True)
-class NodeCommand:
-    """One process to run."""
-
-    name: str
-    argv: tuple[str, ...]
-    may_end: bool = False
-    """Whether it may end with exit code 0 without stopping the others, as the player of a bag does."""
-
-
-@dataclass(frozen=True, slots=True)
-class NodeExit:
-    """A process that ended unexpectedly."""
-
-    name: str
-    code: int
-    """Exit code; -N if signal N ended it."""
-    tail: tuple[str, ...]
-    """Its last lines of standard output and error, in order."""
-
-    def __str__(self) -> str:
-        how = f"was ended by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with exit code {self.code}"
-        return "\n".join([f"{self.name} {how}" + ("; its last lines:" if self.tail else ""), *(f"  {line}" for line in self.tail)])
-
-
 class Supervisor:
     """Runs processes until one of them dies or all are stopped.
 
     As a context manager, of the main thread, it starts them on entry and stops them on exit, also after an exception; SIGTERM and
     SIGHUP end the context as Ctrl-C does, by `SystemExit`.
     Each process leads a group of its own: a Ctrl-C at the terminal reaches only this one, which then stops the others in order.
+    Each node has the reading end of a pipe, its lifeline: where this process is killed, all nodes end by themselves.
 
     Args:
         commands: The processes; their names must differ.
         log_dir: Folder for one `<name>.log` per process; None keeps none.
         console: Output of their lines, each with the name of its process; None shows nothing.
+        restart: How a process that died is started again, in `poll`; None: its death is final.
     """
 
-    def __init__(self, commands: Sequence[NodeCommand], *, log_dir: Path | None = None, console: Console | None = None) -> None:
+    def __init__(
+        self,
+        commands: Sequence[NodeCommand],
+        *,
+        log_dir: Path | None = None,
+        console: Console | None = None,
+        restart: RestartPolicy | None = None,
+    ) -> None:
         names = [command.name for command in commands]
         if not names or len(set(names)) != len(names):
             raise InputError(f"process names are {names}, expected at least one and all different; rename or drop some")
         self._commands = tuple(commands)
         self._log_dir = log_dir
         self._console = console
-        self._processes: dict[str, _Process] = {}
+        self._processes: dict[str, NodeProcess] = {}
         self._handlers: dict[signal.Signals, Any] = {}
+        self._lifeline: tuple[int, int] | None = None
+        self._backoffs = {name: Backoff(restart) for name in names} if restart is not None else {}
+        self._due: dict[str, float] = {}
+        self.deaths: list[NodeExit] = []
+        """Of processes that were, or will be, started again."""
 
     def start(self) -> None:
         """Start all processes.
@@ -108,31 +98,71 @@ class Supervisor:
         """
         if self._log_dir is not None:
             self._log_dir.mkdir(parents=True, exist_ok=True)
-        width = max(len(command.name) for command in self._commands)
-        for command, colour in zip(self._commands, _cycle(_COLOURS), strict=False):
-            log = None if self._log_dir is None else self._log_dir / f"{command.name}.log"
-            prefix = Text(f"{command.name:<{width}} | ", style=colour)
+            for command in self._commands:
+                (self._log_dir / f"{command.name}.log").unlink(missing_ok=True)
+        LIFETIME.patience = _TERMINATE_AFTER + 2 * _KILL_AFTER + LAST_LINES * len(self._commands)
+        self._lifeline = os.pipe()  # of which only the reading end is inherited
+        for command in self._commands:
             try:
-                self._processes[command.name] = _Process(command, log, self._console, prefix)
-            except BaseException as error:
+                self._start(command)
+            except BaseException:
                 self.stop()
-                if not isinstance(error, OSError):
-                    raise
-                raise SupervisorError(f"{command.name} cannot be started: {error}; the command was `{shlex.join(command.argv)}`") from error
+                raise
+
+    def _start(self, command: NodeCommand) -> None:
+        assert self._lifeline is not None, "start() makes it"
+        width = max(len(command.name) for command in self._commands)
+        colour = _COLOURS[self._commands.index(command) % len(_COLOURS)]
+        log = None if self._log_dir is None else self._log_dir / f"{command.name}.log"
+        prefix = Text(f"{command.name:<{width}} | ", style=colour)
+        try:
+            self._processes[command.name] = NodeProcess(command, self._lifeline[0], log, self._console, prefix)
+        except OSError as error:
+            raise SupervisorError(f"{command.name} cannot be started: {error}; the command was `{shlex.join(command.argv)}`") from error
 
     def poll(self) -> NodeExit | None:
-        """The first process that died, None if there is none."""
-        for process in self._processes.values():
+        """The first process that died for good, None if there is none.
+
+        With a restart policy this is also where processes are started again; to be called several times a second.
+        """
+        for name, process in list(self._processes.items()):
             code = process.poll()
-            if code is not None and not (code == 0 and process.command.may_end):
-                return process.exit()
+            if code is None or (code == 0 and process.command.may_end):
+                continue
+            if name not in self._due:
+                death = process.exit()
+                if not self._plan_restart(process, death):
+                    return death
+            elif time.monotonic() >= self._due[name]:
+                del self._due[name]
+                self._start(process.command)
         return None
+
+    def _plan_restart(self, process: NodeProcess, death: NodeExit) -> bool:
+        """Whether a process that died will be started again."""
+        name = death.name
+        if name not in self._backoffs:
+            return False
+        first = not any(earlier.name == name for earlier in self.deaths)
+        pause = None if first and death.code == _COULD_NOT_START else self._backoffs[name].pause(process.lived)
+        if pause is None:
+            return False
+        process.signal(signal.SIGKILL)  # what it has started
+        process.close()
+        self.deaths.append(death)
+        self._due[name] = time.monotonic() + pause
+        process.say(f"{death.how}; it is started again in {pause:g} s")
+        return True
 
     def check(self) -> None:
         """Raise `SupervisorError`, with the last lines of the process, when one died."""
         dead = self.poll()
         if dead is not None:
             raise SupervisorError(str(dead))
+
+    def pid(self, name: str) -> int:
+        """Number of one process, the latest one of that name."""
+        return self._processes[name].pid
 
     def exit_code(self, name: str) -> int | None:
         """Exit code of one process, None while it runs."""
@@ -167,12 +197,19 @@ class Supervisor:
             for process in processes:
                 process.signal(signal.SIGKILL)
             raise
+        finally:
+            self._cut_lifeline()
         for process in processes:
             process.close()
         return stubborn
 
+    def _cut_lifeline(self) -> None:
+        for end in self._lifeline or ():
+            os.close(end)
+        self._lifeline = None
+
     @staticmethod
-    def _stop_in_steps(processes: Sequence[_Process]) -> list[str]:
+    def _stop_in_steps(processes: Sequence[NodeProcess]) -> list[str]:
         stubborn: list[str] = []
         for number, patience in ((signal.SIGINT, _TERMINATE_AFTER), (signal.SIGTERM, _KILL_AFTER), (signal.SIGKILL, _KILL_AFTER)):
             for process in processes:
@@ -207,7 +244,7 @@ class Supervisor:
         return 0
 
     def _any_runs(self) -> bool:
-        return any(process.poll() is None for process in self._processes.values())
+        return bool(self._due) or any(process.poll() is None for process in self._processes.values())
 
     def __enter__(self) -> Supervisor:
         self._handlers = {number: signal.signal(number, _leave) for number in (signal.SIGTERM, signal.SIGHUP)}
@@ -229,68 +266,6 @@ class Supervisor:
             signal.signal(number, handler)
 
 
-class _Process:
-    """One process in a group of its own, with a thread that forwards its lines."""
-
-    def __init__(self, command: NodeCommand, log: Path | None, console: Console | None, prefix: Text) -> None:
-        self.command = command
-        self._tail: deque[str] = deque(maxlen=_TAIL_LINES)
-        self._gone = False
-        self._popen = subprocess.Popen(
-            command.argv,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        )
-        assert self._popen.stdout is not None
-        arguments = (self._popen.stdout, log, console, prefix)
-        self._reader = threading.Thread(target=self._read, args=arguments, name=f"output of {command.name}", daemon=True)
-        self._reader.start()
-
-    def _read(self, output: IO[str], log: Path | None, console: Console | None, prefix: Text) -> None:
-        with output, open(log or os.devnull, "w", encoding="utf-8") as file:
-            for line in output:
-                text = line.rstrip("\n")
-                self._tail.append(text)
-                file.write(line)
-                file.flush()
-                if console is not None:
-                    console.print(Text.assemble(prefix, Text.from_ansi(text)), soft_wrap=True)
-
-    def poll(self) -> int | None:
-        return self._popen.poll()
-
-    def exit(self) -> NodeExit:
-        """How the process ended, after it did."""
-        self._reader.join(timeout=0.5)  # for the last lines
-        return NodeExit(self.command.name, self._popen.returncode, tuple(self._tail))
-
-    def runs(self) -> bool:
-        """Whether the process or one of its children runs."""
-        self._popen.poll()
-        return self._reach(0)
-
-    def signal(self, number: signal.Signals) -> bool:
-        """Send a signal to the whole group; whether it had a running process."""
-        return self.runs() and self._reach(number)
-
-    def _reach(self, number: int) -> bool:
-        if not self._gone:  # afterwards the number may belong to another group
-            try:
-                os.killpg(self._popen.pid, number)
-            except ProcessLookupError:
-                self._gone = True
-        return not self._gone
-
-    def close(self) -> None:
-        self._popen.wait()
-        self._reader.join(timeout=0.5)
-
-
 def _leave(number: int, frame: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
@@ -309,11 +284,6 @@ def _stop_requests() -> Iterator[list[int]]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-def _cycle(values: Sequence[str]) -> Iterator[str]:
-    while True:
-        yield from values
 
 
 def config_file(package: str, name: str) -> Path:
@@ -396,4 +366,4 @@ def _node_command(name: str, parameters: Mapping[str, object], log_level: str) -
     # JSON is YAML: text stays text even if it looks like a number.
     arguments += [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
     argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--log-level", log_level)
-    return NodeCommand(name, argv, may_end=name == "bag_player_node")
+    return NodeCommand(name, argv, may_end=name == "bag_player_node", is_node=True)

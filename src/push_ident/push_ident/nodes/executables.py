@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import importlib
-import os
-import signal
 import sys
-import threading
 from collections.abc import Mapping
 from pathlib import Path
-from types import FrameType
-from typing import Final
+from typing import Final, NoReturn
+
+from push_ident.nodes.lifetime import LIFETIME
 
 __all__ = ["NODES", "main", "run_executable"]
 
@@ -31,19 +29,12 @@ def main() -> None:
     run_executable(Path(sys.argv[0]).stem, NODES)
 
 
-def run_executable(name: str, nodes: Mapping[str, str]) -> None:
-    """Load the node that `name` stands for in `nodes` and run it until a signal ends the process.
+def run_executable(name: str, nodes: Mapping[str, str]) -> NoReturn:
+    """Load the node that `name` stands for in `nodes` and run it until a signal, or the end of its starter, ends the process.
 
-    Loading takes seconds. SIGINT ends the process with exit code 0 in that time as well, unless the process was started to ignore it.
+    Loading takes seconds; a signal ends the process with exit code 0 in that time as well.
     """
+    LIFETIME.begin()
     if name not in nodes:
         sys.exit(f"there is no executable {name!r}, expected one of {', '.join(nodes)}")
-    in_main = threading.current_thread() is threading.main_thread()
-    if in_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _end)
-    sys.exit(importlib.import_module(nodes[name]).main())
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    # Not by an exception: one raised within an import is printed, or caught by the module that is loaded.
-    os._exit(0)
+    LIFETIME.leave(importlib.import_module(nodes[name]).main())

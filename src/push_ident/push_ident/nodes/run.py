@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import gc
 import os
-import signal
 import sys
-import threading
 import time
+import traceback
 from collections.abc import Callable, Sequence
-from types import FrameType
-from typing import Final
+from typing import Any, Final
 
 import rclpy
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.logging import get_logger
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from push_ident.errors import PushIdentError
+from push_ident.nodes.executors import make_executor
+from push_ident.nodes.guard import Guard
+from push_ident.nodes.lifetime import LIFETIME
 
-__all__ = ["run_node", "settle_memory"]
+__all__ = ["COULD_NOT_START", "FAILED", "run_node", "settle_memory"]
 
-_STOP_WITHIN: Final = 1.8
-"""Longest time from the first signal to the end of the process, even if a callback is busy [s]."""
+COULD_NOT_START: Final = 1
+"""Exit code of a node that could not start, as with a wrong parameter: the next start would end so, too."""
+FAILED: Final = 3
+"""Exit code of a node that ended by an error while it ran."""
 
 _WAIT: Final = 0.05
 """Time between two checks of the stop flag [s]; limits the delay of a stop while no message arrives."""
@@ -32,40 +33,38 @@ _YIELD: Final = 3e-4
 """Time for a worker thread to begin its callback [s]."""
 
 
-def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
-    """Run one node until SIGINT or SIGTERM.
+def run_node(factory: Callable[[], Any], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
+    """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.
 
-    The signal only raises a flag: the ROS context stays valid, so a node that has a method `close()` can still publish there
-    (hold the arm, end a bag) before it is destroyed. A process that still runs after 1.8 s is killed.
+    The request to stop only raises a flag: the ROS context stays valid, so a node that has a method `close()` can still publish
+    there (hold the arm, end a bag) before it is destroyed. A process that still runs after 1.8 s is ended by force.
 
     Args:
-        factory: Builds the node; `PushIdentError` raised there ends the process with one line and exit code 1.
+        factory: Builds the node; an exception raised there ends the process with one line and exit code 1.
         args: Command line for rclpy, default sys.argv.
         n_threads: Above 1 the callbacks run in a MultiThreadedExecutor of so many threads.
 
     Returns:
-        Exit code: 0 after a signal, 1 when the node could not start.
+        Exit code: 0 after a request to stop, `COULD_NOT_START`, or `FAILED`.
     """
-    stop = threading.Event()
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if not stop.is_set():
-            deadline = threading.Timer(_STOP_WITHIN, os._exit, (1,))
-            deadline.daemon = True
-            deadline.start()
-        stop.set()
-
-    previous = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    LIFETIME.begin()
+    LIFETIME.loaded()
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            return _spin(factory, stop, n_threads)
-        finally:
-            rclpy.try_shutdown()
+        node = factory()
+    except Exception as error:
+        _report(error)
+        rclpy.try_shutdown()
+        return COULD_NOT_START
+    LIFETIME.running()
+    try:
+        _spin(node, n_threads)
+    except Exception as error:
+        _report(error)
+        return FAILED
     finally:
-        if not stop.is_set():
-            for number, handler in previous.items():
-                signal.signal(number, handler)
+        rclpy.try_shutdown()
+    return 0
 
 
 def settle_memory() -> None:
@@ -74,28 +73,31 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def _spin(factory: Callable[[], Node], stop: threading.Event, n_threads: int) -> int:
-    try:
-        node = factory()
-    except PushIdentError as error:
-        get_logger(os.path.basename(sys.argv[0])).fatal(str(error))
-        return 1
-    executor: Executor = SingleThreadedExecutor() if n_threads == 1 else MultiThreadedExecutor(n_threads)
+def _spin(node: Any, n_threads: int) -> None:
+    guard = getattr(node, "guard", None) or Guard(node.get_logger)
+    node.guard = guard
+    executor = make_executor(n_threads)
     executor.add_node(node)
     settle_memory()
     try:
-        while not stop.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=_WAIT)
+        while not LIFETIME.stop.is_set() and rclpy.ok():
+            with guard.watch("executor"):
+                executor.spin_once(timeout_sec=_WAIT)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
                 # interpreter for the worker: 100 % of a core instead of 16 %.
                 time.sleep(_YIELD)
-    except ExternalShutdownException:
-        pass  # The node ended the context itself.
     finally:
         close = getattr(node, "close", None)
         if close is not None:
             close()
         executor.shutdown(timeout_sec=0.5)
         node.destroy_node()
-    return 0
+
+
+def _report(error: Exception) -> None:
+    """One line for the operator; the traceback for a developer, at the level debug."""
+    logger = get_logger(os.path.basename(sys.argv[0]))
+    text = str(error) if isinstance(error, PushIdentError) else f"{type(error).__name__}: {error}"
+    logger.fatal(text)
+    logger.debug("".join(traceback.format_exception(error)))

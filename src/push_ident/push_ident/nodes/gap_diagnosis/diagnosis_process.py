@@ -11,6 +11,7 @@ from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import PushIdentError
+from push_ident.nodes.lifetime import end_with_parent, stop_signals_blocked
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 
@@ -29,7 +30,9 @@ class DiagnosisProcess:
         context = multiprocessing.get_context("spawn")
         self._receive, send = context.Pipe(duplex=False)
         self._process = context.Process(target=_run, args=(send, list(records), settings, push_settings), daemon=True)
-        self._process.start()
+        # A Ctrl-C at the terminal reaches this process, too; the node ends it.
+        with stop_signals_blocked():
+            self._process.start()
         send.close()
 
     def wait(self, on_stage: Callable[[str], None], should_continue: Callable[[], bool]) -> dict[str, Any] | None:
@@ -64,6 +67,7 @@ class DiagnosisProcess:
 
 
 def _run(send: Connection, records: list[PushRecord], settings: DiagnosisSettings, push_settings: PushSettings) -> None:
+    end_with_parent()
     try:
         found = diagnose(records, settings, push_settings=push_settings, on_progress=lambda text: send.send((_STAGE, text)))
         send.send((_DONE, to_json(found)))

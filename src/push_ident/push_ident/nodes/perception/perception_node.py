@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 
-from push_ident.errors import InputError, PerceptionError
+from push_ident.errors import InputError, ModelFileError, PerceptionError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.nodes.convert import (
     TABLE_FRAME,
@@ -39,6 +39,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.parameters import Parameters
 from push_ident.nodes.perception.depth_input import DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
+from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.nodes.run import run_node
 from push_ident.perception.labels import RobotPart
@@ -79,6 +80,7 @@ class PerceptionNode(Node):
             on_change=self._on_parameters,
         )
         self._perception: Perception | None = None
+        self._memory = ObjectMemory(self._configured["state_directory"])
         self._calibrated: list[str] = []
         self._robot = RobotHistory(float(self._configured["tool_radius"]), float(self._configured["tool_length"]))
         self._counter: Counter[str] = Counter()
@@ -172,6 +174,8 @@ class PerceptionNode(Node):
             assert self._perception is not None
             if frame.stamp < self._last_stamp:
                 self._restart(frame.stamp)
+                self._perception.reset()
+                self._remember()
             self._last_stamp = frame.stamp
             followed: list[str] = []
             observation = self._perception.observe(
@@ -194,7 +198,32 @@ class PerceptionNode(Node):
             return False
         self._report_calibration("", self._main)
         self._perception = Perception(self._main.pose, perception_settings(self._configured.as_dict()))
+        self._remember()
         return True
+
+    def _remember(self) -> None:
+        """Look for the objects of an earlier run."""
+        assert self._perception is not None
+        try:
+            objects = self._memory.load()
+        except ModelFileError as error:
+            self._refuse("state_refused", str(error))
+            return
+        self._perception.remember(objects)
+        if objects:
+            self.get_logger().info(f"Looks for {', '.join(objects)} of an earlier run.")
+
+    def _keep(self, new: Iterable[str], poses: Iterable[ObservedObject]) -> None:
+        """Keep shapes of new objects, and poses, for the next run."""
+        assert self._perception is not None
+        try:
+            for object_id in new:
+                self._memory.keep(object_id, self._perception.known(object_id))
+            for known in poses:
+                if known.pose is not None:
+                    self._memory.keep_pose(known.object_id, known.pose)
+        except ModelFileError as error:
+            self._refuse("state_not_written", str(error))
 
     def _on_further_frame(self, name: str, frame: DepthFrame, stamp: Time) -> None:
         camera = self._further[name]
@@ -281,6 +310,7 @@ class PerceptionNode(Node):
             grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
         self._last_observation = observation
+        self._keep(observation.new_shapes, observation.objects)
 
     def _note_views(self, why_left_out: dict[str, str]) -> None:
         """Count which further cameras helped with the shape of a new object, and report why others did not."""

@@ -1,0 +1,151 @@
+"""One process of a supervisor: in a group of its own, its lines forwarded, its life bound to that of the supervisor."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections import deque
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final
+
+from rich.console import Console
+from rich.text import Text
+
+from push_ident.nodes.lifetime import LIFELINE, stop_signals_blocked
+
+__all__ = ["LAST_LINES", "NodeCommand", "NodeExit", "NodeProcess"]
+
+_TAIL_LINES: Final = 12
+LAST_LINES: Final = 0.5
+"""Longest wait for the last lines of a process that has ended [s]."""
+_UNREAD_OUTPUT: Final = 1 << 20
+"""Output of a process that waits while this one is stopped or its terminal is [bytes]; beyond it the process would wait, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeCommand:
+    """One process to run."""
+
+    name: str
+    argv: tuple[str, ...]
+    may_end: bool = False
+    """Whether it may end with exit code 0 without stopping the others, as the player of a bag does."""
+    is_node: bool = False
+    """Whether it is a node of this project: those start with the stop signals blocked until they can handle them."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeExit:
+    """A process that ended unexpectedly."""
+
+    name: str
+    code: int
+    """Exit code; -N if signal N ended it."""
+    tail: tuple[str, ...]
+    """Its last lines of standard output and error, in order."""
+
+    @property
+    def how(self) -> str:
+        """Name and end in one line."""
+        return self.name + (f" was ended by {signal.Signals(-self.code).name}" if self.code < 0 else f" ended with exit code {self.code}")
+
+    def __str__(self) -> str:
+        return "\n".join([self.how + ("; its last lines:" if self.tail else ""), *(f"  {line}" for line in self.tail)])
+
+
+class NodeProcess:
+    """One process in a group of its own, with a thread that forwards its lines."""
+
+    def __init__(self, command: NodeCommand, lifeline: int, log: Path | None, console: Console | None, prefix: Text) -> None:
+        self.command = command
+        self._tail: deque[str] = deque(maxlen=_TAIL_LINES)
+        self._gone = False
+        self._log, self._console, self._prefix = log, console, prefix
+        self._started = time.monotonic()
+        self._ended: float | None = None
+        with stop_signals_blocked() if command.is_node else nullcontext():
+            self._popen = subprocess.Popen(
+                command.argv,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONUNBUFFERED": "1", LIFELINE: str(lifeline)},
+                text=True,
+                errors="replace",
+                start_new_session=True,
+                pass_fds=(lifeline,),
+            )
+        assert self._popen.stdout is not None
+        with suppress(OSError):  # refused where the user has many such pipes: the usual size then
+            fcntl.fcntl(self._popen.stdout, fcntl.F_SETPIPE_SZ, _UNREAD_OUTPUT)
+        self._reader = threading.Thread(target=self._read, args=(self._popen.stdout,), name=f"output of {command.name}", daemon=True)
+        self._reader.start()
+
+    def _read(self, output: IO[str]) -> None:
+        with output, open(self._log or os.devnull, "a", encoding="utf-8") as file:
+            for line in output:
+                self._tail.append(line.rstrip("\n"))
+                file.write(line)
+                file.flush()
+                self._show(line.rstrip("\n"))
+
+    def _show(self, text: str) -> None:
+        if self._console is not None:
+            self._console.print(Text.assemble(self._prefix, Text.from_ansi(text)), soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """Add a line of the supervisor to what the process has written, after its end."""
+        if self._log is not None:
+            with self._log.open("a", encoding="utf-8") as file:
+                file.write(text + "\n")
+        self._show(text)
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._popen.pid
+
+    @property
+    def lived(self) -> float:
+        """From its start until it was seen dead, or now [s]."""
+        return (time.monotonic() if self._ended is None else self._ended) - self._started
+
+    def poll(self) -> int | None:
+        """Exit code, None while it runs."""
+        code = self._popen.poll()
+        if code is not None and self._ended is None:
+            self._ended = time.monotonic()
+        return code
+
+    def exit(self) -> NodeExit:
+        """How the process ended, after it did."""
+        self._reader.join(timeout=LAST_LINES)
+        return NodeExit(self.command.name, self._popen.returncode, tuple(self._tail))
+
+    def runs(self) -> bool:
+        """Whether the process or one of its children runs."""
+        self._popen.poll()
+        return self._reach(0)
+
+    def signal(self, number: signal.Signals) -> bool:
+        """Send a signal to the whole group; whether it had a running process."""
+        return self.runs() and self._reach(number)
+
+    def _reach(self, number: int) -> bool:
+        if not self._gone:  # afterwards the number may belong to another group
+            try:
+                os.killpg(self._popen.pid, number)
+            except ProcessLookupError:
+                self._gone = True
+        return not self._gone
+
+    def close(self) -> None:
+        """Wait for the end of the process and for its last lines."""
+        self._popen.wait()
+        self._reader.join(timeout=LAST_LINES)

@@ -1,0 +1,185 @@
+"""Nodes live no longer than their supervisor, hold what moves before they end, and are started again when they die."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from push_ident.cli.restart import RestartPolicy
+from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
+
+pytestmark = pytest.mark.alone
+
+NODE = """
+import subprocess, sys, time
+from pathlib import Path
+from push_ident.nodes.lifetime import LIFETIME
+LIFETIME.begin()
+time.sleep(float(sys.argv[3]))
+from rclpy.node import Node
+from push_ident.nodes.run import run_node
+folder, name = Path(sys.argv[1]), sys.argv[2]
+
+class Tested(Node):
+    def __init__(self):
+        super().__init__(name)
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+        (folder / f"{name}.child").write_text(str(child.pid))
+        (folder / f"{name}.pid").write_text(str(__import__("os").getpid()))
+    def close(self):
+        (folder / f"{name}.held").write_text(str(self.context.ok()))
+
+LIFETIME.leave(run_node(Tested))
+"""
+"""A node with a child process; `close` holds its arm."""
+RUN = """
+import json, sys
+from push_ident.cli.supervisor import NodeCommand, Supervisor
+supervisor = Supervisor([NodeCommand(name, tuple(argv), is_node=True) for name, argv in json.loads(sys.argv[1]).items()])
+sys.exit(supervisor.run())
+"""
+QUICK = RestartPolicy(first=0.1, longest=0.4, settled=60.0, attempts=3)
+
+
+def node(folder: Path, name: str, loading: float = 0.0) -> tuple[str, ...]:
+    return (sys.executable, "-c", NODE, str(folder), name, str(loading))
+
+
+def start_supervisor(nodes: dict[str, tuple[str, ...]]) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-c", RUN, json.dumps(nodes)], stderr=subprocess.DEVNULL)
+
+
+def wait_until(condition: Callable[[], object], timeout: float = 30.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.02)
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def written(file: Path) -> int:
+    wait_until(lambda: file.exists() and file.read_text())
+    return int(file.read_text())
+
+
+def children_of(process: int) -> list[int]:
+    return [int(pid) for pid in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+
+
+def test_killed_supervisor_leaves_no_process_and_every_node_holds_first(tmp_path: Path) -> None:
+    supervisor = start_supervisor({name: node(tmp_path, name) for name in ("one", "two")})
+    family = [written(tmp_path / f"{name}.{what}") for name in ("one", "two") for what in ("pid", "child")]
+    supervisor.kill()
+    supervisor.wait()
+    wait_until(lambda: not any(is_alive(pid) for pid in family), timeout=2.5)
+    assert [(tmp_path / f"{name}.held").read_text() for name in ("one", "two")] == ["True", "True"]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.2])
+def test_supervisor_killed_while_its_nodes_start_leaves_no_process(tmp_path: Path, delay: float) -> None:
+    supervisor = start_supervisor({name: node(tmp_path, name, loading=30.0) for name in ("one", "two")})
+    wait_until(lambda: len(children_of(supervisor.pid)) == 2)
+    family = children_of(supervisor.pid)
+    time.sleep(delay)
+    supervisor.kill()
+    supervisor.wait()
+    wait_until(lambda: not any(is_alive(pid) for pid in family), timeout=2.5)
+
+
+def test_stopped_supervisor_changes_nothing(tmp_path: Path) -> None:
+    supervisor = start_supervisor({"one": node(tmp_path, "one")})
+    process = written(tmp_path / "one.pid")
+    supervisor.send_signal(signal.SIGSTOP)
+    time.sleep(1.0)
+    assert is_alive(process)
+    supervisor.send_signal(signal.SIGCONT)
+    supervisor.send_signal(signal.SIGINT)
+    assert supervisor.wait(timeout=5.0) == 0
+    assert not is_alive(process)
+
+
+def test_killed_node_is_started_again_without_what_it_had_started(tmp_path: Path) -> None:
+    console = Console(record=True, width=200, file=(tmp_path / "console").open("w"))
+    command = NodeCommand("one", node(tmp_path, "one"), is_node=True)
+    with Supervisor([command], log_dir=tmp_path, console=console, restart=QUICK) as supervisor:
+        first, child = written(tmp_path / "one.pid"), written(tmp_path / "one.child")
+        (tmp_path / "one.pid").unlink()
+        os.kill(first, signal.SIGKILL)
+        wait_until(lambda: supervisor.poll() is not None or (tmp_path / "one.pid").exists())
+        assert written(tmp_path / "one.pid") == supervisor.pid("one") != first
+        assert not is_alive(child)
+    said = "one was ended by SIGKILL; it is started again in 0.1 s"
+    assert said in console.export_text() and said in (tmp_path / "one.log").read_text()
+    assert [str(death.how) for death in supervisor.deaths] == ["one was ended by SIGKILL"]
+
+
+def test_node_that_dies_early_again_and_again_ends_the_cell_with_its_last_lines(tmp_path: Path) -> None:
+    dying = "import pathlib, sys; print('no camera'); sys.exit(3)"
+    supervisor = Supervisor([NodeCommand("camera", (sys.executable, "-c", dying))], log_dir=tmp_path, restart=QUICK)
+    assert supervisor.run() == 1
+    assert len(supervisor.deaths) == QUICK.attempts
+    assert (tmp_path / "camera.log").read_text().count("no camera") == QUICK.attempts + 1
+
+
+def test_node_that_could_not_start_is_not_started_again(tmp_path: Path) -> None:
+    supervisor = Supervisor([NodeCommand("camera", (sys.executable, "-c", "import sys; sys.exit(1)"))], log_dir=tmp_path, restart=QUICK)
+    assert supervisor.run() == 1
+    assert supervisor.deaths == []
+
+
+def interrupted(argv: tuple[str, ...], delay: float, number: signal.Signals, output: Path) -> tuple[int, float, str]:
+    """Exit code, time to the end [s], output of a program that gets a signal after a delay."""
+    with output.open("w") as file:
+        process = subprocess.Popen(argv, stdout=file, stderr=file)
+        time.sleep(delay)
+        process.send_signal(number)
+        asked = time.monotonic()
+        try:
+            code = process.wait(timeout=10.0)
+        finally:
+            process.kill()
+    return code, time.monotonic() - asked, output.read_text()
+
+
+def supervised(node_name: str) -> NodeCommand:
+    return next(command for command in node_commands("sim") if command.name == node_name)
+
+
+@pytest.mark.parametrize("node_name", ["identification_node", "push_executor_node", "gap_diagnosis_node"])
+def test_stop_at_any_moment_of_a_supervised_node_is_quiet_and_quick(tmp_path: Path, node_name: str) -> None:
+    rng = random.Random(node_name)
+    for number in range(3):
+        supervisor = Supervisor([supervised(node_name)], log_dir=tmp_path)
+        supervisor.start()
+        time.sleep(rng.uniform(0.0, 3.0) if number else 0.0)
+        asked = time.monotonic()
+        assert supervisor.stop() == []
+        assert time.monotonic() - asked < 2.2
+        assert supervisor.exit_code(node_name) == 0
+        assert "Traceback" not in (tmp_path / f"{node_name}.log").read_text()
+
+
+@pytest.mark.parametrize("command", ["up sim", "doctor"])
+@pytest.mark.parametrize("delay", [0.3, 0.6, 1.2])
+def test_ctrl_c_at_any_moment_of_a_command_is_quiet(tmp_path: Path, command: str, delay: float) -> None:
+    program = (sys.executable, "-c", "from push_ident.cli.entry import main; main()", *command.split())
+    code, took, output = interrupted(program, delay, signal.SIGINT, tmp_path / "output")
+    assert "Traceback" not in output
+    assert code == (0 if command.startswith("up") else 130)
+    assert took < 3.5
