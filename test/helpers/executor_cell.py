@@ -56,8 +56,8 @@ QUICK = {
     "hand": "simulated",
     "hand_timeout": 2.0,
 }
-PAUSE = 0.3
-"""Between the commands of two motions [s]; within one there is one every 20 ms."""
+PAUSE = 1.0
+"""Between the commands of two motions [s]; within one there is one every 20 ms, if the machine has time for it."""
 FIST = {"g_act": 1, "g_mod": 0, "g_gto": 1, "g_imc": 3, "g_sta": 2, "g_flt": 0, "g_pra": 255}
 
 
