@@ -184,6 +184,10 @@ class PushExecution:
         if self._one_at_a_time.acquire(timeout=timeout):
             self._one_at_a_time.release()
 
+    def start(self) -> None:
+        """Take requests again after `stop`."""
+        self._stopped.clear()
+
     def close_hand(self, timeout: float) -> str:
         """Close the hand; why it is not a closed fist, empty when it is."""
         if not self._one_at_a_time.acquire(blocking=False):
