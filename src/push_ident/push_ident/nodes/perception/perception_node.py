@@ -24,6 +24,7 @@ from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
+from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
 from push_ident.nodes.cell_node import CellNode, Component, Health
@@ -280,9 +281,9 @@ class _Perception(Component):
             # For every node that has these parameters: perception, recorder, simulated cell.
             text = "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in self._calibrated)
             try:
-                Path(self._configured["calibration_file"]).write_text(text, encoding="utf-8")
-            except OSError as error:
-                self._refuse("calibration_not_written", "calibration_file", f"cannot write {error.filename}: {error.strerror}")
+                write_whole(Path(self._configured["calibration_file"]), text, "the calibration")
+            except PushIdentError as error:
+                self._refuse("calibration_not_written", "calibration_file", str(error))
 
     def _robot_at(self, stamp: float) -> tuple[RobotPart, ...]:
         """Tool, hand and arm where they were at `stamp`; notes say what is missing or stale."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from push_ident.cli.supervisor import NodeCommand
+from push_ident.files import open_log
 
 __all__ = ["TRACEBACK", "Process"]
 
@@ -58,7 +59,7 @@ class Process:
         if self.runs:
             return
         environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self._environment
-        with self.log.open("ab") as file:
+        with open_log(self.log) as file:
             self._popen = subprocess.Popen(
                 self.command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
             )
