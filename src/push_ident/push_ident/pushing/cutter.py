@@ -158,6 +158,8 @@ class PushCutter:
         self._handed_out_until = -math.inf
         """End of the last push that was handed out [s]."""
         self._now = -math.inf
+        self._before = math.inf
+        """Time when it was last set back [s]."""
         self._streams: dict[str, _Stream] = {}
         self._cuts: deque[float] = deque()
         self._records: deque[PushInterval] = deque(maxlen=None if capacity is None else _MAX_RECORDS)
@@ -244,14 +246,17 @@ class PushCutter:
         elif stamp <= stream.latest:
             return False
         elif stream.is_behind:
-            stream.is_behind = self._now < stream.latest
+            # What is left from before time was set back is not later than the time then: if this is, one message was late, not the clock.
+            stream.is_behind = self._now < stream.latest and stamp <= self._before + _JUMP_BACK
         stream.latest = stamp
         if not stream.is_behind:
             self._now = max(self._now, stamp)
         return not stream.is_behind
 
     def _set_back(self, stamp: float) -> None:
+        before = self._now
         self._forget_all()
+        self._before = before
         self._now = stamp
         self.run += 1
         for stream in self._streams.values():
