@@ -166,11 +166,13 @@ def test_nothing_is_read_that_can_run_code() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not {n.split(".")[0] for n in names} & set(FORBIDDEN), path
+            found = {n.split(".")[0] for n in names} & set(FORBIDDEN)
+            assert not found or (found == {"pickle"} and "faults" in path.parts), path  # which hands a poisoned one to the nodes
     for name, call in calls():
         function = ast.unparse(call.func)
         keywords = {k.arg: ast.unparse(k.value) for k in call.keywords}
         assert function not in ("eval", "exec", "compile", "os.system", "os.popen", "torch.load", "tempfile.mktemp", "mktemp"), name
+        assert not function.startswith("pickle.") or function == "pickle.dumps", name
         safe = "Safe" in "".join((*map(ast.unparse, call.args[1:2]), keywords.get("Loader", "")))
         assert function not in ("yaml.unsafe_load", "yaml.full_load") and (function != "yaml.load" or safe), name
         assert keywords.get("allow_pickle", "False") == "False", name
