@@ -41,25 +41,29 @@ class BagRecorderNode(CellNode):
 
     It publishes its status on the latched topic `recording`. When it cannot write any more, it closes the bag at once, which stays
     readable, and an executor that receives the status stops pushing. A node that is deactivated keeps its bag open; cleaned up, it closes
-    the bag, and needs another folder to be configured again.
+    the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`.
     """
 
     def __init__(self, **kwargs: Any) -> None:
+        self._n_bags = 0
         super().__init__("bag_recorder_node", PARAMETERS, **kwargs)
 
     def make_component(self) -> Component:
-        """The bag."""
-        return _BagRecorder(self)
+        """A bag that is new."""
+        if not self.settings["bag"]:
+            raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
+        path = Path(self.settings["bag"])
+        recorder = _BagRecorder(self, path if not self._n_bags else path.with_name(f"{path.name}_{self._n_bags + 1}"))
+        self._n_bags += 1
+        return recorder
 
 
 class _BagRecorder(Component):
     """The bag of a configured node, and what is written to it."""
 
-    def __init__(self, node: CellNode) -> None:
+    def __init__(self, node: CellNode, path: Path) -> None:
         self._node, self._settings = node, node.settings
-        if not self._settings["bag"]:
-            raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
-        path, quaternion = Path(self._settings["bag"]), self._settings["camera_quaternion"]
+        quaternion = self._settings["camera_quaternion"]
         self._extrinsics = pose_of_quaternion(self._settings["camera_position"], quaternion) if np.any(quaternion) else None
         existing = next(p for p in [path.absolute(), *path.absolute().parents] if p.exists())
         self._disk = existing if existing.is_dir() else existing.parent
@@ -130,6 +134,8 @@ class _BagRecorder(Component):
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
             self._counts[topic] = 0
+            if found.role is Role.PUSH_RECORD:  # without a record of it, a push that was broken off must not count as one
+                self._writer.declare(topic, found.role.msgtype)
             self._node.create_subscription(
                 message, topic, lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data), qos, raw=True
             )

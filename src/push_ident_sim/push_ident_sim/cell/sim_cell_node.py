@@ -110,6 +110,8 @@ _STOP_WITHIN: Final = 1.0
 """Longest wait for a thread at the end [s]."""
 _LAG: Final = 0.1
 """A simulation that is further behind its pace than this does not try to catch up [s]."""
+_SOON: Final = 0.1
+"""A trajectory that starts later is refused [s]: nobody may remember having sent it."""
 _BREATH: Final = 0.1
 """Pause after a time step that failed [s]."""
 _MAX_VELOCITY: Final = 100.0
@@ -280,7 +282,10 @@ class _SimCell(Component):
                 f"{self._world.joint_names[j]} goes to {trajectory.position[i, j]:.3f} rad at point {i}, "
                 f"expected {self._world.joint_lower[j]:.3f} to {self._world.joint_upper[j]:.3f}."
             )
-        return trajectory.from_state(now, *self._trajectory.sample(now))
+        start = stamp_from_msg(msg.header.stamp)
+        if start > now + _SOON:
+            raise InputError(f"it starts in {start - now:.3f} s, expected a stamp of 0 or of at most {_SOON} s from now.")
+        return trajectory.from_state(now, *self._trajectory.sample(now), start=start or None)
 
     def _publish_state(self, now: float) -> None:
         stamp = stamp_to_msg(now)
@@ -450,12 +455,10 @@ class _Pace:
 
 
 def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Trajectory in the order of `joint_names`, on the clock of the message; raises InputError where it is not for these joints."""
+    """Trajectory in the order of `joint_names`, from its start; raises InputError where it is not for these joints."""
     names = list(msg.joint_names)
     if sorted(names) != sorted(joint_names):
         raise InputError(f"it is for joints {plain_text(', '.join(names))}, expected {list(joint_names)} in any order.")
-    if stamp_from_msg(msg.header.stamp) != 0.0:
-        raise InputError(f"its stamp is {stamp_from_msg(msg.header.stamp)} s, expected 0: it starts when it arrives.")
     LIMITS.POINTS.check(len(msg.points), "Trajectory")
     order = [names.index(name) for name in joint_names]
     with_velocity = all(len(point.velocities) > 0 for point in msg.points)

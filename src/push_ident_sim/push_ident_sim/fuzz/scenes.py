@@ -40,7 +40,7 @@ from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
 __all__ = ["SCENES", "Scene"]
 
-_PATIENCE: Final = 30.0
+_PATIENCE: Final = 15.0
 """For a node to do its work, on a busy machine [s]."""
 _RECENT: Final = 4
 """Latest valid messages of each topic that mutations start from."""

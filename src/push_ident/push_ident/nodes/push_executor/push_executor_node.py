@@ -206,11 +206,11 @@ class _PushExecutor(Component):
         no_clock = bool(self._node.get_parameter("use_sim_time").value) and self._cell_clock.now() == 0.0
         hand, recording = self._hand.why_no_fist(), self._recording.fault
         reasons = [text for text, true in (("arm silent", silent), ("use_sim_time is set but /clock is silent", no_clock)) if true]
-        reasons += [text for text in (hand, recording) if text]
+        reasons += [text for text in (hand, recording, self._arm.description_fault) if text]
         level = DiagnosticStatus.OK
         if silent or hand or recording:
             level = DiagnosticStatus.ERROR
-        elif no_clock or not self._objects.ids:
+        elif no_clock or not self._objects.ids or self._arm.description_fault:
             level = DiagnosticStatus.WARN
         state = "no objects" if not self._objects.ids else "ready" if self._execution.is_idle else "pushing"
         values = {

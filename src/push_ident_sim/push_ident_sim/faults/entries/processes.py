@@ -8,6 +8,7 @@ import random
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +36,8 @@ _DELAYS: Final = (0.2, 0.5, 1.0, 2.0)
 0.15 s in which no code of ours runs; the children of `push-ident up` are out of reach of a Ctrl-C at the terminal."""
 _QUIET_END: Final = 2.0
 """Longest time from Ctrl-C to the end of a process [s]."""
+_BUSY: Final = 1.0
+"""Granted where several processes load at once on few cores [s]."""
 _UP_END: Final = 4.0
 """The same of `push-ident up`, which ends its nodes first [s]."""
 _N_TRANSITIONS: Final = 30
@@ -82,6 +85,39 @@ def _stop_at_once(trial: Trial) -> None:
             trial.expect(took < (_QUIET_END if command.name != "up" else _UP_END), f"{name}: it ended after {took:.1f} s")
             trial.expect(TRACEBACK not in process.output, f"{name}: a traceback")
     trial.note = f"{len(commands) * len(_DELAYS)} starts; the slowest ended after {worst:.1f} s"
+
+
+_N_MOMENTS: Final = 200
+_LATEST: Final = 3.0
+"""Ctrl-C comes at a random moment up to this after the start of a node [s]."""
+_AT_ONCE: Final = 4
+"""Nodes started side by side: most of the time is waiting."""
+
+
+def _stop_any_moment(trial: Trial) -> None:
+    """Ctrl-C and SIGTERM at random moments of the nodes."""
+    commands, rng, domain = node_commands("sim"), random.Random(0), str(own_domain())
+    plans = [
+        (i, commands[i % len(commands)], rng.uniform(0.0, _LATEST), rng.choice([signal.SIGINT, signal.SIGTERM])) for i in range(_N_MOMENTS)
+    ]
+
+    def once(plan: tuple[int, NodeCommand, float, signal.Signals]) -> tuple[str, int | None, float, bool]:
+        number, command, delay, how = plan
+        process = Process(command, trial.folder / f"{number}-{command.name}.log", {"ROS_DOMAIN_ID": domain})
+        time.sleep(delay)
+        asked = process.signal(how)
+        code = process.wait(6.0)
+        took = time.monotonic() - asked
+        process.kill()
+        return f"{command.name}, {how.name} after {delay:.2f} s", code, took, TRACEBACK in process.output
+
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        ends = list(pool.map(once, plans))
+    for name, code, took, traceback in ends:
+        trial.expect(code == 0, f"{name}: exit code {code}, expected 0")
+        trial.expect(took < _QUIET_END + _BUSY, f"{name}: it ended after {took:.1f} s")
+        trial.expect(not traceback, f"{name}: a traceback")
+    trial.note = f"{len(ends)} starts; the slowest ended after {max(took for _, _, took, _ in ends):.1f} s"
 
 
 def _supervisor_killed(trial: Trial) -> None:
@@ -260,6 +296,14 @@ FAULTS: Final = (
         holds="the signal handler is set before anything is loaded",
         expected="exit 0 within 2 s, no traceback",
         run=_stop_at_once,
+    ),
+    Fault(
+        number=59,
+        name="interrupt-any-moment",
+        what=f"Ctrl-C or SIGTERM at {_N_MOMENTS} random moments of the first {_LATEST:.0f} s of nodes",
+        holds="signals are blocked until the node can handle them",
+        expected="exit 0 within 2 s, no traceback",
+        run=_stop_any_moment,
     ),
     Fault(
         number=29,
