@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from push_ident.errors import PushIdentError
 from push_ident_sim.faults.fault import Fault, Impossible, Trial
 from push_ident_sim.faults.harness import oracles
 from push_ident_sim.faults.harness.cell import Cell, CellPlan, live_cell
 from push_ident_sim.faults.harness.hold import Hold
+from push_ident_sim.faults.harness.priority import urgent
 
 __all__ = ["FaultResult", "run_faults", "try_fault"]
-
-
-_PRIORITY: Final = -10
-"""Niceness of the live cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,22 +53,9 @@ def run_faults(faults: Sequence[Fault], folder: Path, on_result: Callable[[Fault
         results.append(result)
         on_result(result)
 
-    with _urgent():
+    with urgent():
         _run_all(faults, folder, done)
     return sorted(results, key=lambda result: result.fault.number)
-
-
-@contextmanager
-def _urgent() -> Iterator[None]:
-    """This process and all that it starts go before others, as on the computer of a robot; without the right to, they go with them."""
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
 def _run_all(faults: Sequence[Fault], folder: Path, done: Callable[[FaultResult], None]) -> None:
