@@ -15,7 +15,7 @@ from push_ident.bags import decode
 from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
-from push_ident.geometry.outline import points_in_polygon
+from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
@@ -147,7 +147,7 @@ def _contents(
         origin_ns=origin,
         objects={object_id: _object_track(object_id, recorded, samples, origin, notes) for object_id in object_ids},
         pusher=_samples(samples[TopicRole(Role.PUSHER)], origin),
-        pusher_radius=_pusher_radius(recorded, notes),
+        pusher_radius=_pusher_radius(path, recorded, notes),
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
         camera_in_table=_camera_in_table(recorded, notes),
@@ -274,22 +274,22 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
             lacking = "its outline encloses nothing" if polygons else "no outline"
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
-        outside = int(np.sum(~points_in_polygon(cells.centres, outline)))
-        if outside > len(cells) / 2:
-            notes.append(f"object {object_id}: {outside} of {len(cells)} cells lie outside its outline; cells or outline are wrong.")
-        return ObjectShape(cells, outline)
+        return check_shape(ObjectShape(cells, outline))
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
         return None
 
 
-def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
+def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
     shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
     if radius is None:
         notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is modelled as a point.")
         return 0.0
-    return radius
+    try:
+        return check_pusher_radius(radius)
+    except InputError as error:
+        raise BagError(f"{path}: `{Role.PUSHER_SHAPE.value.name}`: {error}") from None
 
 
 def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: list[str]) -> tuple[PushInterval, ...]:

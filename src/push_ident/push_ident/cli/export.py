@@ -40,6 +40,8 @@ def export_command(
     if path.resolve() == model.resolve():
         raise InputError(f"{path} is the model itself; name another file with --out.")
     object_id, posterior = load_model(model)
+    if failure := failure_of_model(model):
+        warn(f"! the model is only the prior: {failure}")
     thing = describe(
         posterior.model, object_id=object_id, source=model.name, height=height, sliding=_CELLS[cells], effects=posterior.effects
     )

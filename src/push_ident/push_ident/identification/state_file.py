@@ -61,6 +61,7 @@ class _Score(_Part):
     expected_cell_error: float = Field(alias="expected")
     mahalanobis2: float = Field(alias="distance2")
     uniform_cell_error: float = Field(alias="uniform")
+    explained: bool = True
 
 
 class _Record(_Part):

@@ -16,7 +16,7 @@ from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import observe_offline
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["LoadedPushes", "load_pushes", "track_from_depth"]
+__all__ = ["LoadedPushes", "load_pushes", "most_pushed", "track_from_depth"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def load_pushes(
             if on_progress:
                 on_progress(f"{path.name}: no object poses; tracking the object in {contents.n_depth} depth images")
             contents = track_from_depth(contents, camera_in_table)
-        chosen = object_id or _most_pushed(contents)
+        chosen = object_id or most_pushed(contents)
         object_id = object_id or chosen
         records += split_pushes(contents, chosen)
         notes += [f"{path.name}: {note}" for note in contents.notes]
@@ -97,8 +97,8 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     return replace(contents, objects=objects)
 
 
-def _most_pushed(contents: BagContents) -> str:
-    """The object that the most pushes touch."""
+def most_pushed(contents: BagContents) -> str:
+    """The only object, or the one that the most pushes touch. Raises BagError where none of several has poses and usable cells."""
     if len(contents.objects) == 1:
         return next(iter(contents.objects))
     touched = {}
@@ -106,5 +106,6 @@ def _most_pushed(contents: BagContents) -> str:
         if track.shape is not None and len(track.time) >= 2:
             touched[object_id] = sum(observe_push(record).touched for record in split_pushes(contents, object_id))
     if not touched:
-        raise BagError(f"{contents.path}: none of the objects {', '.join(contents.objects)} has both cells and poses.")
+        reasons = " ".join(note for note in contents.notes if note.startswith("object "))
+        raise BagError(f"{contents.path}: none of the objects {', '.join(contents.objects)} has both usable cells and poses. {reasons}")
     return max(touched, key=lambda key: touched[key])
