@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind test lint format clean
+.PHONY: help setup demo docs bench experiments blind endurance faults test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -31,13 +31,20 @@ bench: setup  ## time and error of engine, rivals and identification (six minute
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
-	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vx blind); do \
+	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|endurance'); do \
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment report
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page
 	$(VENV)/push-ident experiment blind --seed 9000 --models 50 --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment report
+
+endurance: setup  ## the live cell for an hour while its nodes are killed at random (an hour and a half in all), then the page
+	$(VENV)/push-ident experiment endurance --minutes 60 --seed 1 --models 1 --json docs/results/experiments/endurance.json
+	$(VENV)/push-ident experiment report
+
+faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
+	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json
 
 # Tests that look at the clock run one by one; all others fill the idle time of both cores at the lowest priority.
 test: setup lint  ## lint, types and all tests

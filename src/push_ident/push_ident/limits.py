@@ -77,6 +77,12 @@ class LIMITS:
 
     # ---- messages
     MESSAGE: Final = Limit(33_554_432, "bytes", "size of a message is", "the largest image in 32FC1, with padded rows")
+    SMALL_MESSAGE: Final = Limit(
+        1_048_576,
+        "bytes",
+        "size of a message is",
+        "all but images and grids: an outline of 2000 vertices has 24 kB, 1000 transforms 0.1 MB",
+    )
     STRING: Final = Limit(1_024, "characters", "length of a string is", "names of frames, topics and objects; DDS allows 255 for a topic")
     DESCRIPTION: Final = Limit(4_194_304, "characters", "length of a robot description is", "URDF of two arms with hands: 0.2 MB")
     JOINTS: Final = Limit(100, "joints", "number of joints is", "two arms and two hands: 60")
@@ -98,7 +104,7 @@ class LIMITS:
         268_435_456, "bytes", "size of the chunks that overlap in time is", "four largest chunks; chunks of a recorder hardly overlap"
     )
     EXPANSION: Final = Limit(
-        20, "times the size of the file, and 1 GB", "content uncompressed is", "depth images and joint states compress 2 to 6 times"
+        10, "times the size of the file, and 1 GB", "content uncompressed is", "depth images and joint states compress 2 to 6 times"
     )
     TOPICS: Final = Limit(2_000, "topics", "number of topics is", "a large robot has 300")
     SCHEMA: Final = Limit(
@@ -106,7 +112,7 @@ class LIMITS:
     )
     METADATA: Final = Limit(1_048_576, "bytes", "size of metadata.yaml is", "0.7 kB a topic, 0.3 kB a file: 1000 topics and 1000 files")
     FILES: Final = Limit(10_000, "files", "number of storage files is", "a bag that is split each minute for a week")
-    SUMMARY: Final = Limit(1_073_741_824, "bytes", "size of the index of a bag is", "an index entry has 0.1 kB for 0.8 MB of messages")
+    SUMMARY: Final = Limit(67_108_864, "bytes", "size of the index of a bag is", "0.2 kB for a chunk of 0.8 MB: enough for 250 GB")
     TEXT_FILE: Final = Limit(67_108_864, "bytes", "size of a text file is", "the largest published recording has 1.1 MB")
 
 

@@ -197,7 +197,7 @@ def _read_mocap(file: Path) -> tuple[Float64Array, Float64Array, Float64Array, F
     """
     rows: dict[str, list[tuple[float, ...]]] = {"/Mocap": [], "/robot_CartesianLog": [], "/netft_data": []}
     with open_bag(file) as bag:
-        connections = [connection for connection in bag.connections if connection.topic in rows]
+        connections = [connection for connection in bag.topics if connection.topic in rows]
         bag.register(connections)
         for connection, log_time, message in bag.messages(connections):
             if values := _mocap_row(connection.topic, message):

@@ -4,74 +4,88 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat
-from rosbags.rosbag1 import Reader as Rosbag1Reader
-from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from push_ident.bags.definitions import check_definitions
 from push_ident.bags.salvage import count_recoverable
+from push_ident.bags.storage.folder_storage import FolderStorage
+from push_ident.bags.storage.mcap_storage import McapStorage
+from push_ident.bags.storage.rosbag1_storage import Rosbag1Storage
+from push_ident.bags.storage.sqlite_storage import SqliteStorage
+from push_ident.bags.storage.storage import RecordedTopic, Storage
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.errors import BagError, PushIdentError
+from push_ident.limits import LIMITS
 
 __all__ = ["OpenBag", "open_bag", "storage_of"]
 
-_STORAGE: Final = (".mcap", ".db3", ".bag")
+_STORAGE: Final[dict[str, Callable[[Path], Storage]]] = {".mcap": McapStorage, ".db3": SqliteStorage, ".bag": Rosbag1Storage}
+_LARGE: Final = frozenset({"sensor_msgs/msg/Image", "nav_msgs/msg/OccupancyGrid"})
 _CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")
-_MAX_SEQUENCE: Final = 2**28
-"""Longest array accepted in a message: far above any image, far below what would exhaust the memory."""
 
 
 class OpenBag:
     """A bag opened for reading, ROS 1 or ROS 2."""
 
-    def __init__(self, path: Path, reader: Rosbag1Reader | Rosbag2Reader) -> None:
+    def __init__(self, path: Path, storage: Storage) -> None:
         self.path = path
-        self._reader = reader
-        self._is_ros1 = isinstance(reader, Rosbag1Reader)
+        self._storage = storage
+        self._is_ros1 = isinstance(storage, Rosbag1Storage)
         self._store = get_typestore(Stores.EMPTY)
-        self._store.max_sequence_length = _MAX_SEQUENCE
+        self._store.max_sequence_length = LIMITS.MESSAGE.value
 
     @property
-    def connections(self) -> list[Connection]:
+    def topics(self) -> list[RecordedTopic]:
         """Every recorded topic, once per recorded publisher."""
-        return list(self._reader.connections)
+        return list(self._storage.topics)
 
     def counts(self) -> dict[str, int]:
         """Number of messages by topic, from the index of the bag."""
         counts: Counter[str] = Counter()
-        for connection in self._reader.connections:
-            counts[connection.topic] += connection.msgcount
+        for topic in self._storage.topics:
+            counts[topic.topic] += topic.msgcount
         return dict(sorted(counts.items()))
 
-    def register(self, connections: Iterable[Connection]) -> None:
+    def register(self, topics: Iterable[RecordedTopic]) -> None:
         """Register the message types of these topics, from the schema in the bag where it has one.
 
         Only these types are registered, so that an unknown type elsewhere in the bag does no harm.
         """
-        for connection in connections:
-            if _lower_package(connection.msgtype) not in self._store.fielddefs:
-                self._store.register(_definitions(connection, self._store))
+        for topic in topics:
+            if _lower_package(topic.msgtype) not in self._store.fielddefs:
+                types = _definitions(topic, self._store)
+                check_definitions({**self._store.fielddefs, **types}, topic.topic)
+                self._store.register(types)
 
-    def messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, Any]]:
+    def messages(self, topics: list[RecordedTopic]) -> Iterator[tuple[RecordedTopic, int, Any]]:
         """Messages of these (registered) topics with their log time [ns], decoded one at a time."""
-        for connection, log_time, raw in self._reader.messages(connections=connections) if connections else ():
-            decode = self._store.deserialize_ros1 if self._is_ros1 else self._store.deserialize_cdr
-            yield connection, log_time, decode(raw, _lower_package(connection.msgtype))
+        decode = self._store.deserialize_ros1 if self._is_ros1 else self._store.deserialize_cdr
+        types = {topic.id: _lower_package(topic.msgtype) for topic in topics}
+        limits = {topic.id: LIMITS.MESSAGE if topic.msgtype in _LARGE else LIMITS.SMALL_MESSAGE for topic in topics}
+        for topic, log_time, raw in self._raw(topics):
+            limits[topic.id].check(len(raw), topic.topic, error=BagError)
+            yield topic, log_time, decode(raw, types[topic.id])
 
-    def raw_messages(self) -> Iterator[tuple[Connection, int, bytes | memoryview]]:
+    def raw_messages(self) -> Iterator[tuple[RecordedTopic, int, bytes | memoryview]]:
         """All messages in serialised form (CDR) with their log time [ns].
 
         Raises BagError for a ROS 1 bag, which has another serialisation.
         """
         if self._is_ros1:
             raise BagError(f"{self.path}: a ROS 1 bag cannot be played directly; convert it first, with `rosbags-convert`.")
-        yield from self._reader.messages()
+        yield from self._raw(self._storage.topics)
+
+    def _raw(self, topics: list[RecordedTopic]) -> Iterator[tuple[RecordedTopic, int, bytes | memoryview]]:
+        by_id = {topic.id: topic for topic in topics}
+        for identifier, log_time, raw in self._storage.messages(by_id.keys()) if by_id else ():
+            LIMITS.MESSAGE.check(len(raw), by_id[identifier].topic, error=BagError)
+            yield by_id[identifier], log_time, raw
 
 
 def _lower_package(text: str) -> str:
@@ -79,13 +93,13 @@ def _lower_package(text: str) -> str:
     return _CAPITAL_PACKAGE.sub(lambda match: match.group().lower(), text)
 
 
-def _definitions(connection: Connection, known: Typestore) -> dict[str, Any]:
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        types = get_types_from_msg(_lower_package(connection.msgdef.data), _lower_package(connection.msgtype))
+def _definitions(topic: RecordedTopic, known: Typestore) -> dict[str, Any]:
+    if topic.definition and topic.encoding == "ros2msg":
+        types = get_types_from_msg(_lower_package(topic.definition), _lower_package(topic.msgtype))
     else:
         types = jazzy_typestore().fielddefs
-        if connection.msgtype not in types:
-            raise BagError(f"type {connection.msgtype} of topic {connection.topic} is neither described in the bag nor known.")
+        if topic.msgtype not in types:
+            raise BagError(f"type {topic.msgtype} of topic {topic.topic} is neither described in the bag nor known.")
     return {name: fields for name, fields in types.items() if name not in known.fielddefs}
 
 
@@ -116,17 +130,20 @@ def storage_of(path: Path) -> Path:
 def open_bag(path: Path) -> Iterator[OpenBag]:
     """Open a bag for reading: a folder, an MCAP or sqlite3 file, or a ROS 1 bag.
 
-    Every failure while it is open, unexpected exceptions of the readers included, becomes a BagError of one line.
+    Every failure while it is open, unexpected exceptions of the decoders included, becomes a BagError of one line.
     """
     try:
-        storage = storage_of(path)
-        reader = Rosbag1Reader(storage) if storage.is_file() and storage.suffix == ".bag" else Rosbag2Reader(storage)
-        with reader:
-            yield OpenBag(path, reader)
+        place = storage_of(path)
+        opened: Storage = FolderStorage(place) if place.is_dir() else _STORAGE[place.suffix](place)
+        with closing(opened) as storage:
+            yield OpenBag(path, storage)
+    except BagError as error:
+        text = str(error)
+        raise error if text.startswith(str(path)) else BagError(f"{path}: cannot be read ({text.rstrip('.')}){_remedy(path)}") from None
     except PushIdentError:
         raise
     except Exception as error:
-        # Damaged bags make the readers raise almost any exception (assertions, struct, overflow, compression, database errors).
+        # Damaged bags make decoders and decompressors raise almost any exception (struct, overflow, recursion, database errors).
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")[:200]
         raise BagError(f"{path}: cannot be read ({type(error).__name__}: {reason}){_remedy(path)}") from error
 

@@ -27,7 +27,7 @@ class RawMessage:
 def bag_topics(path: Path) -> dict[str, str]:
     """Message type of every topic that has messages. Raises BagError when there is no such bag, or it has none."""
     with open_bag(path) as bag:
-        topics = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
+        topics = {c.topic: c.msgtype for c in bag.topics if c.msgcount}
     if not topics:
         raise BagError(f"{path}: the bag holds no message; record again, or recover the original with `push-ident salvage`.")
     return topics

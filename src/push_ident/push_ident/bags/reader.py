@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rosbags.interfaces import Connection
 
 from push_ident.bags import decode
 from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
 from push_ident.bags.opening import OpenBag, open_bag
+from push_ident.bags.storage.storage import RecordedTopic
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.pushing.cutter import PushInterval
@@ -163,10 +163,10 @@ def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -
     raise BagError(f"{path}: no usable messages of {names}; the bag has {present or 'no messages at all'}. Record or remap these topics.")
 
 
-def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[Connection]]:
+def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[RecordedTopic]]:
     """Topics of the contract in this bag. Raises BagError for two topics of one role, which would mix two cells."""
-    by_role: dict[TopicRole, list[Connection]] = defaultdict(list)
-    for connection in bag.connections:
+    by_role: dict[TopicRole, list[RecordedTopic]] = defaultdict(list)
+    for connection in bag.topics:
         if not (role := role_of(connection.topic)):
             continue
         if connection.msgtype != role.role.msgtype:
@@ -180,7 +180,7 @@ def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list
     return dict(by_role)
 
 
-def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[TopicRole, _Recorded]:
+def _read(bag: OpenBag, wanted: dict[TopicRole, list[RecordedTopic]]) -> dict[TopicRole, _Recorded]:
     """Read the topics of these roles."""
     role_by_topic = {connection.topic: role for role, connections in wanted.items() for connection in connections}
     connections = [connection for group in wanted.values() for connection in group]

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
-
 from push_ident.bags.contract import role_of
+from push_ident.bags.storage import mcap_records as records
+from push_ident.bags.storage.storage import Expansion, open_regular
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
+from push_ident.limits import LIMITS
 
 __all__ = ["SalvageReport", "count_recoverable", "salvage"]
 
-_MAX_RECORD: Final = 2**30
-"""Longest record accepted [bytes]: a damaged length must not exhaust the memory."""
 _CHEAP: Final = 2**28
 """Largest file that is read only to count the recoverable messages [bytes]."""
 
@@ -52,33 +51,38 @@ class _Records:
         self.damaged_chunks = 0
         self.end = ""
 
-    def __iter__(self) -> Iterator[McapRecord]:
-        with self._path.open("rb") as file:
-            records = StreamReader(file, emit_chunks=True, record_size_limit=_MAX_RECORD).records
-            while True:
+    def __iter__(self) -> Iterator[tuple[int, bytes | memoryview]]:
+        """Operation code and content of each."""
+        with open_regular(self._path) as file:
+            size = os.fstat(file.fileno()).st_size
+            expansion = Expansion(str(self._path), size)
+            if file.read(len(records.MAGIC)) != records.MAGIC:
+                self.end = "the file does not begin as an MCAP file."
+                return
+            while file.tell() < size:
                 try:
-                    record = next(records)
-                except StopIteration:
+                    operation, content = records.read_record(file, size, limit=LIMITS.RECORD.value)
+                except BagError as error:
+                    self.end = str(error)
                     return
-                except Exception as error:
-                    # The parser may raise any exception at the damaged place.
-                    reason = (str(error).strip().splitlines() or ["the file ends in the middle of a record"])[0]
-                    self.end = f"{type(error).__name__}: {reason[:200]}"
+                if operation == records.FOOTER:
                     return
-                if isinstance(record, Chunk):
-                    yield from self._intact(record)
+                if operation == records.CHUNK:
+                    yield from self._intact(content, expansion)
                 else:
-                    yield record
+                    yield operation, content
 
-    def _intact(self, chunk: Chunk) -> list[McapRecord]:
+    def _intact(self, content: bytes, expansion: Expansion) -> Iterator[tuple[int, bytes | memoryview]]:
         try:
-            if chunk.uncompressed_size > _MAX_RECORD:
-                raise ValueError("impossible size of a chunk")
-            return breakup_chunk(chunk, validate_crc=True)
+            data = memoryview(records.chunk_content(content))
+            for _ in records.chunk_records(data):
+                pass
         except Exception:
             # Decompressor and parser may raise any exception on damaged bytes; the whole chunk is lost.
             self.damaged_chunks += 1
-            return []
+            return
+        expansion.add(len(data))
+        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data))
 
 
 def count_recoverable(path: Path) -> int | None:
@@ -86,8 +90,8 @@ def count_recoverable(path: Path) -> int | None:
     try:
         if path.stat().st_size > _CHEAP:
             return None
-        return sum(isinstance(record, Message) for record in _Records(path))
-    except OSError:
+        return sum(operation == records.MESSAGE for operation, _ in _Records(path))
+    except (OSError, BagError):
         return 0
 
 
@@ -100,39 +104,36 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     total = count_recoverable(source)
     if total == 0:
         raise BagError(f"{path}: no message can be recovered; all chunks of the file are damaged, or it is not an MCAP bag.")
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
+    schemas: dict[int, records.Schema] = {}
+    channels: dict[int, records.Channel] = {}
     counts: Counter[str] = Counter()
     undecodable = 0
-    records = _Records(source)
+    found = _Records(source)
     with BagWriter(out) as writer:
-        for record in records:
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-            elif isinstance(record, Message) and (channel := channels.get(record.channel_id)):
-                schema = schemas.get(channel.schema_id)
-                if schema is None:
+        for operation, content in found:
+            if operation == records.SCHEMA:
+                key, schema = records.schema_of(content)
+                schemas[key] = schema
+            elif operation == records.CHANNEL:
+                key, channel = records.channel_of(content)
+                channels[key] = channel
+            elif operation == records.MESSAGE:
+                number, log_time, data = records.message_of(content)
+                if (known := channels.get(number)) is None or known.schema_id not in schemas:
                     continue
-                if not _decodes(channel.topic, schema.name, record.data):
+                schema = schemas[known.schema_id]
+                if log_time >= 2**63 or not _decodes(known.topic, schema.name, data):
                     undecodable += 1
                     continue
-                writer.write_raw(
-                    channel.topic,
-                    schema.name,
-                    record.log_time,
-                    record.data,
-                    publish_ns=record.publish_time,
-                    definition=(schema.encoding, schema.data),
-                )
-                counts[channel.topic] += 1
+                publish_ns, definition = records.publish_time_of(content), (schema.encoding, schema.text.encode())
+                writer.write_raw(known.topic, schema.name, log_time, data, publish_ns=publish_ns, definition=definition)
+                counts[known.topic] += 1
     if not counts:
         raise BagError(f"{path}: no message was found intact and with its type; {out} was left empty.")
-    return SalvageReport(out, dict(sorted(counts.items())), records.damaged_chunks, undecodable, records.end)
+    return SalvageReport(out, dict(sorted(counts.items())), found.damaged_chunks, undecodable, found.end)
 
 
-def _decodes(topic: str, msgtype: str, data: bytes) -> bool:
+def _decodes(topic: str, msgtype: str, data: memoryview) -> bool:
     """Whether a message of the contract can be read; one that cannot would make the whole new bag unreadable."""
     role = role_of(topic)
     if role is None or role.role.msgtype != msgtype or msgtype not in jazzy_typestore().fielddefs:

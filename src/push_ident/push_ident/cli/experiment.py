@@ -36,6 +36,7 @@ def experiment_command(
         Path | None, typer.Option(metavar="DIR", help="Folder of the ground-truth pushes. Default: truth/ in --out.", show_default=False)
     ] = None,
     recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
+    minutes: Annotated[float, typer.Option(min=0.5, help="Duration, for `endurance` [min].")] = 60.0,
     json: JsonOption = None,
     page: Annotated[
         Path, typer.Option(metavar="FILE", help="Page that `report` writes from the JSON files in the folder of the same name.")
@@ -64,6 +65,7 @@ def experiment_command(
         jobs=jobs,
         max_seconds=seconds,
         recordings=recordings,
+        minutes=minutes,
     )
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:

@@ -20,6 +20,7 @@ from push_ident.cli.output import JsonOption, OutOption, console, warn, write_js
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.geometry.se3 import quaternion_of_pose
+from push_ident.nodes.network import listens_on
 from push_ident.offline.loading import most_pushed
 
 __all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
@@ -183,7 +184,7 @@ def _ros(problems: list[str]) -> dict[str, str]:
 
     found["middleware"] = get_rmw_implementation_identifier()
     found["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID", "0 (not set)")
-    found["Fast DDS profile"] = os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "none: depth images will be lost")
+    found["listens on"] = listens_on(os.environ)
     try:
         import push_ident_msgs.msg
 

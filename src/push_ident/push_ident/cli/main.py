@@ -14,6 +14,7 @@ from push_ident.cli.demo import demo_command
 from push_ident.cli.diagnose import diagnose_command
 from push_ident.cli.experiment import experiment_command
 from push_ident.cli.export import export_command
+from push_ident.cli.faults import faults_command
 from push_ident.cli.fleet import fleet_command
 from push_ident.cli.identify import identify_command
 from push_ident.cli.importing import import_command
@@ -52,6 +53,7 @@ app.command("up")(up_command)
 app.command("experiment")(experiment_command)
 app.command("simulate")(simulate_command)
 app.command("bench")(bench_command)
+app.command("faults")(faults_command)
 app.command("demo")(demo_command)
 app.command("doctor")(doctor_command)
 

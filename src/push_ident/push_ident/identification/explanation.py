@@ -133,7 +133,10 @@ class Explanation:
             return ""
         found = [
             f"{len(values)} with {text} ({_mm(float(np.median(values)))})"
-            for values, text in ((inside, "the pusher at rest inside the object"), (remote, "motion of the object before the pusher is near"))
+            for values, text in (
+                (inside, "the pusher at rest inside the object"),
+                (remote, "motion of the object before the pusher is near"),
+            )
             if values
         ]
         return (

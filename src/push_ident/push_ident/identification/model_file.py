@@ -59,9 +59,7 @@ class ModelContent(BaseModel):
     """The last three follow from the other fields; they are there for readers of the file."""
 
 
-def model_content(
-    posterior: ModelPosterior, object_id: str, sources: Sequence[str], status: SolveStatus | None = None
-) -> ModelContent:
+def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str], status: SolveStatus | None = None) -> ModelContent:
     """Content of the file of a posterior."""
     shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(

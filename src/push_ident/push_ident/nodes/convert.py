@@ -14,7 +14,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32, PolygonStamped, Pose, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import ArrayLike, NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import FrameError, InputError
@@ -23,8 +23,11 @@ from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
+from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.depth import check_intrinsics, depth_from_buffer
+from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
+from push_ident_msgs.msg import PushRecord
 
 __all__ = [
     "TABLE_FRAME",
@@ -35,11 +38,14 @@ __all__ = [
     "force_from_msg",
     "force_to_msg",
     "intrinsics_from_msg",
+    "joints_from_msg",
     "object_frame",
+    "outline_from_msg",
     "occupancy_to_msg",
     "planar_pose_from_msg",
     "planar_pose_of",
     "planar_pose_to_msg",
+    "push_interval_from_msg",
     "position_from_msg",
     "position_to_msg",
     "shape_from_msgs",
@@ -56,12 +62,20 @@ _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
 _FIXED_VARIANCE: Final = 1e-6
 """Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
+_MAX_VARIANCE: Final = 1e4
+"""[m^2, rad^2] of an object pose: a pose that is 100 m uncertain is none."""
 _MAX_TILT: Final = 0.1
 """[rad] a pose may be tilted against the table and still count as planar."""
 
 
 def stamp_from_msg(stamp: Time) -> float:
-    """[s]; exact to the nanosecond up to 4e6 s, to 0.24 us for times of day (what a float can hold)."""
+    """[s]; exact to the nanosecond up to 4e6 s, to 0.24 us for times of day (what a float can hold).
+
+    Raises:
+        InputError: A time before 1970, or a second of more than 10^9 nanoseconds.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= 10**9:
+        raise InputError(f"Stamp is {stamp.sec} s and {stamp.nanosec} ns, expected 0 to {LIMITS.STAMP.value} s and less than 10^9 ns.")
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
@@ -98,10 +112,10 @@ def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABL
     position = msg.pose.pose.position
     pose = np.array([position.x, position.y, _yaw(msg.pose.pose.orientation)])
     covariance = np.asarray(msg.pose.covariance, dtype=np.float64).reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
-    if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
-        raise InputError("Object pose or its covariance is not finite; the tracker that published it is at fault.")
-    if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0:
-        raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw); a pose is never known exactly.")
+    if not np.isfinite(pose).all():
+        raise InputError("Object pose is not finite; the tracker that published it is at fault.")
+    check_coordinates(pose[:2], "Object pose")
+    _check_covariance(covariance)
     return stamp_from_msg(msg.header.stamp), pose, covariance
 
 
@@ -109,8 +123,9 @@ def planar_pose_of(pose: Pose) -> Float64Array:
     """Pose (x, y, yaw) [m, m, rad] of a pose in the plane.
 
     Raises:
-        InputError: It is tilted against the plane.
+        InputError: It is tilted against the plane, or not finite.
     """
+    check_coordinates([pose.position.x, pose.position.y], "Pose")
     return np.array([pose.position.x, pose.position.y, _yaw(pose.orientation)])
 
 
@@ -157,6 +172,7 @@ def position_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> tuple
     position = np.array([msg.pose.position.x, msg.pose.position.y, msg.pose.position.z])
     if not np.isfinite(position).all():
         raise InputError(f"Position in {frame_id} is {position.tolist()}, expected finite metres.")
+    check_coordinates(position, f"Position in {frame_id}")
     return stamp_from_msg(msg.header.stamp), position
 
 
@@ -180,6 +196,7 @@ def force_from_msg(msg: WrenchStamped, *, frame_id: str = TABLE_FRAME) -> tuple[
     force = np.array([msg.wrench.force.x, msg.wrench.force.y])
     if not np.isfinite(force).all():
         raise InputError("Force on the object is not finite; check the sensor.")
+    LIMITS.FORCE.check(float(np.abs(force).max()), "Force on the object", remedy="Check the sensor.")
     return stamp_from_msg(msg.header.stamp), force
 
 
@@ -220,25 +237,70 @@ def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None)
     """Shape of an object; without an outline it is traced from the cells. Cells run row by row: x fastest, then y.
 
     Raises:
-        InputError: No cells, sizes that do not fit, an outline that cannot be one, or cells and outline of different objects.
+        InputError: No cells, too many, sizes that do not fit, an outline that cannot be one, or cells and outline of different objects.
     """
     # The resolution is a float32: its shortest decimal is the number that was meant.
     size, width, height = float(str(np.float32(cells.info.resolution))), int(cells.info.width), int(cells.info.height)
+    name = f"Cells of {plain_text(cells.header.frame_id)!r}"
+    LIMITS.GRID.check(width * height, name)
     if len(cells.data) != width * height:
-        raise InputError(f"Cells of {cells.header.frame_id!r} have {len(cells.data)} entries, expected {width} * {height}.")
+        raise InputError(f"{name} have {len(cells.data)} entries, expected {width} * {height}.")
     if not (math.isfinite(size) and size > 0):
-        raise InputError(f"Cells of {cells.header.frame_id!r} have resolution {size}, expected a positive length in metres.")
+        raise InputError(f"{name} have resolution {size}, expected a positive length in metres.")
     rows, columns = np.nonzero(np.asarray(cells.data, dtype=np.int8).reshape(height, width) == _CELL)
     if len(rows) == 0:
-        raise InputError(f"Cells of {cells.header.frame_id!r} hold no cell of value {_CELL}.")
+        raise InputError(f"{name} hold no cell of value {_CELL}.")
+    LIMITS.CELLS.check(len(rows), name, remedy="Take larger cells.")
     origin = cells.info.origin
     yaw = _yaw(origin.orientation)
     centres = transform_points([origin.position.x, origin.position.y, yaw], (np.stack([columns, rows], axis=1) + 0.5) * size)
+    check_coordinates(centres, name)
     if outline is None:
         return check_shape(ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size, yaw=yaw)))
     _check_frame(outline.header.frame_id, cells.header.frame_id)
-    vertices = np.array([(point.x, point.y) for point in outline.polygon.points]).reshape(-1, 2)
-    return check_shape(ObjectShape(CellGrid(centres, size), vertices))
+    return check_shape(ObjectShape(CellGrid(centres, size), outline_from_msg(outline)))
+
+
+def outline_from_msg(outline: PolygonStamped) -> Float64Array:
+    """Vertices of an outline [m], shape (n_vertices, 2), in its frame.
+
+    Raises:
+        InputError: Fewer than 3 vertices, too many, or not finite.
+    """
+    name = f"Outline of {plain_text(outline.header.frame_id)!r}"
+    LIMITS.VERTICES.check(len(outline.polygon.points), name)
+    points = np.array([(point.x, point.y) for point in outline.polygon.points], dtype=np.float64).reshape(-1, 2)
+    if len(points) < 3:
+        raise InputError(f"{name} has {len(points)} points, expected at least 3.")
+    check_coordinates(points, name)
+    return points
+
+
+def joints_from_msg(msg: JointState) -> tuple[float, dict[str, float]]:
+    """Stamp [s] and position of each joint [rad] by name.
+
+    Raises:
+        InputError: Not one finite position a name, a name twice, or too many joints.
+    """
+    LIMITS.JOINTS.check(max(len(msg.name), len(msg.position)), "Joint states")
+    position = dict(zip(msg.name, (float(value) for value in msg.position), strict=False))
+    names = plain_text(", ".join(msg.name)) or "none"
+    if len(msg.position) != len(msg.name) or len(position) != len(msg.name):
+        raise InputError(f"Joint states have {len(msg.position)} positions for joints {names}; expected one each, each name once.")
+    if missing := [name for name, value in position.items() if not math.isfinite(value)]:
+        raise InputError(f"Joint states have no finite position of {plain_text(', '.join(missing))}; check the arm's driver.")
+    return stamp_from_msg(msg.header.stamp), position
+
+
+def push_interval_from_msg(msg: PushRecord) -> PushInterval:
+    """When a push took place, and how it ended.
+
+    Raises:
+        InputError: Stamps or an object id that cannot be; a push that takes too long.
+    """
+    start, end = stamp_from_msg(msg.start), stamp_from_msg(msg.end)
+    LIMITS.PUSH_SECONDS.check(end - start, "Push record")
+    return PushInterval(int(msg.push_id), check_object_id(msg.object_id) if msg.object_id else "", start, end, int(msg.error_code))
 
 
 def occupancy_to_msg(
@@ -293,13 +355,14 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
         FrameError: Image and info do not belong together, or one is refused for itself.
     """
     if image.header.frame_id != info.header.frame_id:
-        raise FrameError(
-            f"Depth image is in frame {image.header.frame_id!r}, its camera info in {info.header.frame_id!r}; expected the same."
-        )
+        frames = [plain_text(msg.header.frame_id) for msg in (image, info)]
+        raise FrameError(f"Depth image is in frame {frames[0]!r}, its camera info in {frames[1]!r}; expected the same.")
     if (image.width, image.height) != (info.width, info.height):
         raise FrameError(
             f"Depth image is {image.width} x {image.height}, camera info {info.width} x {info.height}; expected the same size."
         )
+    LIMITS.IMAGE_SIDE.check(max(image.width, image.height), "Depth image", error=FrameError)
+    LIMITS.IMAGE_PIXELS.check(image.width * image.height, "Depth image", error=FrameError)
     stamp = stamp_from_msg(image.header.stamp)
     skew = stamp - stamp_from_msg(info.header.stamp)
     if max_skew is not None and abs(skew) > max_skew:
@@ -331,9 +394,19 @@ def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC
     return image, info
 
 
+def _check_covariance(covariance: Float64Array) -> None:
+    if not np.isfinite(covariance).all():
+        raise InputError("Covariance of an object pose is not finite; the tracker that published it is at fault.")
+    largest = float(np.abs(covariance).max())
+    if largest > _MAX_VARIANCE or np.abs(covariance - covariance.T).max() > 1e-6 * largest:
+        raise InputError(f"Covariance of an object pose is not symmetric, or has entries over {_MAX_VARIANCE:.0f} m^2 or rad^2.")
+    if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0:
+        raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw); a pose is never known exactly.")
+
+
 def _check_frame(got: str, expected: str) -> None:
     if got != expected:
-        raise InputError(f"Message is in frame {got!r}, expected {expected!r}; transform it first or remap the topic.")
+        raise InputError(f"Message is in frame {plain_text(got)!r}, expected {expected!r}; transform it first or remap the topic.")
 
 
 def _set_yaw(orientation: Any, yaw: float) -> None:

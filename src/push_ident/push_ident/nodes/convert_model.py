@@ -16,6 +16,7 @@ from push_ident.errors import InputError
 from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
+from push_ident.limits import LIMITS
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     object_frame,
@@ -205,9 +206,13 @@ def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:
     """
     if len(path.poses) < 2:
         raise InputError(f"The pusher path has {len(path.poses)} poses, expected at least 2 with increasing stamps.")
+    LIMITS.POINTS.check(len(path.poses), "Pusher path")
     samples = []
     for pose in path.poses:
         if not pose.header.frame_id:
             pose.header.frame_id = path.header.frame_id
         samples.append(position_from_msg(pose))
-    return PusherPath(np.array([time for time, _ in samples]), np.array([position[:2] for _, position in samples]), radius)
+    time, position = np.array([time for time, _ in samples]), np.array([position[:2] for _, position in samples])
+    LIMITS.PUSH_SECONDS.check(float(time[-1] - time[0]), "Pusher path")
+    LIMITS.PUSH_TRAVEL.check(float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum()), "Pusher path")
+    return PusherPath(time, position, radius)

@@ -9,6 +9,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from push_ident.limits import LIMITS, plain_text
+
 __all__ = ["ObjectTopics"]
 
 _POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -26,7 +28,7 @@ class ObjectTopics:
         self._on_new_object = on_new_object
         self._pattern = re.compile(re.escape(node.resolve_topic_name("objects")) + r"/([^/]+)/pose")
         self._ids: set[str] = set()
-        self._timer = node.create_timer(1.0, self.poll, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(1.0, self.poll, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.poll()
 
     @property
@@ -34,15 +36,16 @@ class ObjectTopics:
         """Every object found so far, sorted."""
         return tuple(sorted(self._ids))
 
-    def destroy(self) -> None:
-        """Stop watching."""
-        self._timer.destroy()
-
     def poll(self) -> None:
         """Check now instead of at the next second."""
         for topic, types in self._node.get_topic_names_and_types():
             match = self._pattern.fullmatch(topic)
             if match is None or _POSE_TYPE not in types or match[1] in self._ids or self._node.count_publishers(topic) == 0:
+                continue
+            if len(self._ids) >= LIMITS.OBJECTS.value or len(match[1]) > LIMITS.OBJECT_ID.value:
+                self._node.get_logger().warning(
+                    f"{plain_text(topic)} is ignored: more objects, or a longer name, than the suite takes", throttle_duration_sec=60.0
+                )
                 continue
             self._ids.add(match[1])
             self._on_new_object(match[1])

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from push_ident.errors import InputError
+from push_ident.limits import plain_text
 
 __all__ = ["Parameter", "Parameters"]
 
@@ -153,13 +154,19 @@ class Parameters:
         return dict(getattr(self._node, "_parameter_overrides", {}))
 
     def _check(self, parameters: list[RosParameter]) -> SetParametersResult:
+        try:
+            return self._checked(parameters)
+        except Exception as error:
+            # rclpy would end the node: a request with any value must be answered.
+            return SetParametersResult(successful=False, reason=plain_text(f"{type(error).__name__}: {error}; the old values stay"))
+
+    def _checked(self, parameters: list[RosParameter]) -> SetParametersResult:
         for parameter in parameters:
             row = self._table.get(parameter.name)
             fault = row.fault(parameter.value) if row is not None and parameter.value is not None else ""
             if fault:
-                return SetParametersResult(
-                    successful=False, reason=f"{parameter.name} = {parameter.value!r} refused: {fault}; the old value stays"
-                )
+                value = plain_text(repr(parameter.value))
+                return SetParametersResult(successful=False, reason=f"{parameter.name} = {value} refused: {fault}; the old value stays")
         if self._check_together is not None:
             try:
                 self._check_together({**self.as_dict(), **{p.name: p.value for p in parameters if p.name in self._table}})

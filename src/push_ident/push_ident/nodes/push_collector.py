@@ -5,28 +5,30 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Final
 
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from shape_msgs.msg import SolidPrimitive
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import transform_points
+from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
     force_from_msg,
     planar_pose_from_msg,
     position_from_msg,
-    shape_from_msgs,
-    stamp_from_msg,
+    push_interval_from_msg,
 )
 from push_ident.nodes.discovery import ObjectTopics
-from push_ident.pushing.cutter import PushCutter, PushInterval
+from push_ident.nodes.shapes import ShapeInput
+from push_ident.nodes.stamps import StampCheck
+from push_ident.pushing.cutter import PushCutter
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
@@ -58,7 +60,6 @@ class PushCollector:
         on_frame: called with the id of an object after each new pose while a push is under way.
 
     Attributes:
-        active: whether messages are used.
         counts: numbers of messages, by kind and outcome.
         last_error: reason of the latest refusal of a message.
         radius: radius of the pusher [m]; 0 until it is published.
@@ -66,7 +67,7 @@ class PushCollector:
 
     def __init__(
         self,
-        node: Node,
+        node: CellNode,
         gap: float,
         *,
         on_object: Callable[[str], None],
@@ -74,7 +75,6 @@ class PushCollector:
         on_pushes: Callable[[list[list[PushRecord]]], None],
         on_frame: Callable[[str], None] = lambda object_id: None,
     ) -> None:
-        self.active = False
         self.counts: Counter[str] = Counter()
         self.last_error = ""
         self.radius = 0.0
@@ -82,21 +82,19 @@ class PushCollector:
         self._on_object, self._on_shape, self._on_pushes, self._on_frame = on_object, on_shape, on_pushes, on_frame
         self._lock = threading.RLock()
         self._cutter = PushCutter(gap)
+        self._stamps = StampCheck()
         self._latest: dict[str, tuple[float, Float64Array, Float64Array]] = {}
         self._shapes: dict[str, ObjectShape] = {}
-        self._cells: dict[str, OccupancyGrid] = {}
-        self._outlines: dict[str, PolygonStamped] = {}
+        self._shape_input = ShapeInput()
         self._run = 1
         self._began = self._received = time.monotonic()
         self._flushed = True
-        self._entities: list[Any] = [
-            node.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _ALL),
-            node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED),
-            node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, _ALL),
-            node.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _ALL),
-            # On the wall clock: it must run when simulated time stands still.
-            node.create_timer(_PERIOD, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME)),
-        ]
+        node.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _ALL)
+        node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
+        node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, _ALL)
+        node.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _ALL)
+        # On the wall clock: it must run when simulated time stands still.
+        node.create_timer(_PERIOD, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._topics = ObjectTopics(node, self._on_new_object)
 
     # ---- state
@@ -128,8 +126,6 @@ class PushCollector:
         """Why no pushes arrive; empty if they can."""
         if self._lacks_clock():
             return "use_sim_time is true but nothing comes on /clock; is the simulator or bag player running?"
-        if not self.active:
-            return "inactive: messages are ignored; activate the node"
         if not self._topics.ids:
             return "no objects/<id>/pose is published; is perception (or a bag player) running?"
         if not self._shapes:
@@ -146,108 +142,80 @@ class PushCollector:
                 "last error": self.last_error or "none",
             }
 
-    def refuse(self, what: str, why: str) -> None:
-        """Count and log something that cannot be used."""
+    def refuse(self, what: str, source: str, why: str) -> None:
+        """Count and log something from a topic or thread `source` that cannot be used; `what` it would have been, in the plural."""
         self.counts[f"{what} refused"] += 1
-        self.last_error = why
-        self._node.get_logger().warning(why, throttle_duration_sec=5.0)
+        self.last_error = f"{source}: {why}"
+        self._node.guard.refuse(source, why)
 
     def pause(self) -> None:
-        """Ignore further messages; a push under way is dropped."""
+        """Drop a push under way: the next messages come after a gap."""
         with self._lock:
-            self.active = False
             self._cutter.reset()
 
-    def close(self) -> None:
-        """Withdraw all subscriptions."""
-        self.pause()
-        self._topics.destroy()
-        for entity in self._entities:
-            entity.destroy()
-
     # ---- messages
+
+    @contextmanager
+    def _taking(self, what: str, topic: str) -> Iterator[None]:
+        """Take in a message; one that cannot be used is refused."""
+        try:
+            with self._lock:
+                yield
+        except PushIdentError as error:
+            self.refuse(what, topic, str(error))
 
     def _on_new_object(self, object_id: str) -> None:
         node, prefix = self._node, f"objects/{object_id}"
         self._on_object(object_id)
-        self._entities += [
-            node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape_msg(object_id, cells=m), _LATCHED),
-            node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape_msg(object_id, outline=m), _LATCHED),
-            node.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _ALL),
-        ]
+        node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape_msg(object_id, cells=m), _LATCHED)
+        node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape_msg(object_id, outline=m), _LATCHED)
+        node.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _ALL)
         node.get_logger().info(f"object {object_id} found")
 
     def _on_shape_msg(self, object_id: str, *, cells: OccupancyGrid | None = None, outline: PolygonStamped | None = None) -> None:
-        with self._lock:
-            if cells is not None:
-                self._cells[object_id] = cells
-            if outline is not None:
-                self._outlines[object_id] = outline
-            if object_id not in self._cells:
+        with self._taking("shapes", f"objects/{object_id}/{'cells' if cells is not None else 'outline'}"):
+            shape = self._shape_input.add(object_id, cells=cells, outline=outline)
+            if shape is None:
                 return
-            try:
-                shape = shape_from_msgs(self._cells[object_id], self._outlines.get(object_id))
-                self._on_shape(object_id, shape)
-            except PushIdentError as error:
-                self.refuse("shapes", f"objects/{object_id}/cells: {error}")
-                return
+            self._on_shape(object_id, shape)
             self._shapes[object_id] = shape
             self._cutter.set_shape(object_id, shape)
             self.counts["shapes"] += 1
 
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
-        if not self.active:
-            return
-        try:
+        topic = f"objects/{object_id}/pose"
+        with self._taking("poses", topic):
             stamp, pose, covariance = planar_pose_from_msg(msg)
-        except InputError as error:
-            self.refuse("poses", f"objects/{object_id}/pose: {error}")
-            return
-        with self._lock:
+            self._stamps.check(topic, stamp)
             if not self._arrived("poses", self._cutter.add_pose(object_id, stamp, pose, covariance)):
                 return
             self._latest[object_id] = (stamp, pose, covariance)
-            pushing = self._cutter.is_under_way and object_id in self._shapes
-        if pushing:
-            self._on_frame(object_id)
+            if not (self._cutter.is_under_way and object_id in self._shapes):
+                return
+        self._on_frame(object_id)
 
     def _on_pusher(self, msg: PoseStamped) -> None:
-        if not self.active:
-            return
-        try:
+        with self._taking("pusher samples", "pusher/pose"):
             stamp, position = position_from_msg(msg)
-        except InputError as error:
-            self.refuse("pusher samples", f"pusher/pose: {error}")
-            return
-        with self._lock:
+            self._stamps.check("pusher/pose", stamp)
             self._arrived("pusher samples", self._cutter.add_pusher(stamp, position[:2]))
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
-        try:
+        with self._taking("pusher shapes", "pusher/shape"):
             self.radius = cylinder_radius_from_msg(msg)
-        except InputError as error:
-            self.refuse("pusher shapes", f"pusher/shape: {error}")
-            return
-        with self._lock:
             self._cutter.set_radius(self.radius)
 
     def _on_wrench(self, msg: WrenchStamped) -> None:
-        if not self.active:
-            return
-        try:
+        with self._taking("wrenches", "pusher/wrench"):
             stamp, force = force_from_msg(msg)
-        except InputError as error:
-            self.refuse("wrenches", f"pusher/wrench: {error}")
-            return
-        with self._lock:
+            self._stamps.check("pusher/wrench", stamp)
             self._arrived("wrenches", self._cutter.add_wrench(stamp, force))
 
     def _on_push_record(self, msg: PushRecordMsg) -> None:
-        if not self.active:
-            return
-        with self._lock:
-            start, end = stamp_from_msg(msg.start), stamp_from_msg(msg.end)
-            self._cutter.add_record(PushInterval(int(msg.push_id), str(msg.object_id), start, end, int(msg.error_code)))
+        with self._taking("push records", "push_record"):
+            interval = push_interval_from_msg(msg)
+            self._stamps.check("push_record", interval.end)
+            self._cutter.add_record(interval)
             self.counts["push records"] += 1
 
     def _arrived(self, what: str, taken: bool) -> bool:

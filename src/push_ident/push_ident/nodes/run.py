@@ -8,15 +8,15 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Any, Final
 
 import rclpy
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.logging import get_logger
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from push_ident.errors import PushIdentError
+from push_ident.nodes.executors import make_executor
+from push_ident.nodes.guard import Guard
 from push_ident.nodes.lifetime import LIFETIME
 
 __all__ = ["COULD_NOT_START", "FAILED", "run_node", "settle_memory"]
@@ -33,7 +33,7 @@ _YIELD: Final = 3e-4
 """Time for a worker thread to begin its callback [s]."""
 
 
-def run_node(factory: Callable[[], Node], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
+def run_node(factory: Callable[[], Any], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
     """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.
 
     The request to stop only raises a flag: the ROS context stays valid, so a node that has a method `close()` can still publish
@@ -73,19 +73,20 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def _spin(node: Node, n_threads: int) -> None:
-    executor: Executor = SingleThreadedExecutor() if n_threads == 1 else MultiThreadedExecutor(n_threads)
+def _spin(node: Any, n_threads: int) -> None:
+    guard = getattr(node, "guard", None) or Guard(node.get_logger)
+    node.guard = guard
+    executor = make_executor(n_threads)
     executor.add_node(node)
     settle_memory()
     try:
         while not LIFETIME.stop.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=_WAIT)
+            with guard.watch("executor"):
+                executor.spin_once(timeout_sec=_WAIT)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
                 # interpreter for the worker: 100 % of a core instead of 16 %.
                 time.sleep(_YIELD)
-    except ExternalShutdownException:
-        pass  # The node ended the context itself.
     finally:
         close = getattr(node, "close", None)
         if close is not None:

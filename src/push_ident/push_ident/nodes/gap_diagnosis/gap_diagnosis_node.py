@@ -5,23 +5,21 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prior import Prior
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
 from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node
 from push_ident.physics.effects import EFFECTS
@@ -45,50 +43,60 @@ PARAMETERS: Final = (
 )
 
 
-class GapDiagnosisNode(Node):
+class GapDiagnosisNode(CellNode):
     """Keeps the latest pushes of every object; action `diagnose_gap` diagnoses them, topic `gap_report` has the latest outcome."""
 
-    def __init__(self) -> None:
-        super().__init__("gap_diagnosis_node")
-        self._settings = Parameters(self, PARAMETERS)
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("gap_diagnosis_node", PARAMETERS, **kwargs)
+
+    def make_component(self) -> Component:
+        """The pushes that are kept, and the action."""
+        return _GapDiagnosis(self)
+
+
+class _GapDiagnosis(Component):
+    """Pushes and the action of a configured node."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._node, self._settings = node, node.settings
         self._records: dict[str, deque[PushRecord]] = {}
         self._shapes: dict[str, ObjectShape] = {}
         self._busy = threading.Lock()
         self._last = ""
+        self._is_active = False
         self._collector = PushCollector(
-            self,
+            node,
             self._settings["push_gap"],
             on_object=lambda object_id: None,
             on_shape=self._on_shape,
             on_pushes=self._on_pushes,
         )
-        self._collector.active = True
-        self._reports = self.create_publisher(GapReport, "gap_report", _LATCHED)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._action = ActionServer(
-            self,
+        self._reports = node.create_publisher(GapReport, "gap_report", _LATCHED)
+        node.create_action_server(
             DiagnoseGap,
             "diagnose_gap",
-            execute_callback=self._execute,
-            goal_callback=self._on_goal,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+            self._execute,
+            failed=_failed,
+            # One at a time: each takes whole cores.
+            accept=lambda request: not self._busy.locked(),
             callback_group=ReentrantCallbackGroup(),
         )
-        self.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._closing = False
 
-    def close(self) -> None:
-        """End the node, and a diagnosis that is running."""
-        self._closing = True
-        self._collector.close()
-        self._action.destroy()
+    def resume(self) -> None:
+        """Take in pushes and goals."""
+        self._is_active = True
+
+    def pause(self) -> None:
+        """Drop a push under way; end a diagnosis that is running."""
+        self._is_active = False
+        self._collector.pause()
 
     # ---- input
 
     def _on_shape(self, object_id: str, shape: ObjectShape) -> None:
         known = self._shapes.get(object_id)
         if known is not None and not known.is_same_object(shape):
-            self.get_logger().warning(f"object {object_id} has another shape now: its earlier pushes are dropped")
+            self._node.get_logger().warning(f"object {object_id} has another shape now: its earlier pushes are dropped")
             self._records.pop(object_id, None)
         self._shapes[object_id] = shape
 
@@ -105,41 +113,33 @@ class GapDiagnosisNode(Node):
 
     # ---- the action
 
-    def _on_goal(self, goal: DiagnoseGap.Goal) -> GoalResponse:
-        # One at a time: each takes whole cores.
-        return GoalResponse.REJECT if self._busy.locked() else GoalResponse.ACCEPT
-
     def _execute(self, goal: ServerGoalHandle) -> DiagnoseGap.Result:
-        result = DiagnoseGap.Result()
         if not self._busy.acquire(blocking=False):
-            goal.abort()
-            result.message = "A diagnosis is running; wait for it or cancel it."
-            return result
+            raise InputError("A diagnosis is running; wait for it or cancel it.")
         try:
-            object_id, records = self._chosen(goal.request)
-            process = DiagnosisProcess(records, self._diagnosis_settings(goal.request), self._push_settings(records))
-
-            def publish_stage(stage: str) -> None:
-                goal.publish_feedback(DiagnoseGap.Feedback(stage=stage))
-
-            content = process.wait(publish_stage, lambda: not goal.is_cancel_requested and not self._closing)
-            if content is None:
-                goal.canceled()
-                result.message = "Canceled."
-                return result
-            result.report = report_to_msg(content, object_id, float(records[-1].poses.time[-1]), len(records))
-            self._last = f"{object_id}: {content['verdict']}"
-            self._reports.publish(result.report)
-            self.get_logger().info(f"object {object_id}, {len(records)} pushes: {content['verdict']}. {content['sentence']}")
-            result.success, result.message = True, content["verdict"]
-            goal.succeed()
-        except PushIdentError as error:
-            self._collector.refuse("diagnoses", str(error))
-            result.message = str(error)
-            goal.abort()
+            return self._diagnose(goal)
         finally:
             self._busy.release()
-        return result
+
+    def _diagnose(self, goal: ServerGoalHandle) -> DiagnoseGap.Result:
+        object_id, records = self._chosen(goal.request)
+        process = DiagnosisProcess(records, self._diagnosis_settings(goal.request), self._push_settings(records))
+
+        def publish_stage(stage: str) -> None:
+            goal.publish_feedback(DiagnoseGap.Feedback(stage=stage))
+
+        content = process.wait(publish_stage, lambda: not goal.is_cancel_requested and self._is_active)
+        if content is None:
+            if not goal.is_cancel_requested:
+                raise InputError("The node was deactivated; the diagnosis is ended.")
+            goal.canceled()
+            return _failed("Canceled.")
+        report = report_to_msg(content, object_id, float(records[-1].poses.time[-1]), len(records))
+        self._last = f"{object_id}: {content['verdict']}"
+        self._reports.publish(report)
+        self._node.get_logger().info(f"object {object_id}, {len(records)} pushes: {content['verdict']}. {content['sentence']}")
+        goal.succeed()
+        return DiagnoseGap.Result(success=True, message=content["verdict"], report=report)
 
     def _chosen(self, request: DiagnoseGap.Goal) -> tuple[str, list[PushRecord]]:
         known = sorted(self._records)
@@ -163,17 +163,17 @@ class GapDiagnosisNode(Node):
 
     # ---- health
 
-    def _report(self) -> None:
+    def health(self) -> Health:
+        """What arrives, and whether a diagnosis is running."""
         pushes = {object_id: len(records) for object_id, records in list(self._records.items())}
         missing = self._collector.what_is_missing()
         level = DiagnosticStatus.WARN if missing else DiagnosticStatus.OK
         text = missing or (f"pushes kept by object: {pushes}" if pushes else "waiting for a push")
-        status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
-        values = {**self._collector.report(), "diagnosing": self._busy.locked(), "last diagnosis": self._last or "none"}
-        status.values = [KeyValue(key=str(k), value=str(v)) for k, v in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(msg)
+        return Health(level, text, {**self._collector.report(), "diagnosing": self._busy.locked(), "last diagnosis": self._last or "none"})
+
+
+def _failed(why: str) -> DiagnoseGap.Result:
+    return DiagnoseGap.Result(success=False, message=why)
 
 
 def main() -> int:

@@ -11,23 +11,22 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from numpy.linalg import LinAlgError
-from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from diagnostic_msgs.msg import DiagnosticStatus
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.prediction import predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.scoring import PushScore
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import planar_pose_of, position_from_msg
 from push_ident.nodes.convert_model import pusher_path_from_msg
 from push_ident.nodes.identification.latest_jobs import LatestJobs
 from push_ident.nodes.identification.output import ObjectOutput
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.paths import file_to_read, file_to_write
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node, settle_memory
 from push_ident.physics.scenario import PushScenario
@@ -41,8 +40,6 @@ __all__ = ["PARAMETERS", "IdentificationNode", "main"]
 _N_LATENCIES: Final = 2000
 _TURN: Final = 2.5e-4
 """Time after which a thread that computes lets another one go on [s]."""
-_EXPECTED: Final = (PushIdentError, ArithmeticError, LinAlgError)
-"""What a solve or a prediction may raise."""
 
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
@@ -66,68 +63,29 @@ PARAMETERS: Final = (
     Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
     Parameter("suggest_candidates", 24, "Pushes to choose the next one from; 0: suggest none", 0, 500),
     Parameter("state_directory", "", "Where the state of each object is kept through restarts; empty: nowhere", read_only=True),
-    Parameter("autostart", True, "Configure and activate at start, without a lifecycle manager", read_only=True),
 )
 
 
-class IdentificationNode(LifecycleNode):
+class IdentificationNode(CellNode):
     """Collects, hands pushes to a worker thread that solves, and publishes what it finds.
 
-    A configured node has its topics, services and worker; only an active node processes messages. A deactivated node keeps its models; a
-    cleaned-up node keeps only what is in `state_directory`.
+    A deactivated node keeps its models; a cleaned-up node keeps only what is in `state_directory`.
     """
 
-    def __init__(self) -> None:
-        super().__init__("identification_node")
-        self._settings = Parameters(self, PARAMETERS)
-        self._configured: _Identification | None = None
-        if self._settings["autostart"]:
-            self.trigger_configure()
-            self.trigger_activate()
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("identification_node", PARAMETERS, **kwargs)
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make topics, services and the worker. Raises nothing: an impossible folder is a FAILURE with a log line."""
-        try:
-            self._configured = _Identification(self, self._settings)
-        except PushIdentError as error:
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Process messages."""
-        assert self._configured is not None
-        self._configured.resume()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ignore further messages; a push under way is dropped."""
-        assert self._configured is not None
-        self._configured.pause()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Withdraw topics and services, stop the worker."""
-        self.close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """As `on_cleanup`."""
-        self.close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def close(self) -> None:
-        """Stop the worker; the running solve is abandoned."""
-        if self._configured is not None:
-            self._configured.close()
-            self._configured = None
+    def make_component(self) -> Component:
+        """Topics, services and the worker."""
+        return _Identification(self)
 
 
-class _Identification:
+class _Identification(Component):
     """Sessions, worker and interfaces of a configured node."""
 
-    def __init__(self, node: IdentificationNode, settings: Parameters) -> None:
-        self._node, self._settings = node, settings
+    def __init__(self, node: CellNode) -> None:
+        self._node = node
+        self._settings = settings = node.settings
         folder = Path(settings["state_directory"]).expanduser() if settings["state_directory"] else None
         self._options = SessionOptions(
             prior=Prior(
@@ -156,7 +114,7 @@ class _Identification:
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
         # The update at a frame must not wait for results that are only displayed.
-        self._advice = LatestJobs("advise", self._on_failed_advice, _EXPECTED)
+        self._advice = LatestJobs("advise", node.guard)
         self._collector = PushCollector(
             node,
             settings["push_gap"],
@@ -166,37 +124,22 @@ class _Identification:
             on_frame=self._on_frame,
         )
         self._counts = self._collector.counts
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._entities: list[Any] = [
-            node.create_service(PredictPush, "predict_push", self._predict_push),
-            node.create_service(SaveModel, "save_model", self._save_model),
-            node.create_service(LoadModel, "load_model", self._load_model),
-            # On the wall clock: it must run when simulated time stands still.
-            node.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME)),
-            self._diagnostics,
-        ]
+        node.create_service(PredictPush, "predict_push", self._predict_push)
+        node.create_service(SaveModel, "save_model", self._save_model)
+        node.create_service(LoadModel, "load_model", self._load_model)
         self._worker.start()
 
-    def resume(self) -> None:
-        """Process messages."""
-        self._collector.active = True
-
     def pause(self) -> None:
-        """Ignore further messages."""
+        """Drop a push under way."""
         self._collector.pause()
 
     def close(self) -> None:
-        """Stop the worker, withdraw topics and services."""
-        self._collector.close()
+        """Stop the worker; the running solve is abandoned."""
         with self._wake:
             self._closing = True
             self._wake.notify()
         self._worker.join(timeout=1.0)
         self._advice.close(timeout=0.2)
-        for output in self._outputs.values():
-            output.destroy(self._node)
-        for entity in self._entities:
-            entity.destroy()
 
     # ---- input
 
@@ -235,8 +178,9 @@ class _Identification:
     # ---- the worker
 
     def _work(self) -> None:
-        compile_kernels()
-        settle_memory()
+        with self._node.guard.watch("identify"):
+            compile_kernels()
+            settle_memory()
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
@@ -246,21 +190,16 @@ class _Identification:
                 frames: dict[str, float] = {}
                 if push is None:
                     frames, self._frames = self._frames, {}
-            try:
+            with self._node.guard.watch("identify"):
                 if push is not None:
                     self._finish(push)
                 for object_id, received in frames.items():
                     self._update(object_id, received)
-            except _EXPECTED as error:
-                self._collector.refuse("pushes", f"{type(error).__name__}: {error}")
-
-    def _on_failed_advice(self, error: Exception) -> None:
-        self._collector.refuse("predictions", f"{type(error).__name__}: {error}")
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
         if not push:
-            self._collector.refuse("pushes", "a push is left out: no object has poses before and after it; is it hidden?")
+            self._collector.refuse("pushes", "identify", "a push is left out: no object has poses before and after it; is it hidden?")
         for record in push:
             session = self._sessions[record.object_id]
             known_again = session.n_known_again
@@ -268,8 +207,9 @@ class _Identification:
             try:
                 with self._solving:
                     score = session.finish(record)
-            except _EXPECTED as error:
-                self._collector.refuse("pushes", f"object {record.object_id}, {record.source}: {error}")
+            except Exception as error:
+                # The next object of this push, and the next push, may be fine.
+                self._collector.refuse("pushes", "identify", f"{record.object_id}, {record.source}: {self._node.guard.explain(error)}")
                 continue
             self._solve_time = time.perf_counter() - started
             if score is None:
@@ -350,50 +290,40 @@ class _Identification:
         raise InputError(f"There is no object `{object_id}`; known: {', '.join(known) or 'none, is perception running?'}.")
 
     def _predict_push(self, request: PredictPush.Request, response: PredictPush.Response) -> PredictPush.Response:
-        try:
-            session = self._chosen(request.object_id)
-            latest, covariance = self._collector.latest(session.object_id), None
-            if request.object_pose.header.frame_id:
-                position_from_msg(request.object_pose)  # refuses another frame
-                pose = planar_pose_of(request.object_pose.pose)
-            elif latest is not None:
-                _, pose, covariance = latest
-            else:
-                raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
-            path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
-            prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
-        except PushIdentError as error:
-            response.success, response.message = False, str(error)
-            return response
+        session = self._chosen(request.object_id)
+        latest, covariance = self._collector.latest(session.object_id), None
+        if request.object_pose.header.frame_id:
+            position_from_msg(request.object_pose)  # refuses another frame
+            pose = planar_pose_of(request.object_pose.pose)
+        elif latest is not None:
+            _, pose, covariance = latest
+        else:
+            raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
+        path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
+        prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
         response.prediction = self._outputs[session.object_id].publish_prediction(prediction, session.status, 0)
         response.success, response.message = True, prediction.status.value
         return response
 
     def _save_model(self, request: SaveModel.Request, response: SaveModel.Response) -> SaveModel.Response:
-        try:
-            session = self._chosen(request.object_id)
-            path = Path(request.path)
-            save_model(path, session.posterior, object_id=session.object_id, sources=session.sources, status=session.status)
-            response.success, response.message = True, f"object {session.object_id} written to {path}"
-        except PushIdentError as error:
-            response.success, response.message = False, str(error)
+        session, path = self._chosen(request.object_id), file_to_write(request.path)
+        save_model(path, session.posterior, object_id=session.object_id, sources=session.sources, status=session.status)
+        response.success, response.message = True, f"object {session.object_id} written to {path}"
         return response
 
     def _load_model(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
-        try:
-            in_file, posterior = load_model(Path(request.path))
-            session = self._chosen(request.object_id or in_file)
-            with self._solving:
-                session.adopt(posterior, request.path)
-            self._publish_map(session, max(self._collector.now, 0.0), 0)
-            response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
-        except PushIdentError as error:
-            response.success, response.message = False, str(error)
+        in_file, posterior = load_model(file_to_read(request.path))
+        session = self._chosen(request.object_id or in_file)
+        with self._solving:
+            session.adopt(posterior, request.path)
+        self._publish_map(session, max(self._collector.now, 0.0), 0)
+        response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
         return response
 
     # ---- health
 
-    def _report(self) -> None:
+    def health(self) -> Health:
+        """What arrives, how long a solve takes, and how well pushes were predicted."""
         values = self._collector.report()
         missing = self._collector.what_is_missing()
         pushes = {object_id: session.n_pushes for object_id, session in list(self._sessions.items())}
@@ -413,11 +343,7 @@ class _Identification:
         if self._latencies:
             median, late = np.quantile(list(self._latencies), [0.5, 0.99])
             values["update latency, median [s]"], values["update latency, 99 % [s]"] = f"{median:.4f}", f"{late:.4f}"
-        status = DiagnosticStatus(level=level, name=self._node.get_fully_qualified_name(), message=text, hardware_id="push_ident")
-        status.values = [KeyValue(key=str(k), value=str(v)) for k, v in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics.publish(msg)
+        return Health(level, text, values)
 
 
 def main() -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+from push_ident.nodes.guard import Guard
+
 __all__ = ["LatestJobs"]
 
 
@@ -13,12 +15,11 @@ class LatestJobs:
 
     Args:
         name: name of the thread.
-        on_error: called with an exception of a job that is one of `errors`.
-        errors: exceptions that a job may raise.
+        guard: refuses jobs that fail.
     """
 
-    def __init__(self, name: str, on_error: Callable[[Exception], None], errors: tuple[type[Exception], ...]) -> None:
-        self._on_error, self._errors = on_error, errors
+    def __init__(self, name: str, guard: Guard) -> None:
+        self._name, self._guard = name, guard
         self._wake = threading.Condition()
         self._jobs: dict[str, Callable[[], None]] = {}
         self._closing = False
@@ -45,7 +46,5 @@ class LatestJobs:
                 if self._closing:
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
-            try:
+            with self._guard.watch(self._name):
                 job()
-            except self._errors as error:
-                self._on_error(error)

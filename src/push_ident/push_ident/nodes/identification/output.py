@@ -52,16 +52,6 @@ class ObjectOutput:
         self._next_push = node.create_publisher(Path, f"objects/{object_id}/next_push", _LATCHED)
         self._next_prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/next_push_prediction", _LATCHED)
         self._score = node.create_publisher(PushScoreMsg, f"objects/{object_id}/push_score", _LATCHED)
-        self._all = (
-            self._map,
-            self._cloud,
-            self._markers,
-            self._prediction,
-            self._prediction_path,
-            self._next_push,
-            self._next_prediction,
-            self._score,
-        )
 
     def publish_map(
         self, posterior: ModelPosterior, stamp: float, status: SolveStatus | None, n_pushes: int, pose: Float64Array | None
@@ -93,8 +83,3 @@ class ObjectOutput:
     def publish_score(self, score: PushScore, summary: ScoreSummary, stamp: float) -> None:
         """How well the push was predicted."""
         self._score.publish(score_to_msg(score, summary, self._id, stamp))
-
-    def destroy(self, node: Node) -> None:
-        """Withdraw the publishers."""
-        for publisher in self._all:
-            node.destroy_publisher(publisher)

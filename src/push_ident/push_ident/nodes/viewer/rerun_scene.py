@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.se2 import rotation, transform_points
+from push_ident.nodes.viewer.rerun_server import RerunServer
 from push_ident.types import CameraIntrinsics, Float64Array
 
 __all__ = ["CellMap", "RerunScene"]
@@ -35,6 +36,8 @@ _SHOWN: Final = 0.25
 """Half the edge of the part of the table that the picture shows [m]."""
 _WIDTH: Final = 0.0012
 """Of a line [m]."""
+_FLUSH_WITHIN: Final = 1.0
+"""Time for what is held back to reach a server or a file [s]; a node has 1.8 s to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,7 @@ class RerunScene:
         self._rr = rerun
         self._stream = rerun.RecordingStream(application)
         self._part: tuple[Float64Array, Float64Array] | None = None
+        self._server: RerunServer | None = None
         self._log("table", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for name, colour, label in (
             ("error", _PREDICTED, "predicted before the push"),
@@ -73,11 +77,11 @@ class RerunScene:
 
     # ---- where it goes
 
-    def serve(self, grpc_port: int, web_port: int, memory: str) -> str:
-        """Serve viewers over gRPC, and a viewer for the browser; the address to open there."""
-        address = self._stream.serve_grpc(grpc_port=grpc_port, server_memory_limit=memory, default_blueprint=self._layout())
-        self._rr.serve_web_viewer(web_port=web_port, open_browser=False, connect_to=address)
-        return f"http://localhost:{web_port}/?url={address.replace(':', '%3A').replace('/', '%2F').replace('+', '%2B')}"
+    def serve(self, *, bind: str, grpc_port: int, web_port: int, memory: str) -> str:
+        """Serve viewers over gRPC, and a viewer for the browser, on the address `bind`; what to open in a browser of this machine."""
+        self._server = RerunServer(bind=bind, grpc_port=grpc_port, web_port=web_port, memory=memory)
+        self.connect(self._server.url)
+        return self._server.page
 
     def connect(self, address: str) -> None:
         """Send to a viewer that runs already; an empty address is the usual one of this machine."""
@@ -89,8 +93,10 @@ class RerunScene:
 
     def close(self) -> None:
         """Send what is still held back, then end the recording."""
-        self._stream.flush()
+        self._stream.flush(timeout_sec=_FLUSH_WITHIN)
         self._stream.disconnect()
+        if self._server is not None:
+            self._server.close()
 
     # ---- what is shown
 

@@ -45,7 +45,8 @@ PARAMETERS: Final = (
         choices=("web", "window", "file"),
         read_only=True,
     ),
-    Parameter("web_port", 9090, "of the viewer for browsers; 127.0.0.1", 1, 65535, read_only=True),
+    Parameter("bind", "127.0.0.1", "Address that both ports listen on; 0.0.0.0: every interface, for everyone there", read_only=True),
+    Parameter("web_port", 9090, "of the viewer for browsers", 1, 65535, read_only=True),
     Parameter("grpc_port", 9876, "of the data", 1, 65535, read_only=True),
     Parameter("memory", "512MB", "kept for viewers that come later; the oldest goes first", read_only=True),
     Parameter("address", "", "of the window's viewer, as `rerun+http://host:9876/proxy`; empty: on this machine", read_only=True),
@@ -115,7 +116,7 @@ class ViewerNode(Node):
             self._scene.connect(values["address"])
             where = values["address"] or "the viewer on this machine; start it with `rerun`"
         else:
-            where = self._scene.serve(values["grpc_port"], values["web_port"], values["memory"])
+            where = self._scene.serve(**{name: values[name] for name in ("bind", "grpc_port", "web_port", "memory")})
         self.get_logger().info(f"shown in {where}")
 
     # ---- time

@@ -44,6 +44,8 @@ class CaseSettings:
     truth: TruthSettings
     noise: CameraNoise
     recordings: Path = Path("../shared/data")
+    minutes: float = 60.0
+    """Duration of a case that runs for a given time [min]."""
     """Of recorded scenes, for the experiments that use them."""
 
 
@@ -72,5 +74,7 @@ class Experiment(Study):
     """Variants that are one case, of the first object and ground truth."""
     fewer: Mapping[str, int] = field(default_factory=dict)
     """Variants with a largest number of ground truths of each object, whatever number is requested."""
+    timed: bool = False
+    """Whether cases run for `CaseSettings.minutes`."""
     one_at_a_time: bool = False
     """Whether its cases run in turn, whatever number of processes is requested: live nodes that share their cores fall behind."""

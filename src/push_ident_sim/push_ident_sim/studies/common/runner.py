@@ -59,6 +59,8 @@ class RunOptions:
     noise: CameraNoise = field(default_factory=CameraNoise)
     recordings: Path = Path("../shared/data")
     """Of recorded scenes, for the experiments that use them."""
+    minutes: float = 60.0
+    """Of cases that run for a given time [min]."""
 
     def __post_init__(self) -> None:
         if unknown := [name for name in self.objects if name not in OBJECT_NAMES]:
@@ -81,7 +83,12 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     report = on_progress or (lambda what, done, total: None)
     cases = _cases_of(experiment, options)
     settings = CaseSettings(
-        options.truth_folder, Budget(max_seconds=options.max_seconds, processor_time=True), options.truth, options.noise, options.recordings
+        options.truth_folder,
+        Budget(max_seconds=options.max_seconds, processor_time=True),
+        options.truth,
+        options.noise,
+        options.recordings,
+        options.minutes,
     )
     folder = options.folder / experiment.name
     # Results of other settings or other code have other names, so that no mean is taken over both.
@@ -186,6 +193,8 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
     if experiment.once:
         values.append({"recordings": str(settings.recordings.resolve())})
+    if experiment.timed:
+        values.append({"minutes": settings.minutes})
     files = files_behind(Path(experiment.run.__code__.co_filename), _PRESENTATION)
     files |= {path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py")}
     return hashlib.sha256(f"{json.dumps(values, sort_keys=True)} {code_digest(files)}".encode()).hexdigest()[:10]

@@ -1,0 +1,54 @@
+"""Which network the processes of this package listen on: the loopback interface of this machine unless the user asks for more.
+
+ROS 2 has the variable ROS_AUTOMATIC_DISCOVERY_RANGE for that, but its value LOCALHOST limits discovery only: Fast DDS still binds sockets
+to every interface. So the range LOCALHOST, which is the default here, becomes a profile of Fast DDS that binds each socket to 127.0.0.1,
+together with the range SYSTEM_DEFAULT, which leaves the profile as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from pathlib import Path
+from typing import Final
+
+__all__ = ["PROFILE", "RANGE", "choose_network", "listens_on"]
+
+RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_LOCAL: Final = "fastdds_local.xml"
+_NETWORK: Final = "fastdds_network.xml"
+
+
+def choose_network(environ: MutableMapping[str, str]) -> None:
+    """Complete the variables that the middleware reads when a node is created. A profile of the user's own is kept.
+
+    Without ROS_AUTOMATIC_DISCOVERY_RANGE, or with LOCALHOST, everything listens on 127.0.0.1 only; with SUBNET on every interface.
+    """
+    known = environ.get(RANGE, "").upper()
+    profile = environ.get(PROFILE, "")
+    is_ours = not profile or Path(profile).name in (_LOCAL, _NETWORK)
+    if "fastrtps" not in environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") or not is_ours:
+        environ.setdefault(RANGE, "LOCALHOST")
+    elif known in ("", "LOCALHOST", "OFF") or (known == "SYSTEM_DEFAULT" and Path(profile).name != _NETWORK):
+        environ[PROFILE] = str(_config_file(_LOCAL))
+        environ[RANGE] = "OFF" if known == "OFF" else "SYSTEM_DEFAULT"
+    else:
+        environ[PROFILE] = str(_config_file(_NETWORK))
+
+
+def listens_on(environ: MutableMapping[str, str]) -> str:
+    """For people: what `choose_network` has chosen."""
+    if Path(environ.get(PROFILE, "")).name == _LOCAL:
+        return "this machine only (127.0.0.1)"
+    if environ.get(RANGE, "").upper() == "LOCALHOST":
+        return "this machine only for discovery (LOCALHOST); the profile or the middleware decides about sockets"
+    return f"every interface ({RANGE}={environ.get(RANGE, 'not set')})"
+
+
+def _config_file(name: str) -> Path:
+    beside_sources = Path(__file__).resolve().parents[2] / "config" / name
+    if beside_sources.is_file():
+        return beside_sources
+    from ament_index_python.packages import get_package_share_directory
+
+    return Path(get_package_share_directory("push_ident")) / "config" / name

@@ -1,0 +1,39 @@
+"""Paths that a service is given: refused for what can be seen before anything is written or read."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from push_ident.errors import InputError
+from push_ident.limits import LIMITS, plain_text
+
+__all__ = ["file_to_read", "file_to_write"]
+
+
+def file_to_write(text: str) -> Path:
+    """The path; raises InputError unless it names a file in a folder that is there and can be written to."""
+    path = _path(text)
+    if not path.parent.is_dir():
+        raise InputError(f"There is no folder {plain_text(str(path.parent))}; make it first.")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise InputError(f"Nothing may be written to {plain_text(str(path.parent))}; choose another folder.")
+    return path
+
+
+def file_to_read(text: str) -> Path:
+    """The path; raises InputError unless it names a file that is there."""
+    path = _path(text)
+    if not path.is_file():
+        raise InputError(f"There is no file {plain_text(str(path))}.")
+    return path
+
+
+def _path(text: str) -> Path:
+    LIMITS.STRING.check(len(text), "Path")
+    if not text.strip() or "\0" in text:
+        raise InputError(f"The path is {plain_text(text)!r}, expected that of a file.")
+    path = Path(text).expanduser()
+    if path.is_dir():
+        raise InputError(f"{plain_text(str(path))} is a folder, expected a file.")
+    return path

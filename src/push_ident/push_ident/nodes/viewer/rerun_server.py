@@ -1,0 +1,110 @@
+"""The server of a Rerun recording, as a process of its own: only its command line can be told which address to bind to."""
+
+from __future__ import annotations
+
+import ctypes
+import ipaddress
+import os
+import signal
+import socket
+import subprocess
+import time
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote
+
+from push_ident.errors import InputError
+from push_ident.limits import plain_text
+
+__all__ = ["RerunServer"]
+
+_START_WITHIN: Final = 10.0
+"""Time for the server to listen [s]; it takes 0.1 s on an idle machine."""
+_STOP_WITHIN: Final = 0.5
+"""Time from SIGTERM to SIGKILL [s]."""
+_POLL_PERIOD: Final = 0.02
+_PR_SET_PDEATHSIG: Final = 1
+"""From linux/prctl.h: the signal that a process gets when its parent dies."""
+
+
+class RerunServer:
+    """Serves the data to viewers over gRPC, and a viewer for browsers over HTTP. It ends with the process that started it.
+
+    Args:
+        bind: Address of the interface to listen on; 127.0.0.1 serves this machine only.
+        grpc_port: Of the data.
+        web_port: Of the viewer for browsers.
+        memory: Kept for viewers that come later, as `512MB`; the oldest goes first.
+
+    Raises:
+        InputError: `bind` is no address, or the server does not start there.
+        ImportError: Rerun is not installed.
+    """
+
+    def __init__(self, *, bind: str, grpc_port: int, web_port: int, memory: str) -> None:
+        import rerun_cli
+
+        try:
+            address = ipaddress.ip_address(bind)
+        except ValueError:
+            raise InputError(f"`bind` is {plain_text(bind)!r}, expected the address of an interface, as 127.0.0.1.") from None
+        here = address if not address.is_unspecified else ipaddress.ip_address("127.0.0.1" if address.version == 4 else "::1")
+        host = f"[{here}]" if here.version == 6 else str(here)
+        self.url = f"rerun+http://{host}:{grpc_port}/proxy"
+        """Where to send the data."""
+        self.page = f"http://{host}:{web_port}/?url={quote(self.url, safe='')}"
+        """What to open in a browser of this machine."""
+        program = Path(rerun_cli.__file__).parent / "rerun"
+        for port in (grpc_port, web_port):
+            _check_free(bind, address.version, port)
+        ports = [f"--port={grpc_port}", f"--web-viewer-port={web_port}"]
+        self._process = _start([str(program), "--serve-web", f"--bind={bind}", *ports, f"--server-memory-limit={memory}"])
+        try:
+            for port in (grpc_port, web_port):
+                self._await_port(str(here), port)
+        except BaseException:
+            self.close()
+            raise
+
+    def _await_port(self, host: str, port: int) -> None:
+        deadline = time.monotonic() + _START_WITHIN
+        while True:
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                raise InputError(f"The Rerun server does not listen on {host}, port {port}; check `memory` (as 512MB) and `bind`.")
+            try:
+                socket.create_connection((host, port), timeout=1.0).close()
+                return
+            except OSError:
+                time.sleep(_POLL_PERIOD)
+
+    def close(self) -> None:
+        """End the server."""
+        self._process.terminate()
+        try:
+            self._process.wait(_STOP_WITHIN)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _check_free(bind: str, version: int, port: int) -> None:
+    """Raise InputError where the port is in use: a connection would reach another process."""
+    with socket.socket(socket.AF_INET if version == 4 else socket.AF_INET6) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((bind, port))
+        except OSError as error:
+            raise InputError(f"Port {port} of {bind} cannot be used: {error.strerror}; choose another `grpc_port` or `web_port`.") from None
+
+
+def _start(command: list[str]) -> subprocess.Popen[bytes]:
+    prctl, parent = ctypes.CDLL(None, use_errno=True).prctl, os.getpid()
+
+    def end_with_parent() -> None:
+        # Sent when the thread ends that starts the process: the main thread of a node, which ends last.
+        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(0)
+
+    nowhere = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, preexec_fn=end_with_parent)

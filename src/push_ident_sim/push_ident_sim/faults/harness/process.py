@@ -1,0 +1,96 @@
+"""A process of the suite: started, signalled, killed and started again, with what it wrote."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from push_ident.cli.supervisor import NodeCommand
+
+__all__ = ["TRACEBACK", "Process"]
+
+TRACEBACK: Final = "Traceback (most recent call last)"
+
+
+class Process:
+    """One process in a group of its own.
+
+    Args:
+        command: what to run.
+        log: file that it appends to.
+        environment: variables beside those of this process.
+    """
+
+    def __init__(self, command: NodeCommand, log: Path, environment: Mapping[str, str]) -> None:
+        self.command, self.log, self._environment = command, log, dict(environment)
+        self._popen: subprocess.Popen[bytes] | None = None
+        self.start()
+
+    @property
+    def name(self) -> str:
+        """Of the command."""
+        return self.command.name
+
+    @property
+    def pid(self) -> int:
+        """Of the process that runs now, or ran last."""
+        assert self._popen is not None
+        return self._popen.pid
+
+    @property
+    def runs(self) -> bool:
+        """Whether it runs."""
+        return self._popen is not None and self._popen.poll() is None
+
+    @property
+    def output(self) -> str:
+        """All that it wrote, also before it was started again."""
+        return self.log.read_text(encoding="utf-8", errors="replace") if self.log.exists() else ""
+
+    def start(self) -> None:
+        """Start it, where it does not run."""
+        if self.runs:
+            return
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self._environment
+        with self.log.open("ab") as file:
+            self._popen = subprocess.Popen(
+                self.command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+            )
+
+    def signal(self, number: signal.Signals) -> float:
+        """Send a signal to the process alone; the time [s]."""
+        if self.runs:
+            os.kill(self.pid, number)
+        return time.monotonic()
+
+    def kill(self) -> float:
+        """SIGKILL to it and its children; the time [s]."""
+        now = time.monotonic()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        assert self._popen is not None
+        self._popen.wait()
+        return now
+
+    def wait(self, patience: float) -> int | None:
+        """Exit code; None where it still runs after `patience` [s]."""
+        assert self._popen is not None
+        try:
+            return int(self._popen.wait(patience))
+        except subprocess.TimeoutExpired:
+            return None
+
+    def interrupt(self, patience: float = 5.0) -> tuple[int | None, float]:
+        """Ctrl-C: exit code (None: killed after `patience` [s]) and time to the end [s]."""
+        asked = self.signal(signal.SIGINT)
+        code = self.wait(patience)
+        took = time.monotonic() - asked
+        if code is None:
+            self.kill()
+        return code, took

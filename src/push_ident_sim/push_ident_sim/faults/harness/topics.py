@@ -1,0 +1,66 @@
+"""The topics of a cell: their messages and qualities of service."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushRecord
+
+__all__ = ["OBJECT", "TOPICS", "Topic", "qos_of"]
+
+OBJECT: Final = "truth"
+"""Id of the object whose poses come from the simulated cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """What a topic carries, and how it is published."""
+
+    kind: type
+    latched: bool = False
+    best_effort: bool = False
+
+
+TOPICS: Final[dict[str, Topic]] = {
+    "joint_states": Topic(JointState),
+    "joint_trajectory": Topic(JointTrajectory),
+    "robot_description": Topic(String, latched=True),
+    "pusher/wrench": Topic(WrenchStamped),
+    "pusher/pose": Topic(PoseStamped),
+    "pusher/shape": Topic(SolidPrimitive, latched=True),
+    "tool/pose": Topic(PoseStamped),
+    "push_record": Topic(PushRecord),
+    "recording": Topic(DiagnosticStatus, latched=True),
+    "/clock": Topic(Clock),
+    "/diagnostics": Topic(DiagnosticArray),
+    "depth/image_rect": Topic(Image, best_effort=True),
+    "depth/camera_info": Topic(CameraInfo, best_effort=True),
+    "workspace/occupancy": Topic(OccupancyGrid, latched=True),
+    f"objects/{OBJECT}/pose": Topic(PoseWithCovarianceStamped),
+    f"objects/{OBJECT}/cells": Topic(OccupancyGrid, latched=True),
+    f"objects/{OBJECT}/outline": Topic(PolygonStamped, latched=True),
+    f"objects/{OBJECT}/mass_friction_map": Topic(MassFrictionMap, latched=True),
+    f"objects/{OBJECT}/prediction": Topic(PushPrediction),
+}
+"""By name."""
+
+
+def qos_of(topic: str) -> QoSProfile:
+    """As the nodes of the suite publish it."""
+    known = TOPICS[topic]
+    return QoSProfile(
+        depth=1 if known.latched else 100,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if known.latched else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.BEST_EFFORT if known.best_effort else ReliabilityPolicy.RELIABLE,
+    )

@@ -1,0 +1,113 @@
+"""Runs faults one by one, those of one cell in the same cell, and checks the oracles after each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from push_ident.errors import PushIdentError
+from push_ident_sim.faults.fault import Fault, Impossible, Trial
+from push_ident_sim.faults.harness import oracles
+from push_ident_sim.faults.harness.cell import Cell, CellPlan, live_cell
+from push_ident_sim.faults.harness.hold import Hold
+
+__all__ = ["FaultResult", "run_faults", "try_fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultResult:
+    """What one trial gave."""
+
+    fault: Fault
+    failures: tuple[str, ...]
+    """Empty: it held."""
+    impossible: str
+    """Why it could not be injected here; empty where it was."""
+    hold: Hold | None
+    lost: str
+    note: str
+    seconds: float
+    """Of the trial."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether it was injected and held."""
+        return not self.failures and not self.impossible
+
+
+def run_faults(faults: Sequence[Fault], folder: Path, on_result: Callable[[FaultResult], None]) -> list[FaultResult]:
+    """Run faults; cells are started as they are needed, and a cell that cannot push any more is replaced.
+
+    Args:
+        faults: in any order.
+        folder: of logs and files.
+        on_result: called after each.
+    """
+    results: list[FaultResult] = []
+
+    def done(result: FaultResult) -> None:
+        results.append(result)
+        on_result(result)
+
+    plans = list(dict.fromkeys(fault.cell for fault in faults))
+    for plan in sorted(plans, key=lambda plan: "" if plan is None else plan.name):
+        chosen = [fault for fault in faults if fault.cell == plan]
+        if plan is None:
+            for fault in chosen:
+                done(try_fault(fault, None, folder / fault.name))
+        else:
+            _run_in_cells(plan, chosen, folder, done)
+    return sorted(results, key=lambda result: result.fault.number)
+
+
+def _run_in_cells(plan: CellPlan, faults: Sequence[Fault], folder: Path, done: Callable[[FaultResult], None]) -> None:
+    left, number = list(faults), 0
+    while left:
+        number += 1
+        with ExitStack() as stack:
+            try:
+                cell = stack.enter_context(live_cell(plan, folder / f"{plan.name}-{number}"))
+            except PushIdentError as error:
+                fault = left.pop(0)
+                done(FaultResult(fault, (f"the cell did not start: {error}",), "", None, "", "", 0.0))
+                continue
+            while left:
+                result = try_fault(left.pop(0), cell, folder)
+                done(result)
+                # After a failure nothing is known of the cell: its nodes, logs and model are left behind.
+                if result.failures:
+                    break
+
+
+def try_fault(fault: Fault, cell: Cell | None, folder: Path) -> FaultResult:
+    """One fault in a cell that can push, or without a cell."""
+    trial = Trial(folder / fault.name, cell, fault.within)
+    trial.folder.mkdir(parents=True, exist_ok=True)
+    began, impossible = time.monotonic(), ""
+    try:
+        if cell is None:
+            fault.run(trial)
+        else:
+            _in_cell(fault, trial, cell)
+    except Impossible as error:
+        impossible = str(error)
+    except PushIdentError as error:
+        trial.failures.append(str(error))
+    except Exception as error:  # a fault of the suite itself must not hide the results of the others
+        trial.failures.append(f"the check itself failed: {type(error).__name__}: {error}")
+    took = time.monotonic() - began
+    return FaultResult(fault, tuple(trial.failures), impossible, trial.held, trial.lost, trial.note, took)
+
+
+def _in_cell(fault: Fault, trial: Trial, cell: Cell) -> None:
+    cell.recover()
+    cell.monitor.forget()
+    trial.learned = oracles.learned_pushes(cell) or 0
+    try:
+        fault.run(trial)
+    finally:
+        cell.proxy.clear()
+        trial.failures += oracles.check(cell, alive=trial.alive, learned_before=trial.learned, whole_before=0)

@@ -1,0 +1,1 @@
+"""Experiment: the whole live cell for an hour, while its nodes are killed at random."""

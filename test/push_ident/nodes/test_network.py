@@ -1,0 +1,50 @@
+"""Which network the processes listen on, by the variables that the user has set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from push_ident.nodes.network import PROFILE, RANGE, choose_network, listens_on
+
+
+def chosen(**environ: str) -> tuple[str, str]:
+    """Range and name of the profile."""
+    choose_network(environ)
+    first = dict(environ)
+    choose_network(environ)
+    assert environ == first, "a child of the process would choose otherwise"
+    assert PROFILE not in environ or Path(environ[PROFILE]).is_file() or environ[PROFILE] == "/own.xml"
+    return environ.get(RANGE, ""), Path(environ.get(PROFILE, "")).name
+
+
+@pytest.mark.parametrize("asked", [{}, {RANGE: "LOCALHOST"}, {RANGE: "localhost"}, {RANGE: "SYSTEM_DEFAULT"}])
+def test_loopback_is_the_default(asked: dict[str, str]) -> None:
+    assert chosen(**asked) == ("SYSTEM_DEFAULT", "fastdds_local.xml")
+    choose_network(asked)
+    assert "this machine only" in listens_on(asked)
+
+
+def test_a_profile_of_an_earlier_set_up_is_replaced() -> None:
+    assert chosen(**{PROFILE: "/gone/fastdds_local.xml", RANGE: "LOCALHOST"}) == ("SYSTEM_DEFAULT", "fastdds_local.xml")
+
+
+def test_subnet_opens_every_interface_even_under_the_default_profile() -> None:
+    environ = {RANGE: "SUBNET", PROFILE: "/somewhere/fastdds_local.xml"}
+    assert chosen(**environ) == ("SUBNET", "fastdds_network.xml")
+    choose_network(environ)
+    assert "every interface" in listens_on(environ)
+
+
+def test_off_stays_off() -> None:
+    assert chosen(**{RANGE: "OFF"}) == ("OFF", "fastdds_local.xml")
+
+
+def test_a_profile_of_the_user_is_kept() -> None:
+    assert chosen(**{PROFILE: "/own.xml"}) == ("LOCALHOST", "own.xml")
+    assert chosen(**{PROFILE: "/own.xml", RANGE: "SUBNET"}) == ("SUBNET", "own.xml")
+
+
+def test_another_middleware_gets_the_range_of_ros() -> None:
+    assert chosen(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp") == ("LOCALHOST", "")

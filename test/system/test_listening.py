@@ -1,0 +1,87 @@
+"""What the processes of a cell listen on: 127.0.0.1 only, unless the user asks for more."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from helpers.domains import own_domain
+from helpers.sockets import Socket, descendants, sockets_of
+from push_ident.cli.supervisor import Supervisor, node_commands
+
+pytestmark = pytest.mark.alone
+
+_PORTS = {"grpc_port": 19876, "web_port": 19090}
+_START_WITHIN = 60.0
+
+
+@contextmanager
+def viewer(**environ: str) -> Iterator[subprocess.Popen[str]]:
+    """viewer_node with the environment of a user who has set nothing but `environ`."""
+    arguments = [part for name, port in _PORTS.items() for part in ("-p", f"{name}:={port}")]
+    names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+    given = {name: value for name, value in os.environ.items() if name not in names}
+    node = subprocess.Popen(
+        [sys.executable, "-m", "push_ident.nodes", "viewer_node", "--ros-args", *arguments],
+        env=given | {"ROS_DOMAIN_ID": str(own_domain())} | environ,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield node
+    finally:
+        node.send_signal(signal.SIGINT)
+        node.communicate(timeout=5.0)
+
+
+def sockets_below(pid: int, *, until: set[int]) -> list[Socket]:
+    """Sockets of a process and of all that it has started, as soon as the ports `until` are among them."""
+    deadline = time.monotonic() + _START_WITHIN
+    while True:
+        found = [s for process in (pid, *descendants(pid)) for s in sockets_of(process)]
+        if until <= {s.port for s in found}:
+            return found
+        assert time.monotonic() < deadline, found
+        time.sleep(0.2)
+
+
+def test_every_process_of_a_cell_listens_on_loopback_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain()))
+    commands = node_commands("sim", view=True, parameters={"viewer_node": dict(_PORTS)})
+    with Supervisor(commands):
+        sockets_below(os.getpid(), until=set(_PORTS.values()))
+        deadline = time.monotonic() + _START_WITHIN
+        # Every node is there once it has the two sockets of its participant.
+        while len({s.pid for s in sockets_below(os.getpid(), until=set()) if s.kind == "udp"}) < len(commands):
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+        time.sleep(1.0)
+        found = sockets_below(os.getpid(), until=set(_PORTS.values()))
+    assert {s.port for s in found if s.kind == "tcp"} >= set(_PORTS.values())
+    assert [s for s in found if not s.is_loopback] == []
+
+
+def test_the_network_is_opened_by_the_discovery_range() -> None:
+    with viewer(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET") as node:
+        found = sockets_below(node.pid, until=set(_PORTS.values()))
+    assert any(not s.is_loopback for s in found if s.kind == "udp"), "the test cannot see an open socket"
+    assert all(s.is_loopback for s in found if s.kind == "tcp"), "the range of ROS does not open the viewer"
+
+
+def test_the_server_of_the_viewer_ends_with_its_node() -> None:
+    with viewer() as node:
+        found = sockets_below(node.pid, until=set(_PORTS.values()))
+        servers = {s.pid for s in found if s.port in _PORTS.values()} - {node.pid}
+        assert len(servers) == 1
+        node.kill()
+        deadline = time.monotonic() + 2.0
+        while any(sockets_of(pid) for pid in servers):
+            assert time.monotonic() < deadline, "the server outlives its node"
+            time.sleep(0.02)
