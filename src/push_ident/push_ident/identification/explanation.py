@@ -30,7 +30,7 @@ _SHARE: Final = 0.5
 _DEVIATIONS: Final = 3.0
 """Standard deviations of the stated noise that an error, or an impossible contact, may have by chance: 0.3 % of normal errors."""
 _MOST: Final = 0.5
-"""Share of the pushes from which a contradiction is one of the fit, and not of single pushes, which a robust fit survives [-]."""
+"""Share of the pushes above which a contradiction is one of the fit, and not of single pushes, which a robust fit survives [-]."""
 _OUTLINE_STD: Final = 2e-3
 """Standard deviation of an outline or a pusher's radius in use [m]: the prior of the effect that displaces the outline."""
 _TOOL_STD: Final = 2e-3
@@ -60,6 +60,16 @@ class PushEvidence:
         return self.motion > _DEVIATIONS * self.noise
 
     @property
+    def is_overlapped(self) -> bool:
+        """Whether the pusher ends inside the object, by more than the accuracy of poses, tool and outline allows."""
+        return self.overlap > near_distance(self.noise)
+
+    @property
+    def moved_untouched(self) -> bool:
+        """Whether the object moved by more than noise before the pusher was near."""
+        return self.remote_motion > _DEVIATIONS * self.noise
+
+    @property
     def is_explained(self) -> bool:
         """Whether the model predicts the end of this push better than not at all."""
         return self.error <= max(_SHARE * self.motion, _DEVIATIONS * self.noise)
@@ -78,20 +88,25 @@ class Explanation:
         return tuple(i for i, push in enumerate(self.pushes) if not push.is_explained)
 
     @property
+    def contradiction(self) -> str:
+        """Why these pushes cannot be explained by any maps: impossible contacts, or ends no better predicted than by "it does not move"."""
+        return self._impossible_contacts() or (self._missed() if self._is_no_better_than_rest else "")
+
+    @property
     def failure(self) -> str:
         """What makes this fit no success, with sizes and likely causes; empty where it explains its pushes."""
-        for found in (self._contact_failure(), self._motion_failure()):
-            if found:
-                return found
-        return ""
+        missed = [not push.is_explained for push in self.pushes if push.moved]
+        return self.contradiction or (self._missed() if sum(missed) > _MOST * len(missed) else "")
 
     def judged(self, status: SolveStatus) -> SolveStatus:
         """The status of a fit that ended with `status`, once its outcome is looked at."""
         if status in (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT):
             return status
-        if self.failure:
+        # A solve that was stopped early is no success as it is: a longer one may fit the pushes that it misses.
+        ended = status in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.POOR_FIT)
+        if self.contradiction or (ended and self.failure):
             return SolveStatus.UNEXPLAINED
-        return SolveStatus.POOR_FIT if self.unexplained and status in (SolveStatus.CONVERGED, SolveStatus.STALLED) else status
+        return SolveStatus.POOR_FIT if ended and self.unexplained else status
 
     def notes(self, sources: Sequence[str] = ()) -> list[str]:
         """Lines for people: why the fit is no success, or which pushes it leaves unexplained. `sources` names the pushes."""
@@ -104,12 +119,9 @@ class Explanation:
             for i in self.unexplained
         ]
 
-    def _motion_failure(self) -> str:
+    def _missed(self) -> str:
         error, motion = self._all("error"), self._all("motion")
         missed = [not push.is_explained for push in self.pushes if push.moved]
-        no_better = bool(missed) and float(np.mean(error)) >= float(np.mean(motion))
-        if not no_better and sum(missed) < max(_MOST * len(missed), 1):
-            return ""
         return (
             f"The fit does not explain its own training pushes: it predicts their ends {_mm(np.median(error))} off (worst "
             f"{_mm(np.max(error))}), while the object moved {_mm(np.median(motion))}; {sum(missed)} of {len(missed)} pushes that moved "
@@ -117,7 +129,14 @@ class Explanation:
             "in different frames or units, clocks that differ, an outline or a pusher radius of another size. Look at one push in a viewer."
         )
 
-    def _contact_failure(self) -> str:
+    @property
+    def _is_no_better_than_rest(self) -> bool:
+        """Whether objects moved, and "it does not move" predicts as well as the fit."""
+        return any(push.moved for push in self.pushes) and bool(np.mean(self._all("error")) >= np.mean(self._all("motion")))
+
+    def _impossible_contacts(self) -> str:
+        if not self.pushes:
+            return ""
         n, noise = len(self.pushes), float(np.median(self._all("noise")))
         allowed = _DEVIATIONS * float(np.sqrt(_OUTLINE_STD**2 + _MEDIAN * (_TOOL_STD**2 + noise**2) / n))
         if (depth := float(np.median(self._all("overlap")))) > allowed:
@@ -126,21 +145,16 @@ class Explanation:
                 f"pushes), where the accuracy of poses, tool and outline allows {_mm(allowed)}. Likely causes: an outline or a pusher "
                 "radius that is too large, or poses and pusher in different frames. Measure object and pusher, check frames and units."
             )
-        n_moved = sum(push.moved for push in self.pushes)
-        inside = [push.overlap for push in self.pushes if push.moved and push.overlap > near_distance(push.noise)]
-        remote = [push.remote_motion for push in self.pushes if push.moved and push.remote_motion > _DEVIATIONS * push.noise]
-        if len(inside) + len(remote) < max(_MOST * n_moved, 1):
+        moved = [push for push in self.pushes if push.moved]
+        inside = [push.overlap for push in moved if push.is_overlapped]
+        remote = [push.remote_motion for push in moved if push.moved_untouched]
+        impossible = [push for push in moved if push.is_overlapped or push.moved_untouched]
+        if len(impossible) <= _MOST * len(moved):
             return ""
-        found = [
-            f"{len(values)} with {text} ({_mm(float(np.median(values)))})"
-            for values, text in (
-                (inside, "the pusher at rest inside the object"),
-                (remote, "motion of the object before the pusher is near"),
-            )
-            if values
-        ]
+        kinds = ((inside, "the pusher at rest inside the object"), (remote, "motion of the object before the pusher is near"))
+        found = [f"{len(values)} with {text} ({_mm(float(np.median(values)))})" for values, text in kinds if values]
         return (
-            f"The contacts are impossible in most of the {n_moved} pushes that moved the object: {' and '.join(found)}. Likely causes: an "
+            f"The contacts are impossible in {len(impossible)} of {len(moved)} pushes: {' and '.join(found)}. Likely causes: an "
             "outline or a pusher radius of another size, poses and pusher in different frames, or clocks that differ. Measure object and "
             "pusher, check frames, units and clocks."
         )

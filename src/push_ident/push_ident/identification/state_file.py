@@ -129,7 +129,7 @@ def save_state(
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
     )
-    write_whole(path, content.model_dump_json(by_alias=True), "the state of the identification")
+    write_whole(path, content.model_dump_json(by_alias=True, exclude_defaults=True), "the state of the identification")
 
 
 def load_state(path: Path) -> KeptState:
