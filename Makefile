@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind endurance faults test lint format clean
+.PHONY: help setup demo docs bench experiments blind endurance faults fuzz test lint format clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
@@ -34,6 +34,10 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|endurance'); do \
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment report
+
+MINUTES ?= 12
+fuzz: setup  ## mutated messages for every node, then docs/results/fuzzing.md; MINUTES=12 are some 100 000
+	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page
 	$(VENV)/push-ident experiment blind --seed 9000 --models 50 --json docs/results/experiments/blind.json

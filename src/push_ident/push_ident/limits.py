@@ -55,7 +55,7 @@ class LIMITS:
     VERTICES: Final = Limit(
         2_000, "vertices", "number of vertices of an outline is", "an outline traced at 1 mm around 0.5 m; contact looks at every edge"
     )
-    OBJECTS: Final = Limit(200, "objects", "number of objects is", "the suite is tested with 10 at once")
+    OBJECTS: Final = Limit(50, "objects", "number of objects is", "the suite is tested with 10 at once")
     EXTENT: Final = Limit(5, "m", "extent of an object is", "the reach of a large arm; 60 mm in millimetres are 60")
     PUSHER_RADIUS: Final = Limit(1, "m", "radius of a pusher is", "a tool is some centimetres wide; 8 mm in millimetres are 8")
     COORDINATE: Final = Limit(
@@ -67,7 +67,7 @@ class LIMITS:
     FORCE: Final = Limit(100_000, "N", "a force is", "far above the force of any arm")
 
     # ---- pushes
-    PUSHES: Final = Limit(5_000, "pushes", "number of pushes is", "a push each 15 s for 20 hours")
+    PUSHES: Final = Limit(2_000, "pushes", "number of pushes is", "a push each 15 s for 8 hours")
     PUSH_SECONDS: Final = Limit(600, "s", "duration of a push is", "0.5 m at 1 mm/s; the simulation steps through it")
     PUSH_TRAVEL: Final = Limit(20, "m", "path of the pusher in one push is", "ten times across a table of 2 m")
 
@@ -113,7 +113,7 @@ class LIMITS:
     METADATA: Final = Limit(1_048_576, "bytes", "size of metadata.yaml is", "0.7 kB a topic, 0.3 kB a file: 1000 topics and 1000 files")
     FILES: Final = Limit(10_000, "files", "number of storage files is", "a bag that is split each minute for a week")
     SUMMARY: Final = Limit(67_108_864, "bytes", "size of the index of a bag is", "0.2 kB for a chunk of 0.8 MB: enough for 250 GB")
-    TEXT_FILE: Final = Limit(67_108_864, "bytes", "size of a text file is", "the largest published recording has 1.1 MB")
+    TEXT_FILE: Final = Limit(16_777_216, "bytes", "size of a text file is", "the largest published recording has 1.1 MB")
 
 
 def check_coordinates(values: object, what: str, *, error: type[PushIdentError] = InputError) -> None:

@@ -44,7 +44,7 @@ def test_outline_that_cannot_be_that_of_the_cells_is_refused(change: object, tex
 
 
 def test_outline_that_reaches_far_beyond_the_cells_is_refused() -> None:
-    with pytest.raises(InputError, match="The outline lies up to 0.0707 m away from the cells"):
+    with pytest.raises(InputError, match="The outline lies 0.0707 m away from the cells"):
         check_shape(ObjectShape(square().cells, 2.0 * square().outline))
 
 

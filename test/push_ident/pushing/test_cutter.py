@@ -55,6 +55,24 @@ def test_object_hidden_around_a_push_has_its_last_pose_before_and_its_first_pose
     assert push.records[0].poses.time == pytest.approx([0.95, 5.0])
 
 
+@pytest.mark.parametrize("back", [1.5, 10.0, 50.0])
+def test_one_late_message_does_not_shut_out_the_streams_that_go_on(back: float) -> None:
+    """Only the push of that moment may be lost: a record or a force with an old stamp is no clock that was set back."""
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.set_radius(0.01)
+    pushes = []
+    for i, time in enumerate(times(60, 80)):
+        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+        if int(time) in (62, 66, 70):
+            cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+            cutter.add_wrench(time, np.zeros(2))
+        if i in (0, 50):
+            cutter.add_record(PushInterval(9, "o1", time - 0.1 - back * (i > 0), time - back * (i > 0), 0))
+        pushes += cutter.finished()
+    assert [round(push.interval.start) for push in pushes if push.records][-2:] == [66, 70]
+
+
 def test_pose_nearer_to_another_push_is_not_taken() -> None:
     pushes = play([*times(0, 1), 5.5, *times(9, 10)], times(2, 3) + times(5, 6))
     assert pushes[0].records == [] and pushes[1].records[0].poses.time == pytest.approx([5.5, 9.0])

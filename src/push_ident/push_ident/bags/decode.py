@@ -9,6 +9,7 @@ import numpy as np
 from push_ident.errors import BagError, FrameError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
+from push_ident.limits import LIMITS, check_coordinates
 from push_ident.perception.depth import check_intrinsics, depth_from_buffer
 from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
@@ -54,13 +55,16 @@ def planar_pose_of(pose: Any) -> Float64Array:
 
 
 def covariance_of(covariance: Any) -> Float64Array | None:
-    """Covariance of (x, y, yaw) from the 36 numbers of a PoseWithCovariance; None unless it is positive definite."""
+    """Covariance of (x, y, yaw) from the 36 numbers of a PoseWithCovariance; None unless it is positive definite.
+
+    NaN where it is larger than `LIMITS.COORDINATE`: such a pose says nothing.
+    """
     full = np.asarray(covariance, dtype=np.float64).reshape(6, 6)
     planar = full[np.ix_(_PLANAR, _PLANAR)]
     planar = 0.5 * (planar + planar.T)
     if not np.isfinite(planar).all() or np.linalg.eigvalsh(planar)[0] <= 0:
         return None
-    return planar
+    return planar if planar.trace() < LIMITS.COORDINATE.value**2 else np.full((3, 3), np.nan)
 
 
 def cells_of(grid: Any) -> tuple[CellGrid, float]:
@@ -69,6 +73,7 @@ def cells_of(grid: Any) -> tuple[CellGrid, float]:
     Raises BagError for a grid without cells, or whose sizes do not fit its data.
     """
     info = grid.info
+    LIMITS.GRID.check(int(info.width) * int(info.height), "occupancy grid", error=BagError)
     data = np.asarray(grid.data, dtype=np.int8)
     if info.width * info.height != len(data):
         raise BagError(f"occupancy grid has {len(data)} values, expected width * height = {info.width} * {info.height}.")
@@ -78,17 +83,27 @@ def cells_of(grid: Any) -> tuple[CellGrid, float]:
     if not (np.isfinite(size) and size > 0 and np.isfinite(origin).all()):
         raise BagError(f"occupancy grid has resolution {size} m and origin {origin}, expected a positive length and a finite pose.")
     rows, columns = np.nonzero(data.reshape(info.height, info.width) >= _OCCUPIED)
+    LIMITS.CELLS.check(len(rows), "occupancy grid", error=BagError, remedy="Record coarser cells.")
     if len(rows) == 0:
         raise BagError(f"occupancy grid of {info.width} x {info.height} has no cell of at least {_OCCUPIED}; the object's cells are 100.")
-    return CellGrid(transform_points(origin, np.column_stack([columns + 0.5, rows + 0.5]) * size), size), float(origin[2])
+    centres = transform_points(origin, np.column_stack([columns + 0.5, rows + 0.5]) * size)
+    check_coordinates(centres, "occupancy grid", error=BagError)
+    return CellGrid(centres, size), float(origin[2])
 
 
 def outline_of(polygon: Any) -> Float64Array | None:
-    """Vertices of a geometry_msgs/Polygon [m], shape (n_vertices, 2); None where it encloses nothing."""
+    """Vertices of a geometry_msgs/Polygon [m], shape (n_vertices, 2); None where it encloses nothing.
+
+    Raises BagError for too many vertices, or coordinates that no object has.
+    """
+    LIMITS.VERTICES.check(len(polygon.points), "outline", error=BagError)
     vertices = np.array([[point.x, point.y] for point in polygon.points], dtype=np.float64).reshape(-1, 2)
     if len(vertices) > 1 and np.array_equal(vertices[0], vertices[-1]):
         vertices = vertices[:-1]
-    if len(vertices) < 3 or not np.isfinite(vertices).all() or abs(polygon_area(vertices)) < 1e-9:
+    if not np.isfinite(vertices).all():
+        return None
+    check_coordinates(vertices, "outline", error=BagError)
+    if len(vertices) < 3 or abs(polygon_area(vertices)) < 1e-9:
         return None
     return vertices
 
@@ -115,6 +130,7 @@ def homogeneous_of(transform: Any) -> Float64Array:
     matrix[:3, 3] = (shift.x, shift.y, shift.z)
     if not (np.isfinite(matrix).all() and np.isfinite(quaternion).all() and np.linalg.norm(quaternion) > 1e-3):
         raise BagError(f"static transform has quaternion {quaternion} and translation {matrix[:3, 3]}, expected a finite rigid motion.")
+    check_coordinates(matrix[:3, 3], "static transform", error=BagError)
     matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     return matrix
 

@@ -14,10 +14,12 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.bags.opening import open_bag
+from push_ident.bags.storage.storage import open_regular
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import inverse, rotation, transform_points
+from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["ImportReport", "import_cmu_icra16", "import_cmu_mocap"]
@@ -97,10 +99,13 @@ _Icra16Push = tuple[Float64Array, Float64Array, Float64Array, Float64Array]
 
 def _parse_icra16(file: Path) -> list[_Icra16Push]:
     """Pose before and after (x, y, yaw) [m, m, rad], force samples (time, fx, fy), robot samples (time, x, y, z, qw, qx, qy, qz)."""
+    if not file.exists():
+        raise BagError(f"{file}: there is no such file; give the recording's text file.")
     try:
-        numbers = np.array(file.read_bytes().split(), dtype=np.float64)
-    except FileNotFoundError:
-        raise BagError(f"{file}: there is no such file; give the recording's text file.") from None
+        with open_regular(file) as text:
+            content = text.read(LIMITS.TEXT_FILE.value + 1)
+        LIMITS.TEXT_FILE.check(len(content), str(file), error=BagError)
+        numbers = np.array(content.split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise BagError(f"{file}: not a text file of numbers ({str(error)[:100]}); give the recording's text file.") from error
     at = 0
@@ -173,7 +178,7 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path) -> ImportReport:
             for stamp, x, y, z in robot[span]:
                 writer.write_pusher(stamp, (x, y), z=z)
             touching = robot[span & in_contact]
-            at = [int(np.argmin(np.abs(time - stamp))) for stamp in touching[:, 0]]
+            at = _nearest(time, touching[:, 0])
             # The median over the whole contact: a single motion-capture pose has an error of about a millimetre.
             distances.append(np.median([_distance(p, pose[k], shape) for p, k in zip(touching[:, 1:3], at, strict=True)]))
     return ImportReport(
@@ -188,6 +193,12 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path) -> ImportReport:
             "the force is used to detect contact only: the mounting of its sensor is not recorded",
         ),
     )
+
+
+def _nearest(time: Float64Array, stamps: Float64Array) -> list[int]:
+    """Index of the nearest `time`, ascending, at least two, for each stamp."""
+    after = np.clip(np.searchsorted(time, stamps), 1, len(time) - 1)
+    return [int(k) for k in np.where(stamps - time[after - 1] <= time[after] - stamps, after - 1, after)]
 
 
 def _read_mocap(file: Path) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
+from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
 from push_ident.types import PushRecord
 
-__all__ = ["split_pushes"]
+__all__ = ["pushes_by_object", "split_pushes"]
 
 
 def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> list[PushRecord]:
@@ -30,7 +32,8 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
             raise BagError(f"{contents.path}: {reasons[0]}")
         lacking = "cells" if track.shape is None else "poses"
         raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it in the depth images, or record `objects/<id>/*`.")
-    pushes = _cutter_of(contents, object_id, gap).finished(flush=True)
+    pushes = _cutter_of(contents, [object_id], gap).finished(flush=True)
+    LIMITS.PUSHES.check(len(pushes), str(contents.path), error=BagError, remedy="Split the bag.")
     records = [
         replace(record, source=f"{contents.path.name} push {number}") for number, push in enumerate(pushes) for record in push.records
     ]
@@ -45,19 +48,30 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     return records
 
 
-def _cutter_of(contents: BagContents, object_id: str, gap: float) -> PushCutter:
-    """A cutter with all samples of the bag for one object."""
+def pushes_by_object(contents: BagContents, gap: float = 0.5) -> dict[str, list[PushRecord]]:
+    """The usable pushes of every object that has cells and poses, cut once for all of them."""
+    usable = [object_id for object_id, track in contents.objects.items() if track.shape is not None and len(track.time) >= 2]
+    found: dict[str, list[PushRecord]] = {object_id: [] for object_id in usable}
+    for push in _cutter_of(contents, usable, gap).finished(flush=True):
+        for record in push.records:
+            found[record.object_id].append(record)
+    return found
+
+
+def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> PushCutter:
+    """A cutter with all samples of the bag for these objects."""
     cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
-    track = contents.objects[object_id]
-    assert track.shape is not None
-    cutter.set_shape(object_id, track.shape)
     cutter.set_radius(contents.pusher_radius)
     for interval in contents.push_intervals:
         cutter.add_record(interval)
     for time, position in zip(contents.pusher.time.tolist(), contents.pusher.value, strict=True):
         cutter.add_pusher(time, position)
-    for time, pose, covariance in zip(track.time.tolist(), track.pose, track.covariance, strict=True):
-        cutter.add_pose(object_id, time, pose, covariance)
+    for object_id in object_ids:
+        track = contents.objects[object_id]
+        assert track.shape is not None
+        cutter.set_shape(object_id, track.shape)
+        for time, pose, covariance in zip(track.time.tolist(), track.pose, track.covariance, strict=True):
+            cutter.add_pose(object_id, time, pose, covariance)
     if contents.wrench is not None:
         for time, force in zip(contents.wrench.time.tolist(), contents.wrench.value, strict=True):
             cutter.add_wrench(time, force)

@@ -16,6 +16,7 @@ from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.bags.storage.storage import RecordedTopic
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
+from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
@@ -177,6 +178,9 @@ def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list
         names = sorted({connection.topic for connection in connections})
         if len(names) > 1 and role.role is not Role.TF_STATIC:
             raise BagError(f"{bag.path}: topics {' and '.join(names)} all have the role of `{role}`; keep the topics of one cell.")
+    LIMITS.OBJECTS.check(len({role.object_id for role in by_role if role.role in OBJECT_ROLES}), str(bag.path), error=BagError)
+    records = sum(topic.msgcount for topic in by_role.get(TopicRole(Role.PUSH_RECORD), []))
+    LIMITS.PUSHES.check(records, str(bag.path), error=BagError, remedy="Split the bag.")
     return dict(by_role)
 
 
@@ -196,7 +200,9 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[RecordedTopic]]) -> dict[To
             record.values.append(_planar(role, message))
             record.frames.add(str(message.header.frame_id))
         else:
-            record.messages = [message] if role in _LAST_COUNTS else [*record.messages, message]
+            if role in _LAST_COUNTS:
+                record.messages.clear()
+            record.messages.append(message)
     promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamps) for record in recorded.values())
     if got < promised:
         raise BagError(f"{bag.path}: its index lists {promised} messages of the contract, {got} could be read; the file is truncated.")
@@ -210,14 +216,15 @@ def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> 
     if back < -_MAX_JUMP_BACK:
         raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
     values = np.array(record.values)
-    finite = np.asarray(np.isfinite(values).all(axis=1))
+    most = LIMITS.FORCE if role.role is Role.WRENCH else LIMITS.COORDINATE
+    usable = np.asarray(np.isfinite(values).all(axis=1) & (np.abs(values[:, :2]) <= most.value).all(axis=1))
     order = np.argsort(stamps, kind="stable")
-    order = order[finite[order]]
+    order = order[usable[order]]
     first = np.append(True, np.diff(stamps[order]) > 0) if len(order) else np.empty(0, dtype=np.bool_)
     for count, what in (
         (record.unstamped, "have no stamp; their log time is used"),
         (int(np.sum(np.diff(stamps) < 0)), "were out of order; sorted"),
-        (int(np.sum(~finite)), "hold values that are not finite; dropped"),
+        (int(np.sum(~usable)), f"hold values that are not finite or beyond {most.value} {most.unit}; dropped"),
         (int(np.sum(~first)), "repeat a stamp; dropped"),
     ):
         if count:
@@ -274,6 +281,7 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
             lacking = "its outline encloses nothing" if polygons else "no outline"
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
+            LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
         return check_shape(ObjectShape(cells, outline))
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
@@ -307,6 +315,7 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> 
     """Pose of the camera from the chain of static transforms to the table, if there is one."""
     parents = {}
     for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).messages:
+        LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=BagError)
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
     if CAMERA_FRAME not in parents:

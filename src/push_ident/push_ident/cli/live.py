@@ -41,7 +41,7 @@ def up_command(
     view: Annotated[bool, typer.Option("--view", help="Serve a live view for browsers.")] = False,
     state: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder that keeps the maps for the next start. Default: none.", show_default=False),
+        typer.Option(metavar="DIR", help="Folder that keeps objects and maps for the next start. Default: none.", show_default=False),
     ] = None,
 ) -> None:
     """Start the node processes of a cell, as the launch files do; Ctrl-C stops them all.
@@ -52,7 +52,8 @@ def up_command(
     if kind is CellKind.replay and bag is not None:
         perception = not read_bag(bag).has_poses
     with TemporaryDirectory(prefix="push_ident_") as until_the_end:
-        states = {"identification_node": {"state_directory": str((state or Path(until_the_end)).resolve())}}
+        folder: dict[str, object] = {"state_directory": str((state or Path(until_the_end)).resolve())}
+        states = {name: folder for name in ("perception_node", "identification_node") if perception or name != "perception_node"}
         commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=states)
         # A bag that is played again from its start would be another recording.
         restart = None if kind is CellKind.replay else RestartPolicy()

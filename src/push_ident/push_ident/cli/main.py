@@ -16,6 +16,7 @@ from push_ident.cli.experiment import experiment_command
 from push_ident.cli.export import export_command
 from push_ident.cli.faults import faults_command
 from push_ident.cli.fleet import fleet_command
+from push_ident.cli.fuzz import fuzz_command
 from push_ident.cli.identify import identify_command
 from push_ident.cli.importing import import_command
 from push_ident.cli.live import doctor_command, replay_command, up_command
@@ -54,6 +55,7 @@ app.command("experiment")(experiment_command)
 app.command("simulate")(simulate_command)
 app.command("bench")(bench_command)
 app.command("faults")(faults_command)
+app.command("fuzz")(fuzz_command)
 app.command("demo")(demo_command)
 app.command("doctor")(doctor_command)
 

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from push_ident.errors import PushIdentError
-from push_ident.identification.files import json_text
+from push_ident.files import json_text, write_whole
 
 __all__ = ["BagsArgument", "JsonOption", "OutOption", "console", "millimetres", "warn", "write_json"]
 
@@ -36,8 +35,4 @@ def millimetres(metres: float) -> str:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON in which numbers that are not finite are null. Raises PushIdentError where the file cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json_text(content), encoding="utf-8")
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder with write permission.") from None
+    write_whole(path, json_text(content), "the result")

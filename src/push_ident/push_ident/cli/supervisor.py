@@ -350,8 +350,10 @@ def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
     """Parameters of a node that depend on the kind of the cell."""
     clock: dict[str, object] = {"use_sim_time": True} if kind != "arm" and name not in _CLOCKS else {}
     # A simulator may pause for longer than an arm; the watchdogs of a real arm keep their limits.
-    watchdogs = dict.fromkeys(("arm_timeout", "tracking_lag"), _SIM_PATIENCE) if kind == "sim" and name == "push_executor_node" else {}
-    return clock | watchdogs
+    simulated: dict[str, object] = {}
+    if kind == "sim" and name == "push_executor_node":
+        simulated = {"arm_timeout": _SIM_PATIENCE, "tracking_lag": _SIM_PATIENCE, "stamp_commands": True}
+    return clock | simulated
 
 
 def _node_command(name: str, parameters: Mapping[str, object], log_level: str) -> NodeCommand:

@@ -6,9 +6,11 @@ A polygon is simple, counter-clockwise and not closed, shape (n_vertices, 2), in
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
@@ -25,6 +27,8 @@ __all__ = [
 ]
 
 _Corner = tuple[int, int]
+_PAIRS = 1_000_000
+"""Pairs of points and vertices that are worked on at once: 50 MB."""
 _LATTICE_TOLERANCE = 0.02
 """Largest distance of a cell from the lattice, in cells: rounding to float32 causes far less, a wrong size far more."""
 
@@ -52,8 +56,12 @@ def edge_normals(polygon: Float64Array) -> Float64Array:
 
 def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> BoolArray:
     """Which of `points` (n, 2) lie inside, shape (n,), by the even-odd rule; points on the boundary may count as either."""
-    px, py = np.asarray(points, dtype=np.float64).T[:, :, None]
     start = np.asarray(polygon, dtype=np.float64)
+    return np.asarray(_in_blocks(_inside, np.asarray(points, dtype=np.float64), start), dtype=np.bool_)
+
+
+def _inside(points: Float64Array, start: Float64Array) -> BoolArray:
+    px, py = points.T[:, :, None]
     (ax, ay), (bx, by) = start.T, np.roll(start, -1, axis=0).T
     crosses = (ay > py) != (by > py)
     height = np.where(by == ay, 1.0, by - ay)
@@ -62,13 +70,24 @@ def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> BoolArray:
 
 def signed_distance(points: ArrayLike, polygon: ArrayLike) -> Float64Array:
     """Distance of each of `points` (n, 2) to the outline [m], shape (n,): positive outside, negative inside."""
-    points = np.asarray(points, dtype=np.float64)
     start = np.asarray(polygon, dtype=np.float64)
+    return np.asarray(_in_blocks(_distance, np.asarray(points, dtype=np.float64), start), dtype=np.float64)
+
+
+def _distance(points: Float64Array, start: Float64Array) -> Float64Array:
     edge = np.roll(start, -1, axis=0) - start
     from_start = points[:, None, :] - start
     along = np.clip(np.sum(from_start * edge, axis=2) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
     distance = np.min(np.linalg.norm(from_start - along[..., None] * edge, axis=2), axis=1)
-    return np.where(points_in_polygon(points, start), -distance, distance)
+    return np.where(_inside(points, start), -distance, distance)
+
+
+def _in_blocks(function: Callable[[Float64Array, Float64Array], Any], points: Float64Array, polygon: Float64Array) -> NDArray[Any]:
+    """`function` of the points, so many at once that all pairs of points and vertices fit into little memory."""
+    size = max(1, _PAIRS // max(1, len(polygon)))
+    if len(points) <= size:
+        return np.asarray(function(points, polygon))
+    return np.concatenate([function(points[at : at + size], polygon) for at in range(0, len(points), size)])
 
 
 def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:

@@ -56,10 +56,10 @@ def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
     outside = float(np.max(signed_distance(centres, shape.outline)))
     if outside > _CELLS_OUTSIDE * size:
         raise InputError(f"Cells lie up to {outside:.3g} m outside the outline, expected at most a cell of {size:.3g} m. {remedy}")
-    beyond = _distance_to_cells(shape)
+    beyond = _distance_to_cells(shape, _OUTLINE_BEYOND * size)
     if beyond > _OUTLINE_BEYOND * size:
         most = f"{_OUTLINE_BEYOND:g} cells of {size:.3g} m"
-        raise InputError(f"The outline lies up to {beyond:.3g} m away from the cells, expected at most {most}. {remedy}")
+        raise InputError(f"The outline lies {beyond:.3g} m away from the cells, expected at most {most}. {remedy}")
     return shape
 
 
@@ -93,8 +93,12 @@ def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def _distance_to_cells(shape: ObjectShape) -> float:
-    """Largest distance of a point of the outline from the nearest centre of a cell [m], to within half a cell."""
+def _distance_to_cells(shape: ObjectShape, allowed: float) -> float:
+    """Largest distance of a point of the outline from the nearest centre of a cell [m], to within half a cell.
+
+    It stops at the first edge that is further away than `allowed`, so that the work is bounded by the cells and not by what the outline
+    claims.
+    """
     start = shape.outline
     along = np.roll(start, -1, axis=0) - start
     worst = 0.0
@@ -103,4 +107,6 @@ def _distance_to_cells(shape: ObjectShape) -> float:
         points = a + np.arange(n)[:, None] / n * edge
         distance2 = np.min(np.sum((points[:, None] - shape.cells.centres) ** 2, axis=2), axis=1)
         worst = max(worst, float(np.sqrt(np.max(distance2))))
+        if worst > allowed:
+            break
     return worst

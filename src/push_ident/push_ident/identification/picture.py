@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.files import replaced
 from push_ident.identification.identifiability import Identifiability
 from push_ident.identification.result import ModelPosterior
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
@@ -114,8 +115,5 @@ def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str,
 
 
 def _save(figure: Figure, path: Path) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a folder with write permission.") from None
+    with replaced(path, "the picture", error=InputError) as file:
+        figure.savefig(file, dpi=110)

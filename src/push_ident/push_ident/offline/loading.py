@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
-from push_ident.bags.pushes import split_pushes
+from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
 from push_ident.identification.observation import observe_push
@@ -17,6 +18,11 @@ from push_ident.perception.pipeline import observe_offline
 from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["LoadedPushes", "load_pushes", "most_pushed", "track_from_depth"]
+
+_MAX_AGE: Final = 0.1
+"""Longest time between a depth image and the pusher's pose that places it in the image [s]."""
+_ENOUGH_PUSHES: Final = 100
+"""Number of pushes of an object from which it is seen whether they touch it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +88,8 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
 
     def robot_at(stamp: float) -> list[Cylinder]:
         """The pusher, if its position is known at that time."""
-        if not pusher.time[0] - 0.1 <= stamp <= pusher.time[-1] + 0.1 or np.min(np.abs(pusher.time - stamp)) > 0.1:
+        after = int(np.searchsorted(pusher.time, stamp))
+        if np.min(np.abs(pusher.time[max(after - 1, 0) : after + 1] - stamp)) > _MAX_AGE:
             return []
         x, y = (float(np.interp(stamp, pusher.time, pusher.value[:, axis])) for axis in (0, 1))
         return [Cylinder(x=x, y=y, radius=radius)]
@@ -102,10 +109,14 @@ def most_pushed(contents: BagContents) -> str:
     if len(contents.objects) == 1:
         return next(iter(contents.objects))
     touched = {}
-    for object_id, track in contents.objects.items():
-        if track.shape is not None and len(track.time) >= 2:
-            touched[object_id] = sum(observe_push(record).touched for record in split_pushes(contents, object_id))
+    for object_id, records in pushes_by_object(contents).items():
+        if records:
+            # A part of very many pushes shows as well which object is pushed.
+            some = records[:: 1 + len(records) // _ENOUGH_PUSHES]
+            touched[object_id] = float(np.mean([observe_push(record).touched for record in some])) * len(records)
     if not touched:
         reasons = " ".join(note for note in contents.notes if note.startswith("object "))
-        raise BagError(f"{contents.path}: none of the objects {', '.join(contents.objects)} has both usable cells and poses. {reasons}")
+        raise BagError(
+            f"{contents.path}: none of the objects {', '.join(contents.objects)} has cells, poses and a usable push. {reasons}".rstrip()
+        )
     return max(touched, key=lambda key: touched[key])

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from push_ident.errors import InputError
+from push_ident.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,8 +58,4 @@ def write_page(path: Path, package: str, template: str, context: Mapping[str, An
     environment.filters["mm"] = lambda metres, digits=1: "–" if metres is None or metres != metres else f"{1e3 * metres:.{digits}f} mm"
     environment.filters["figure"] = lambda text: Markup(text)
     page = environment.get_template(template).render(**context)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"Cannot write the report {path}: {error.strerror}; choose a folder with write permission.") from None
+    write_whole(path, page, "the report", error=InputError)

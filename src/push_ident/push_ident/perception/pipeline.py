@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -24,7 +24,7 @@ from push_ident.perception.topdown import TopDownGrid, top_down
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose, relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack
 
-__all__ = ["Observation", "ObservedObject", "Perception", "observe_offline"]
+__all__ = ["KnownObject", "Observation", "ObservedObject", "Perception", "observe_offline"]
 
 _MAX_JUMP: Final = (0.02, 0.2)
 """Largest distance of a fitted pose from the predicted one [m, rad]: no pushed object moves further between two frames."""
@@ -61,7 +61,7 @@ class Observation:
     objects: tuple[ObservedObject, ...]
     """All known objects that were tracked, lost or found again."""
     new_shapes: dict[str, ObjectShape]
-    """Shapes of the objects registered with this frame, by id."""
+    """Shapes of the objects registered with this frame, or remembered and found again, by id."""
     counts: dict[str, int]
     """Counts of each stage: `pixels`, `valid`, `tracked`, `lost`, and of the last search `table`, `robot`, `object_pixels`,
     `segments`, `too_small`, `beside_robot_or_cut`, `behind_another`, `waiting`; `table_hidden` counts the checks of the plane that
@@ -91,9 +91,23 @@ class Observation:
         return f"nothing on the table is higher than min_object_height ({counts['table']} pixels show the table)"
 
 
+@dataclass(frozen=True, slots=True)
+class KnownObject:
+    """What is needed to find an object again: how it was traced, and where it was last."""
+
+    traced: TracedObject
+    area: float
+    """Area of its segment [m^2]."""
+    pose: Float64Array
+    """(x, y, yaw) [m, m, rad], table frame."""
+
+
 @dataclass(slots=True)
 class _TrackedObject:
     """A registered object and its latest pose."""
+
+    traced: TracedObject
+    """How it was traced when it was registered."""
 
     template: Template
     area: float
@@ -103,6 +117,8 @@ class _TrackedObject:
     stamp: float
     velocity: Float64Array = field(default_factory=lambda: np.zeros(3))
     status: TrackStatus = TrackStatus.TRACKED
+    announced: bool = True
+    """Whether its shape has been reported; that of a remembered object is when it is found again."""
 
     def predicted(self, stamp: float) -> Float64Array:
         """Pose at constant velocity."""
@@ -166,6 +182,22 @@ class Perception:
         """Optical frame in the table frame, shape (4, 4): the extrinsics, corrected by the plane of the table."""
         return self._camera
 
+    def remember(self, objects: Mapping[str, KnownObject]) -> None:
+        """Look for objects of an earlier run as for lost ones: they keep their ids, shapes and object frames.
+
+        To be called before the first frame, and again where time went back.
+        """
+        for name, known in objects.items():
+            pose = np.array(known.pose, dtype=np.float64)
+            tracked = _TrackedObject(known.traced, Template(known.traced), known.area, known.traced.pose, pose, -np.inf)
+            tracked.status, tracked.announced = TrackStatus.OUT_OF_VIEW, False
+            self._tracked[name] = tracked
+
+    def known(self, object_id: str) -> KnownObject:
+        """A known object, for `remember`."""
+        own = self._tracked[object_id]
+        return KnownObject(own.traced, own.area, own.pose)
+
     def first_pose(self, object_id: str) -> Float64Array:
         """Pose (x, y, yaw) of a known object when it was registered, table frame: it defines the object frame."""
         return self._tracked[object_id].first_pose
@@ -202,7 +234,7 @@ class Perception:
             labels = label_pixels(points, robot, self.settings)
             if search_due:
                 fits.update(self._search(frame, points, labels, robot))
-                new_shapes = self._register(frame.stamp)
+                new_shapes = self._announce() | self._register(frame.stamp)
                 self._search_counts["waiting"] = len(self._candidates)
             if occupancy_due:
                 occupancy = top_down(points, labels, self.settings)
@@ -262,6 +294,8 @@ class Perception:
         """Fit all known objects near their predicted poses."""
         fits = {}
         for name, known in self._tracked.items():
+            if not known.announced:
+                continue  # where it was in an earlier run is no place to start from
             start = known.predicted(frame.stamp)
             fit = fit_pose(known.template, self._scene(name, frame, robot), start)
             jumped = np.hypot(*(fit.pose - start)[:2]) > _MAX_JUMP[0] or abs(fit.pose[2] - start[2]) > _MAX_JUMP[1]
@@ -333,6 +367,13 @@ class Perception:
                 return _Candidate(segment, [*candidate.frames, frame])
         return _Candidate(segment, [frame])
 
+    def _announce(self) -> dict[str, ObjectShape]:
+        """Shapes of the remembered objects that were just found."""
+        found = {name: own for name, own in self._tracked.items() if not own.announced and own.status is TrackStatus.TRACKED}
+        for own in found.values():
+            own.announced = True
+        return {name: own.traced.shape for name, own in found.items()}
+
     def _register(self, stamp: float) -> dict[str, ObjectShape]:
         """Turn candidates that were at rest for long enough into objects; their shapes by id."""
         assert self._plane is not None
@@ -344,8 +385,8 @@ class Perception:
             main = SegmentedView(frame, self._camera, candidate.segment, self._plane.noise / np.sqrt(len(candidate.frames)))
             traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp)
             traced = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
-            name = f"o{len(self._tracked) + 1}"
-            self._tracked[name] = _TrackedObject(Template(traced), candidate.segment.area, traced.pose, traced.pose, stamp)
+            name = f"o{1 + max((int(name[1:]) for name in self._tracked), default=0)}"
+            self._tracked[name] = _TrackedObject(traced, Template(traced), candidate.segment.area, traced.pose, traced.pose, stamp)
             new_shapes[name] = traced.shape
         return new_shapes
 

@@ -3,9 +3,10 @@
 1. A push is an interval of time. A push record gives it. Without one it is a run of pusher samples without a pause over `gap`.
 2. A push owns the time between the midpoints to the intervals before and after it, those of failed pushes included.
 3. Of the poses that it owns, a push takes those up to `gap` around its interval. Where there is none at or before its start, it takes the
-   last one before; where there is none at or after its end, the first one after.
+   last one before; where there is none at or after its end, the first one after; neither is farther than a minute.
 4. It takes the pusher samples and forces within its interval.
-5. A failed push, one with fewer than 2 pusher samples, or one with fewer than 2 poses of an object gives no record.
+5. A failed push, one that lasts or travels beyond `limits.py`, one with fewer than 2 pusher samples, or one with fewer than 2 poses of an
+   object gives no record.
 
 Each topic arrives in order, but nothing orders one topic among the others: after a stall, or from a bag that is played fast, poses may be
 seconds ahead of the pusher. Nothing here depends on the order across streams: a push is complete when every stream that still delivers
@@ -15,15 +16,16 @@ has passed it. A stream that falls behind itself means that time was set back.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident.errors import InputError
+from push_ident.limits import LIMITS
+from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
 __all__ = ["LIVE_CAPACITY", "CutPush", "PushCutter", "PushInterval"]
 
@@ -36,6 +38,8 @@ _MAX_RECORDS: Final = 100
 _SILENT_CALLS: Final = 3
 """A stream without a sample between so many calls of `finished` has delivered all it had. A node handles one waiting message of each
 topic between two calls of a timer, so that no message can be waiting then."""
+_NEAREST: Final = 60.0
+"""Farthest pose before or after a push that shows the object at rest there [s]."""
 _ROUNDING: Final = 5e-7
 """Stamps and ends of intervals went through different roundings [s]."""
 
@@ -80,8 +84,24 @@ class _Samples:
         if self.capacity is not None and len(self.time) >= 2 * self.capacity:
             self._drop(len(self.time) - self.capacity)
 
-    def select(self, chosen: NDArray[np.intp]) -> tuple[Float64Array, list[Any]]:
-        return np.array([self.time[i] for i in chosen], dtype=np.float64), [self.value[i] for i in chosen]
+    def select(self, start: float, end: float) -> tuple[Float64Array, list[Any]]:
+        """Times and values from `start` to `end`, both included."""
+        chosen = slice(bisect_left(self.time, start - _ROUNDING), bisect_right(self.time, end + _ROUNDING))
+        return np.array(self.time[chosen], dtype=np.float64), self.value[chosen]
+
+    def around(self, span: tuple[float, float], window: tuple[float, float], gap: float) -> tuple[Float64Array, list[Any]]:
+        """Poses of a push: during it, at rest around it, and where there are none at rest the nearest one on that side; rules 2 and 3."""
+        start, end = span
+        own_first, own_last = bisect_right(self.time, window[0]), bisect_right(self.time, window[1])
+        first, last = bisect_left(self.time, start - gap), bisect_right(self.time, end + gap)
+        first = max(first, own_first)
+        last = max(min(last, own_last), first)
+        # The pose nearest to an end may be far from it, but the simulation steps through all the time to it.
+        if bisect_right(self.time, start) <= first > own_first and self.time[first - 1] >= start - _NEAREST:
+            first -= 1
+        if (first == last or bisect_left(self.time, end) >= last) and last < own_last and self.time[last] <= end + _NEAREST:
+            last += 1
+        return np.array(self.time[first:last], dtype=np.float64), self.value[first:last]
 
     def forget(self, before: float) -> None:
         """Drop what is older than `before`, except the last of it."""
@@ -138,6 +158,8 @@ class PushCutter:
         self._handed_out_until = -math.inf
         """End of the last push that was handed out [s]."""
         self._now = -math.inf
+        self._before = math.inf
+        """Time when it was last set back [s]."""
         self._streams: dict[str, _Stream] = {}
         self._cuts: deque[float] = deque()
         self._records: deque[PushInterval] = deque(maxlen=None if capacity is None else _MAX_RECORDS)
@@ -224,14 +246,17 @@ class PushCutter:
         elif stamp <= stream.latest:
             return False
         elif stream.is_behind:
-            stream.is_behind = self._now < stream.latest
+            # What is left from before time was set back is not later than the time then: if this is, one message was late, not the clock.
+            stream.is_behind = self._now < stream.latest and stamp <= self._before + _JUMP_BACK
         stream.latest = stamp
         if not stream.is_behind:
             self._now = max(self._now, stamp)
         return not stream.is_behind
 
     def _set_back(self, stamp: float) -> None:
+        before = self._now
         self._forget_all()
+        self._before = before
         self._now = stamp
         self.run += 1
         for stream in self._streams.values():
@@ -333,14 +358,13 @@ class PushCutter:
     def _cut(self, object_id: str, interval: PushInterval, window: tuple[float, float]) -> PushRecord | str:
         """The record of one object, or why there is none: rules 3 to 5."""
         start, end = interval.start, interval.end
-        samples = _within(np.array(self._pusher.time), start, end)
-        poses = self._poses.get(object_id) or _Samples(self._capacity)
-        chosen = _choose_poses(np.array(poses.time), (start, end), window, self._gap)
-        if reason := _unusable(interval.error_code, int(np.count_nonzero(samples)), len(chosen)):
+        if interval.error_code:
+            return f"its push record has error code {interval.error_code}"
+        time, positions = self._pusher.select(start, end)
+        stamps, observed = (self._poses.get(object_id) or _Samples(None)).around((start, end), window, self._gap)
+        if reason := _unusable(time, np.array(positions).reshape(-1, 2), len(stamps)):
             return reason
-        time, positions = self._pusher.select(np.flatnonzero(samples))
-        wrench_time, forces = self._wrench.select(np.flatnonzero(_within(np.array(self._wrench.time), start, end)))
-        stamps, observed = poses.select(chosen)
+        wrench_time, forces = self._wrench.select(start, end)
         return PushRecord(
             object_id=object_id,
             shape=self._shapes[object_id],
@@ -361,28 +385,17 @@ def _midpoint(end: float, start: float) -> float:
     return 0.5 * (end + start)
 
 
-def _unusable(error_code: int, n_pusher: int, n_poses: int) -> str:
+def _unusable(time: Float64Array, positions: Float64Array, n_poses: int) -> str:
     """Why an interval gives no record; empty when it does."""
-    if error_code:
-        return f"its push record has error code {error_code}"
-    if n_pusher < 2:
-        return f"{n_pusher} pusher poses, expected at least 2"
+    if len(time) < 2:
+        return f"{len(time)} pusher poses, expected at least 2"
     if n_poses < 2:
         return f"{n_poses} object poses, expected at least the two end poses"
+    try:
+        LIMITS.PUSH_SECONDS.check(
+            float(time[-1] - time[0]), "it is no push", remedy="Record push records, or the pusher only during pushes."
+        )
+        LIMITS.PUSH_TRAVEL.check(float(np.sum(np.linalg.norm(np.diff(positions, axis=0), axis=1))), "it is no push")
+    except InputError as error:
+        return str(error).rstrip(".")
     return ""
-
-
-def _within(time: Float64Array, start: float, end: float) -> BoolArray:
-    return (time >= start - _ROUNDING) & (time <= end + _ROUNDING)
-
-
-def _choose_poses(time: Float64Array, span: tuple[float, float], window: tuple[float, float], gap: float) -> NDArray[np.intp]:
-    """Frames of a push: during it, at rest around it, and where there are none at rest the nearest one on that side."""
-    start, end = span
-    own = (time > window[0]) & (time <= window[1])
-    taken = own & (time >= start - gap) & (time <= end + gap)
-    if not (taken & (time <= start)).any():
-        taken[np.flatnonzero(own & (time < start))[-1:]] = True
-    if not (taken & (time >= end)).any():
-        taken[np.flatnonzero(own & (time > end))[:1]] = True
-    return np.flatnonzero(taken)

@@ -14,6 +14,7 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.pushing.motion import ArmMotion, ArmPlan, MotionSettings, plan_push, plan_retreat
+from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
@@ -109,6 +110,8 @@ class ExecutedPush:
     ended: float = 0.0
     error: PlanningError | None = None
     """Why it failed."""
+    pacing: PathPacing | None = None
+    """Tells when which part of the plan was reached."""
     _last: tuple[float, float] | None = None
 
     def observe(self, state: ArmState) -> None:
@@ -122,8 +125,11 @@ class ExecutedPush:
 
     def times(self) -> tuple[float, float, float]:
         """Start, stop and end of the push [s]. A phase that was not reached has the time of the end."""
-        end = min(self.started + self.plan.rested, self.ended)
-        return min(self.started + self.plan.lowered, end), min(self.started + self.plan.stop, end), end
+        start, stop, end = (min(self._reached(t), self.ended) for t in (self.plan.lowered, self.plan.stop, self.plan.rested))
+        return start, stop, end
+
+    def _reached(self, path_time: float) -> float:
+        return np.inf if self.pacing is None else self.pacing.time_of(path_time)
 
 
 @dataclass(slots=True)
@@ -178,6 +184,10 @@ class PushExecution:
         if self._one_at_a_time.acquire(timeout=timeout):
             self._one_at_a_time.release()
 
+    def start(self) -> None:
+        """Take requests again after `stop`."""
+        self._stopped.clear()
+
     def close_hand(self, timeout: float) -> str:
         """Close the hand; why it is not a closed fist, empty when it is."""
         if not self._one_at_a_time.acquire(blocking=False):
@@ -194,7 +204,8 @@ class PushExecution:
             outcome.error = PlanningError(PushCode.BUSY, "another push is under way; wait for it or cancel it.")
             return outcome
         try:
-            _Execution(self, self._ports, self._watch, request, settings, client, outcome).run()
+            with self._ports.arm.in_use():
+                _Execution(self, self._ports, self._watch, request, settings, client, outcome).run()
         except PlanningError as error:
             outcome.error = error
         except InputError as error:
@@ -365,7 +376,7 @@ class _Execution:
     def _make(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
         """Make one push, planned once more where the arm was moved, and report it once it has begun, however it ends.
 
-        `phase_at` gives the phase to report for a time since the start [s].
+        `phase_at` gives the phase to report for a time of the plan [s].
         """
         was_pushing = False
         try:
@@ -387,9 +398,9 @@ class _Execution:
     def _move(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
         reported: tuple[Phase | None, float] = (None, -np.inf)
 
-        def on_start(motion: ArmMotion, started: float) -> None:
+        def on_start(motion: ArmMotion, pacing: PathPacing) -> None:
             assert isinstance(motion, ArmPlan)
-            push.push_id, push.plan, push.started = self.owner.begin(), motion, started
+            push.push_id, push.plan, push.started, push.pacing = self.owner.begin(), motion, pacing.started, pacing
 
         def on_look(elapsed: float, state: ArmState) -> None:
             nonlocal reported
@@ -419,7 +430,7 @@ class _Execution:
                 self.settings.limits,
                 replan=plan_from,
                 check_wanted=self._check_wanted,
-                on_start=lambda motion, started: None,
+                on_start=lambda motion, pacing: None,
                 on_look=lambda elapsed, state: self.client.feedback(Phase.RETREAT, 1.0),
             )
         except PlanningError as error:
@@ -447,7 +458,9 @@ class _Execution:
 
     def _check_contact(self, push: ExecutedPush) -> None:
         """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived after the push."""
-        before, stop, clock = push.before, push.started + push.plan.stop, self.ports.clock
+        before, clock = push.before, self.ports.clock
+        assert push.pacing is not None  # the motion has been made
+        stop = push.pacing.time_of(push.plan.stop)
         deadline = clock.monotonic() + self.settings.pose_timeout
         after = self.ports.objects.get(before.object_id, np.inf)
         while after.stamp <= stop:
@@ -465,7 +478,7 @@ class _Execution:
 
 
 def phase_of(plan: ArmPlan, elapsed: float) -> Phase:
-    """Phase of a push at a time since its start [s]."""
+    """Phase of a push at a time of its plan [s]."""
     if elapsed < plan.lowered:
         return Phase.APPROACH
     if elapsed < plan.stop:

@@ -56,6 +56,7 @@ PARAMETERS: Final = (
     Parameter("tool_length", 0.08, "from the tip of the tool to the hand that holds it, until pusher/shape gives another [m]", 0.0, 1.0),
     Parameter("hand_radius", 0.09, "radius of the hand above the tool that is masked [m]", 0.0, 0.5),
     Parameter("link_radius", 0.1, "thickness of the arm's links that its description gives as meshes [m]", 0.01, 0.5, read_only=True),
+    Parameter("state_directory", "", "where the shapes and poses of objects are kept through restarts; empty: nowhere", read_only=True),
     Parameter("extrinsics_timeout", 10.0, "without extrinsics for so long the node reports an error [s]", 0.1, 3600.0),
     Parameter(
         "mark_outline", "0,0 0.15,0 0,0.1", "corners x,y x,y ... of the calibration mark in its own frame, no symmetry [m]", read_only=True

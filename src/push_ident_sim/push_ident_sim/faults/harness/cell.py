@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from geometry_msgs.msg import Point
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue, SetParametersResult
@@ -22,7 +22,7 @@ from push_ident_msgs.srv import SaveModel
 from push_ident_sim.faults.harness.monitor import Goal, Monitor, until
 from push_ident_sim.faults.harness.process import Process
 from push_ident_sim.faults.harness.proxy import Proxy, source_of
-from push_ident_sim.faults.harness.topics import OBJECT
+from push_ident_sim.faults.harness.topics import OBJECT, SEEN, TOPICS, qos_of
 from push_ident_sim.studies.common.live_nodes import own_domain
 
 __all__ = ["ARM_CELL", "CAMERA_CELL", "Cell", "CellPlan", "live_cell"]
@@ -59,10 +59,11 @@ class CellPlan:
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
+OBJECT_POSE: Final = f"objects/{OBJECT}/pose"
 ARM_CELL: Final = CellPlan(
     "arm",
     ("sim_cell_node", "push_executor_node", "identification_node"),
-    ("joint_states", "pusher/wrench", "/clock", "robot_description", f"objects/{OBJECT}/pose", "push_record", "pusher/pose"),
+    ("joint_states", "pusher/wrench", "/clock", "robot_description", OBJECT_POSE, "push_record", "pusher/pose"),
     {"sim_cell_node": {"camera_rate": 0.0, "truth_as_perception": True}, "push_executor_node": _EXECUTOR},
 )
 """Poses come from the simulated world, without a camera."""
@@ -93,6 +94,7 @@ class Cell:
         self.proxy = Proxy(self.monitor.node, plan.through)
         self.proxy.watch("joint_states", self.monitor.on_state)
         self.processes: dict[str, Process] = {}
+        self._watched: dict[str, list[tuple[float, Any]]] = {}
         for command in self._commands():
             self.add(command)
 
@@ -119,6 +121,20 @@ class Cell:
     def remove(self, name: str) -> None:
         """Stop a process that was added."""
         self.processes.pop(name).interrupt()
+
+    def watch(self, topic: str) -> list[tuple[float, Any]]:
+        """Messages of a topic of `TOPICS` from now on, each with its time of receipt [s]; the list grows."""
+        if topic not in self._watched:
+            kept = self._watched[topic] = []
+            self.monitor.node.create_subscription(
+                TOPICS[topic].kind, topic, lambda msg: kept.append((time.monotonic(), msg)), qos_of(topic)
+            )
+        del self._watched[topic][:]
+        return self._watched[topic]
+
+    def watch_poses(self) -> list[tuple[float, Any]]:
+        """The same of the poses of the first object that the camera sees."""
+        return self.watch(f"objects/{SEEN}/pose")
 
     # ---- pushes
 
@@ -184,13 +200,20 @@ class Cell:
         self.monitor.withdraw()
         for process in self.processes.values():
             process.start()
-        self.await_executor()
+        self.await_ready()
         # Where the arm was held beside the object, it stays where it is: the next push goes up first.
         self.monitor.call(Trigger, "sim_cell_node/reset", Trigger.Request())
 
+    def await_ready(self) -> None:
+        """Until the executor can plan a push; in a cell without one, until the arm reports."""
+        if "push_executor_node" in self.plan.nodes:
+            self.await_executor()
+        else:
+            until(lambda: self.monitor.last_state > 0.0, _STARTUP, "no joint states came")
+
     def await_executor(self) -> None:
         """Until the executor can plan a push."""
-        goal = self.goal() if self.plan.name == "arm" else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
+        goal = self.goal() if OBJECT_POSE in self.plan.through else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
         goal.dry_run = True
         deadline, says = time.monotonic() + _STARTUP, ""
         while time.monotonic() < deadline:
@@ -242,7 +265,7 @@ def live_cell(plan: CellPlan, folder: Path) -> Iterator[Cell]:
     domain = int(os.environ.get("ROS_DOMAIN_ID") or own_domain())
     cell = Cell(plan, folder, domain)
     try:
-        cell.await_executor()
+        cell.await_ready()
         yield cell
     finally:
         cell.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import sys
 import time
@@ -32,10 +31,12 @@ from push_ident_sim.studies.endurance.witness import Witness, tracebacks
 
 __all__ = ["STUDY"]
 
-_CALM, _AGAIN, _DISTURBED = "undisturbed", "undisturbed, other pushes", "disturbed"
+_CALM, _AGAIN, _DISTURBED = "undisturbed", "again", "disturbed"
 _NODES: Final = ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node")
 _CALM_SHARE: Final = 0.25
 """Duration of an undisturbed run, relative to the disturbed one."""
+_DOMAIN: Final = 30
+"""First ROS domain, that of the first variant: they may run beside each other."""
 _SETTLING: Final = 60.0
 """Without faults at the end [s]."""
 _SILENCE: Final = 20.0
@@ -65,7 +66,7 @@ class _Run:
         self._diagnoses: Counter[str] = Counter()
 
     def run(self) -> Json:
-        domain = 30 + random.Random(self._seed).randrange(10)
+        domain = _DOMAIN + STUDY.variants.index(self._case.variant)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         shutil.rmtree(self._folder, ignore_errors=True)
         state = self._folder / "state"
@@ -156,7 +157,7 @@ def _pause(client: CellClient) -> None:
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     minutes = settings.minutes * (1.0 if case.variant == _DISTURBED else _CALM_SHARE)
-    folder = settings.truth_folder.parent / "endurance" / case.key.replace(", ", "-").replace(" ", "-")
+    folder = settings.truth_folder.parent / "endurance" / case.key
     values = _Run(case, minutes, folder).run()
     _, posterior = load_model(Path(values["model"]))
     _, held_out, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, _EXACT)

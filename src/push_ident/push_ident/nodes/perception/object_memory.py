@@ -1,0 +1,126 @@
+"""Known objects as files: after a restart perception finds them again, with their ids, cells and object frames.
+
+Without them a restarted perception traces an object anew, in another object frame, and the maps of the object do not fit any more.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from push_ident.errors import InputError, ModelFileError, PushIdentError
+from push_ident.files import write_whole
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.model_file import read_checked
+from push_ident.perception.pipeline import KnownObject
+from push_ident.perception.shape import TracedObject
+from push_ident.types import CellGrid, Float64Array, ObjectShape
+
+__all__ = ["ObjectMemory"]
+
+_FORMAT: Final = "push_ident/object/1"
+_SUFFIX: Final = ".object.json"
+_POSE_SUFFIX: Final = ".pose.json"
+_REMEDY: Final = "remove it to trace the object anew"
+_MOVED: Final = (0.002, 0.02)
+"""A pose that differs by more is written again [m, rad]: it only has to tell one half turn of the object from the other."""
+
+
+class _Object(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    format: str
+    object_id: str
+    outline: list[tuple[float, float]]
+    cells: list[tuple[float, float]]
+    cell_size: float
+    pose: tuple[float, float, float]
+    top: list[list[float]]
+    top_origin: tuple[float, float]
+    top_resolution: float
+    area: float
+
+
+class ObjectMemory:
+    """The objects in a folder.
+
+    Args:
+        folder: where they are kept; empty: nowhere.
+    """
+
+    def __init__(self, folder: str) -> None:
+        self._folder = Path(folder).expanduser() if folder else None
+        self._written: dict[str, Float64Array] = {}
+
+    def load(self) -> dict[str, KnownObject]:
+        """All objects, by id. Raises ModelFileError: a file cannot be used."""
+        if self._folder is None:
+            return {}
+        objects = [_read(path) for path in sorted(self._folder.glob(f"*{_SUFFIX}"))]
+        return {object_id: KnownObject(traced, area, self._pose(object_id, traced.pose)) for object_id, traced, area in objects}
+
+    def keep(self, object_id: str, known: KnownObject) -> None:
+        """Write an object, unless it is there. Raises ModelFileError: it cannot be written."""
+        if self._folder is None:
+            return
+        path = self._folder / f"{object_id}{_SUFFIX}"
+        if path.exists():
+            return
+        traced = known.traced
+        content = _Object(
+            format=_FORMAT,
+            object_id=object_id,
+            outline=traced.shape.outline.tolist(),
+            cells=traced.shape.cells.centres.tolist(),
+            cell_size=traced.shape.cells.size,
+            pose=tuple(traced.pose.tolist()),
+            top=traced.top.tolist(),
+            top_origin=tuple(np.asarray(traced.top_origin).tolist()),
+            top_resolution=float(traced.top_resolution),
+            area=float(known.area),
+        )
+        write_whole(path, content.model_dump_json(), "a known object", private=True, error=ModelFileError)
+
+    def keep_pose(self, object_id: str, pose: Float64Array) -> None:
+        """Write the latest pose of an object where it has moved; the file survives a kill, not a power cut."""
+        last = self._written.get(object_id)
+        if self._folder is None or (
+            last is not None and np.hypot(*(pose - last)[:2]) < _MOVED[0] and abs(wrap_angle(pose[2] - last[2])) < _MOVED[1]
+        ):
+            return
+        self._written[object_id] = np.array(pose)
+        path = self._folder / f"{object_id}{_POSE_SUFFIX}"
+        with suppress(PushIdentError):  # not durable: a slow disk must not hold up the next frame
+            write_whole(path, json.dumps([float(value) for value in pose]), "the pose of an object", private=True, durable=False)
+
+    def _pose(self, object_id: str, first: Float64Array) -> Float64Array:
+        """The latest pose, that of the tracing where there is none."""
+        assert self._folder is not None
+        try:
+            pose = np.array(json.loads((self._folder / f"{object_id}{_POSE_SUFFIX}").read_text(encoding="ascii")), dtype=np.float64)
+        except (OSError, ValueError):
+            return first
+        return pose if pose.shape == (3,) and np.all(np.isfinite(pose)) else first
+
+
+def _read(path: Path) -> tuple[str, TracedObject, float]:
+    content = read_checked(path, _Object, "a known object", _REMEDY)
+    if content.format != _FORMAT or not content.object_id[1:].isdigit() or path.name != content.object_id + _SUFFIX:
+        raise ModelFileError(f"{path} has the format `{content.format}` and the id `{content.object_id}`, expected `{_FORMAT}`; {_REMEDY}.")
+    try:
+        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), traced_by_camera=True)
+        top = np.array(content.top, dtype=np.float32)
+    except (InputError, ValueError) as error:
+        raise ModelFileError(f"{path} does not describe an object: {error}; {_REMEDY}.") from None
+    if top.ndim != 2 or top.size == 0 or not content.top_resolution > 0:
+        raise ModelFileError(f"{path} has heights of shape {top.shape}, expected two dimensions; {_REMEDY}.")
+    return (
+        content.object_id,
+        TracedObject(shape, np.array(content.pose), top, np.array(content.top_origin), content.top_resolution),
+        content.area,
+    )

@@ -1,0 +1,175 @@
+"""The executor while it is fuzzed: an arm that follows its commands, an object on the table, and every command checked."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped, WrenchStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_to_msg
+from push_ident.types import Float64Array, ObjectShape
+from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import HandStatus
+from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.fuzz.bench import NodeFailure
+from push_ident_sim.fuzz.scenes import Scene
+from push_ident_sim.fuzz.traffic import Arm
+
+__all__ = ["Executor"]
+
+_PARKED: Final = (0.5, *HOME[1:])
+_SPEED: Final = 2.0
+"""Limit of every joint that the node is given [rad/s]."""
+_MORE: Final = 1.3
+"""Commanded speeds may be above the limit by this factor: between two points a cubic is faster than the straight line."""
+_JUMP: Final = 0.15
+"""Largest distance of a command from where the arm is, beside what it could move in the time given [rad]."""
+_PERIOD: Final = 0.02
+_ATTEMPTS: Final = 3
+"""For a valid push: the object may have to be seen again first."""
+_BUSY: Final = 90.0
+"""Longest wait for pushes that mutated goals have started [s]."""
+_FIST: Final = HandStatus(g_act=1, g_mod=0, g_gto=1, g_imc=3, g_sta=2, g_flt=0, g_pra=255)
+
+
+class Executor(Scene):
+    """Pushes a box again and again while it is fuzzed."""
+
+    own_parameters: ClassVar[dict[str, object]] = {
+        "max_joint_velocity": _SPEED,
+        "max_joint_acceleration": 10.0,
+        "free_speed": 0.5,
+        "settle": 0.2,
+        "rest": 0.4,
+        "home_posture": list(_PARKED),
+        "workspace": [-0.1, 0.2, -0.25, 0.25],
+        "arm_timeout": 0.5,
+        "tracking_lag": 0.5,
+        "lost_timeout": 2.0,
+        "hand": "simulated",
+        "hand_timeout": 5.0,
+    }
+
+    def prepare(self) -> None:
+        """Arm, hand, force sensor and the object, on timers."""
+        self.arm = Arm(_PARKED)
+        self._checked = self._ticks = 0
+        self._goal: Any = None
+        self._began = 0.0
+        shape = ObjectShape(cells_in_outline(Arm.BOX, 0.01), Arm.BOX)
+        cells, outline = shape_to_msgs(shape, "box", stamp_to_msg(1.0))
+        self.keep("/robot_description", String(data=robot_description()))
+        self.keep("/objects/box/cells", cells)
+        self.keep("/objects/box/outline", outline)
+        for topic, kind in (
+            ("/joint_states", JointState),
+            ("/objects/box/pose", PoseWithCovarianceStamped),
+            ("/pusher/wrench", WrenchStamped),
+            ("/Robotiq3FGripper/InputRegisters", HandStatus),
+        ):
+            self.bench.offer(topic, kind)
+        self.bench.node.create_subscription(JointTrajectory, "/joint_trajectory", self.arm.on_command, 50)
+        self.bench.node.create_timer(_PERIOD, self._tick)
+
+    def _tick(self) -> None:
+        self.arm.step()
+        self._ticks += 1
+        stamp = self.bench.node.get_clock().now().to_msg()
+        self.send("/joint_states", self.arm.states(stamp))
+        self.send("/pusher/wrench", force_to_msg(stamp, np.array([0.6, -0.8])))
+        if self._ticks % 2 == 0:
+            self.send("/objects/box/pose", planar_pose_to_msg(stamp, self.arm.box, 1e-6 * np.eye(3)))
+        if self._ticks % 5 == 0:
+            self.send("/Robotiq3FGripper/InputRegisters", _FIST)
+
+    def step(self) -> None:
+        """Start a push when none is under way."""
+        if self._goal is not None and not self._goal.done() and time.monotonic() < self._began + 20.0:
+            return
+        self.arm.box[:] = 0.0, 0.02, 0.3
+        self._began = time.monotonic()
+        self._goal = self._send_goal(self._push())
+
+    def _push(self) -> ExecutePush.Goal:
+        return ExecutePush.Goal(
+            object_id="box", contact_point=Point(x=0.05, y=0.0), frame_id="object_box", direction=math.pi, distance=0.06, speed=0.2
+        )
+
+    def requests(self, service: str) -> list[Any]:
+        """A push."""
+        if service != "/execute_push/_action/send_goal":
+            return []
+        goal = self.bench.kind_of("push_ident_msgs/action/ExecutePush_SendGoal").Request(goal=self._push())
+        goal.goal_id.uuid = list(np.random.default_rng().integers(0, 256, 16).tolist())
+        return [goal]
+
+    def _send_goal(self, goal: ExecutePush.Goal) -> Any:
+        """Future of the result; None when the goal was refused."""
+        service = self.bench.kind_of("push_ident_msgs/action/ExecutePush_SendGoal")
+        request = service.Request(goal=goal)
+        request.goal_id.uuid = list(np.random.default_rng().integers(0, 256, 16).tolist())
+        if not self.bench.call("/execute_push/_action/send_goal", service, request).accepted:
+            return None
+        kind = self.bench.kind_of("push_ident_msgs/action/ExecutePush_GetResult")
+        return self.bench.ask("/execute_push/_action/get_result", kind, kind.Request(goal_id=request.goal_id))
+
+    def work(self) -> None:
+        """A push is made as planned; another push that a mutated goal started may have to end first."""
+        deadline, left = time.monotonic() + _BUSY, _ATTEMPTS
+        while True:
+            self.bench.wait(lambda: self._goal is None or self._goal.done(), 20.0)
+            self.arm.box[:] = 0.0, 0.02, 0.3
+            self.bench.spin(0.5)
+            self._goal = self._send_goal(self._push())
+            done = self._goal is not None and self.bench.wait(self._goal.done, 30.0)
+            self.require(done, "a valid push did not end within 30 s")
+            result = self._goal.result().result
+            self.check()
+            if result.error_code == 0:
+                return
+            busy = result.error_code == ExecutePush.Result.BUSY
+            left -= not busy
+            self.require(left > 0 and time.monotonic() < deadline, f"a valid push fails, {result.error_code}: {result.error_text}")
+            self.bench.spin(1.0)
+
+    def check(self) -> None:
+        """No command beyond the limits of the arm, none that jumps."""
+        new, self._checked = self.arm.commands[self._checked :], len(self.arm.commands)
+        for _, q, msg in new:
+            if fault := command_fault(q, msg, self.arm):
+                raise NodeFailure("motion", fault)
+        if len(self.arm.commands) > 1000:
+            del self.arm.commands[:-100]
+            self._checked = len(self.arm.commands)
+
+
+def command_fault(q: Float64Array, msg: JointTrajectory, arm: Arm) -> str:
+    """What is wrong with a command to an arm that stands at `q` [rad]; empty when nothing is."""
+    if sorted(msg.joint_names) != sorted(arm.names):
+        return f"command for joints {list(msg.joint_names)}"
+    order = [list(msg.joint_names).index(name) for name in arm.names]
+    if any(len(point.positions) != len(order) for point in msg.points) or not msg.points:
+        return "command whose points do not have one position for each joint"
+    times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+    positions = np.array([p.positions for p in msg.points])[:, order]
+    if not np.isfinite(positions).all():
+        return "command that is not finite"
+    low, high = arm.kinematics.position_lower, arm.kinematics.position_upper
+    if np.any(positions < low - 1e-6) or np.any(positions > high + 1e-6):
+        return f"command beyond the joint limits: {positions.min(axis=0)} to {positions.max(axis=0)}"
+    steps = np.diff(times)
+    if np.any(steps <= 0.0):
+        return "command whose times do not increase"
+    jump = float(np.abs(positions[0] - q).max())
+    if jump > _JUMP + _SPEED * _MORE * float(times[0]):
+        return f"command that starts {jump:.3f} rad from the arm, at {times[0]:.3f} s"
+    if len(steps) and (speed := float((np.abs(np.diff(positions, axis=0)) / steps[:, None]).max())) > _SPEED * _MORE:
+        return f"command with {speed:.2f} rad/s, allowed {_SPEED} rad/s"
+    return ""

@@ -1,0 +1,77 @@
+"""Known objects survive a restart of perception."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.depth_scene import CAMERA, HAMMER, render
+from push_ident.errors import ModelFileError
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.nodes.perception.object_memory import ObjectMemory
+from push_ident.perception.pipeline import Perception
+from push_ident.perception.tracking import TrackStatus
+
+FIRST, LATER = np.array([0.03, -0.02, 0.4]), np.array([-0.05, 0.04, 2.1])
+
+
+def watch(perception: Perception, pose: np.ndarray, start: float, n_frames: int = 15):
+    """Observations of the hammer at rest."""
+    rng = np.random.default_rng(round(1e3 * start))
+    return [perception.observe(render([p.at(pose) for p in HAMMER], rng=rng, stamp=start + 0.1 * i)) for i in range(n_frames)]
+
+
+@pytest.fixture(scope="module")
+def before() -> Perception:
+    perception = Perception(CAMERA)
+    watch(perception, FIRST, 0.0)
+    return perception
+
+
+def test_object_of_an_earlier_run_is_found_with_its_id_its_cells_and_its_frame(before: Perception, tmp_path: Path) -> None:
+    memory = ObjectMemory(str(tmp_path))
+    memory.keep("o1", before.known("o1"))
+    memory.keep_pose("o1", before.known("o1").pose)
+    after = Perception(CAMERA)
+    after.remember(ObjectMemory(str(tmp_path)).load())
+    seen = watch(after, LATER, 7.0)
+    shapes = [shape for observation in seen for shape in observation.new_shapes.items()]
+    assert [name for name, _ in shapes] == ["o1"]
+    np.testing.assert_array_equal(shapes[0][1].cells.centres, before.known("o1").traced.shape.cells.centres)
+    (found,) = seen[-1].objects
+    assert found.status is TrackStatus.TRACKED and found.pose is not None
+    turned = float(wrap_angle(found.pose[2] - before.known("o1").pose[2]))
+    assert turned == pytest.approx(float(wrap_angle(LATER[2] - FIRST[2])), abs=0.02)
+
+
+def test_object_that_is_not_there_has_no_pose(before: Perception, tmp_path: Path) -> None:
+    memory = ObjectMemory(str(tmp_path))
+    memory.keep("o1", before.known("o1"))
+    after = Perception(CAMERA)
+    after.remember(memory.load())
+    seen = watch(after, np.array([5.0, 0.0, 0.0]), 9.0, n_frames=5)
+    assert not any(observation.new_shapes for observation in seen)
+    assert not any(known.pose is not None for observation in seen for known in observation.objects)
+
+
+def test_latest_pose_is_kept(before: Perception, tmp_path: Path) -> None:
+    memory = ObjectMemory(str(tmp_path))
+    memory.keep("o1", before.known("o1"))
+    memory.keep_pose("o1", LATER)
+    np.testing.assert_allclose(memory.load()["o1"].pose, LATER)
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[1]", '{"format": "push_ident/object/1"}'])
+def test_file_that_is_no_object_is_refused_with_its_name(tmp_path: Path, content: str) -> None:
+    (tmp_path / "o1.object.json").write_text(content)
+    with pytest.raises(ModelFileError, match=r"o1\.object\.json"):
+        ObjectMemory(str(tmp_path)).load()
+
+
+def test_without_a_folder_nothing_is_kept(before: Perception) -> None:
+    memory = ObjectMemory("")
+    memory.keep("o1", before.known("o1"))
+    memory.keep_pose("o1", LATER)
+    assert memory.load() == {}
