@@ -58,7 +58,7 @@ def wide_pusher(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("change", "reason"),
-    [(lambda o: 2.0 * o, "cells"), (lambda o: 0.5 * o, "cell"), (crossed, "crosses itself"), (lambda o: 1e3 * o, "extent of an object")],
+    [(lambda o: 2.0 * o, "cells"), (lambda o: 0.5 * o, "cell"), (crossed, "crosses itself"), (lambda o: 1e3 * o, "expected at most")],
     ids=["twice", "half", "crossed", "millimetres"],
 )
 @pytest.mark.parametrize("command", ["identify", "diagnose", "replay"])

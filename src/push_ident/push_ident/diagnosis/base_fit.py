@@ -47,16 +47,13 @@ def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
     differences = [a - b for a, b in zip(_end_poses(problem, fit.x), _end_poses(refined, fit.x), strict=True)]
     contradiction = explain(fit.posterior, problem.records, settings=problem.settings).contradiction
     change = float(np.median([np.linalg.norm(difference[:2]) for difference in differences]))
+    impossible = [Gate(False, contradiction, "No effect explains them: correct the recording first.")] if contradiction else []
     return [
+        *impossible,
         Gate(
             fit.status in (SolveStatus.CONVERGED, SolveStatus.STALLED),
             f"the fit of the base model ended with status {fit.status.name.lower()}",
             "Look at the pushes with the largest residuals; poses may have jumped.",
-        ),
-        Gate(
-            not contradiction,
-            contradiction or "the contacts are possible, and the base model predicts the pushes better than rest",
-            "No effect explains them: correct the recording first.",
         ),
         Gate(
             change < policy.max_step_effect,
