@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
-from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
+from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
@@ -71,7 +71,7 @@ def identify_command(
         friction=friction,
         pusher_friction=pusher_friction,
     )
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")
 

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -109,7 +110,7 @@ class _Identification(Component):
         self._predicted: dict[str, float] = {}
 
         self._wake = threading.Condition()
-        self._finished: deque[list[PushRecord]] = deque()
+        self._finished: deque[Callable[[], None]] = deque()  # what to do with pushes that have ended
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
@@ -121,6 +122,7 @@ class _Identification(Component):
             on_object=self._on_object,
             on_shape=self._on_shape,
             on_pushes=self._on_pushes,
+            on_left_out=self._on_left_out,
             on_frame=self._on_frame,
         )
         self._counts = self._collector.counts
@@ -172,7 +174,12 @@ class _Identification(Component):
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         with self._wake:
-            self._finished.extend(pushes)
+            self._finished.extend(partial(self._finish, push) for push in pushes)
+            self._wake.notify()
+
+    def _on_left_out(self) -> None:
+        with self._wake:
+            self._finished.append(self._drop_updates)
             self._wake.notify()
 
     # ---- the worker
@@ -186,15 +193,23 @@ class _Identification(Component):
                 self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
                 if self._closing:
                     return
-                push = self._finished.popleft() if self._finished else None
+                ended = self._finished.popleft() if self._finished else None
                 frames: dict[str, float] = {}
-                if push is None:
+                if ended is None:
                     frames, self._frames = self._frames, {}
             with self._node.guard.watch("identify"):
-                if push is not None:
-                    self._finish(push)
+                if ended is not None:
+                    ended()
                 for object_id, received in frames.items():
                     self._update(object_id, received)
+
+    def _drop_updates(self) -> None:
+        """Go back to the finished pushes: the one under way is left out."""
+        for session in list(self._sessions.values()):
+            with self._solving:
+                had_any = session.drop_update()
+            if had_any:
+                self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
