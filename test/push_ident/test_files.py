@@ -153,7 +153,8 @@ def test_only_one_module_writes_files() -> None:
     for name, call in calls():
         function = ast.unparse(call.func).rpartition(".")[2]
         opens = function == "open" and any(isinstance(m, str) and len(m) < 4 and set(m) & set("wax+") for m in constant_arguments(call))
-        if function in ("write_text", "write_bytes") or opens:
+        injected = name.startswith("push_ident_sim/faults/")  # broken files are what it is for
+        if (function in ("write_text", "write_bytes") or opens) and not injected:
             found.add(name)
     assert found == set(WRITERS) - {"push_ident/files.py"}, (
         "write with `write_whole`, `replaced`, `open_new` or `open_log` of push_ident.files"
@@ -165,11 +166,13 @@ def test_nothing_is_read_that_can_run_code() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not {n.split(".")[0] for n in names} & set(FORBIDDEN), path
+            found = {n.split(".")[0] for n in names} & set(FORBIDDEN)
+            assert not found or (found == {"pickle"} and "faults" in path.parts), path  # which hands a poisoned one to the nodes
     for name, call in calls():
         function = ast.unparse(call.func)
         keywords = {k.arg: ast.unparse(k.value) for k in call.keywords}
         assert function not in ("eval", "exec", "compile", "os.system", "os.popen", "torch.load", "tempfile.mktemp", "mktemp"), name
+        assert not function.startswith("pickle.") or function == "pickle.dumps", name
         safe = "Safe" in "".join((*map(ast.unparse, call.args[1:2]), keywords.get("Loader", "")))
         assert function not in ("yaml.unsafe_load", "yaml.full_load") and (function != "yaml.load" or safe), name
         assert keywords.get("allow_pickle", "False") == "False", name

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.text import Text
 
 from push_ident.files import open_log
+from push_ident.limits import printable
 from push_ident.nodes.lifetime import LIFELINE, stop_signals_blocked
 
 __all__ = ["LAST_LINES", "NodeCommand", "NodeExit", "NodeProcess"]
@@ -98,7 +99,7 @@ class NodeProcess:
 
     def _show(self, text: str) -> None:
         if self._console is not None:
-            self._console.print(Text.assemble(self._prefix, Text.from_ansi(text)), soft_wrap=True)
+            self._console.print(Text.assemble(self._prefix, printable(text)), soft_wrap=True)
 
     def say(self, text: str) -> None:
         """Add a line of the supervisor to what the process has written, after its end."""

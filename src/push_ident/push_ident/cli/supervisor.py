@@ -20,6 +20,7 @@ from rich.text import Text
 from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProcess
 from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
+from push_ident.limits import printable
 from push_ident.nodes.lifetime import LIFETIME
 
 __all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_commands"]
@@ -233,13 +234,13 @@ class Supervisor:
                 while not requested and (dead := self.poll()) is None and self._any_runs():
                     time.sleep(_POLL_PERIOD)
             except SupervisorError as error:
-                console.print(Text(str(error), style="bold red"))
+                console.print(Text(printable(str(error)), style="bold red"))
                 return 1
             stubborn = self.stop()
         if stubborn:
             console.print(Text(f"did not stop within {_TERMINATE_AFTER:g} s and were terminated: {', '.join(stubborn)}", style="yellow"))
         if not requested and dead is not None:
-            console.print(Text(str(dead), style="bold red"))
+            console.print(Text(printable(str(dead)), style="bold red"))
             return 1
         return 0
 

@@ -12,6 +12,7 @@ from push_ident.errors import InputError
 from push_ident.files import replaced
 from push_ident.identification.identifiability import Identifiability
 from push_ident.identification.result import ModelPosterior
+from push_ident.pages.page import figure_text
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def draw_identifiability(path: Path, posterior: ModelPosterior, known: Identifia
     top, bottom = figure.subfigures(2, 1, squeeze=False)[:, 0]
     bars, spectrum = top.subplots(1, 2)
     named = [q for q in known.quantities if q.prior_std > 0]
-    bars.barh([q.name for q in named][::-1], [q.std / q.prior_std for q in named][::-1], color="tab:blue")
+    bars.barh([figure_text(q.name) for q in named][::-1], [q.std / q.prior_std for q in named][::-1], color="tab:blue")
     bars.set_xlabel("standard deviation after / before the pushes")
     bars.set_xlim(0, 1.05)
     ratios = [c.std_ratio for c in known.combinations]
@@ -64,7 +65,7 @@ def draw_identifiability(path: Path, posterior: ModelPosterior, known: Identifia
         ax.set_title(f"{100 * combination.std_ratio:.0f} % of the prior deviation", fontsize=10)
         bottom.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(figure_text(title), fontsize=11)
     _save(figure, path)
 
 
@@ -91,7 +92,7 @@ def draw_panels(
         ax.set_title(name, fontsize=10)
         figure.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(figure_text(title), fontsize=11)
     _save(figure, path)
 
 

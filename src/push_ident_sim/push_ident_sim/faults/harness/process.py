@@ -13,6 +13,7 @@ from typing import Final
 
 from push_ident.cli.supervisor import NodeCommand
 from push_ident.files import open_log
+from push_ident.nodes.lifetime import stop_signals_blocked
 
 __all__ = ["TRACEBACK", "Process"]
 
@@ -59,7 +60,9 @@ class Process:
         if self.runs:
             return
         environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self._environment
-        with open_log(self.log) as file:
+        # As the supervisor starts it.
+        quiet = stop_signals_blocked() if self.command.is_node else contextlib.nullcontext()
+        with open_log(self.log) as file, quiet:
             self._popen = subprocess.Popen(
                 self.command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
             )
