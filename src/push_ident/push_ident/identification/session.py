@@ -107,6 +107,12 @@ class ObjectSession:
         return self.online.state.status
 
     @property
+    def failure(self) -> str:
+        """Why the latest solve is no success, although it ended; empty where it explains its pushes."""
+        result = self.online.result
+        return result.explanation.failure if result is not None and result.status is SolveStatus.UNEXPLAINED else ""
+
+    @property
     def n_pushes(self) -> int:
         """Number of finished pushes in the estimate."""
         return self.online.n_pushes
@@ -138,7 +144,8 @@ class ObjectSession:
             return None
         record = replace(record, order=self.n_pushes)
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
-        self.online.add(record)
+        result = self.online.add(record)
+        score = replace(score, explained=result.explanation.pushes[-1].is_explained and result.status is not SolveStatus.UNEXPLAINED)
         self._known.add(_key(record))
         self.record = self.record.add(score)
         self.sources = [*self.sources, record.source][-_SOURCES:]

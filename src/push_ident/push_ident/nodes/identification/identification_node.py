@@ -18,6 +18,7 @@ from push_ident.errors import InputError
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.prediction import predict
 from push_ident.identification.prior import Prior
+from push_ident.identification.scoring import PushScore
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.nodes.cell_node import CellNode, Component, Health
@@ -238,9 +239,18 @@ class _Identification(Component):
                 f"{1e3 * self._solve_time:.0f} ms; "
                 f"predicted to {1e3 * score.cell_error:.1f} mm, expected {1e3 * score.expected_cell_error:.1f} mm"
             )
+            self._say_unexplained(session, score)
             if self._settings["suggest_candidates"]:
                 object_id = record.object_id
                 self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
+
+    def _say_unexplained(self, session: ObjectSession, score: PushScore) -> None:
+        """Count and log a push that contradicts the model, or a model that contradicts its pushes."""
+        if score.explained:
+            return
+        self._counts["pushes not explained"] += 1
+        why = session.failure or "its poses contradict the model of the other pushes; look at its poses"
+        self._node.get_logger().warning(f"object {session.object_id}: push {session.n_pushes} is not explained: {why}")
 
     def _update(self, object_id: str, received: float) -> None:
         """Update a model with the frames of the push under way."""
@@ -312,7 +322,7 @@ class _Identification(Component):
 
     def _save_model(self, request: SaveModel.Request, response: SaveModel.Response) -> SaveModel.Response:
         session, path = self._chosen(request.object_id), file_to_write(request.path)
-        save_model(path, session.posterior, object_id=session.object_id, sources=session.sources)
+        save_model(path, session.posterior, object_id=session.object_id, sources=session.sources, status=session.status)
         response.success, response.message = True, f"object {session.object_id} written to {path}"
         return response
 
@@ -332,8 +342,9 @@ class _Identification(Component):
         values = self._collector.report()
         missing = self._collector.what_is_missing()
         pushes = {object_id: session.n_pushes for object_id, session in list(self._sessions.items())}
-        if missing:
-            level, text = DiagnosticStatus.WARN, missing
+        failed = [f"object {s.object_id}: {s.failure}" for s in list(self._sessions.values()) if s.failure]
+        if missing or failed:
+            level, text = DiagnosticStatus.WARN, missing or failed[0]
         elif not values.get("pusher samples"):
             level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
         else:
