@@ -22,7 +22,7 @@ POLICY = ROOT / "security" / "policy.xml"
 ENCLAVES = "/push_ident/"
 COMMANDS = ("push_ident_client", "push_ident_doctor")
 """Nodes of the command line; they share the enclave `command_line`."""
-START_WITHIN, PUSH_WITHIN, SETTLED = 60.0, 60.0, 3.0
+START_WITHIN, PUSH_WITHIN, SETTLED = 60.0, 30.0, 3.0
 """Longest time for all nodes to be there, for a push, and time without a new name after which a graph is complete [s]."""
 VERBS = {
     ("topic", "publish"): "topics",
@@ -94,8 +94,8 @@ def observe(observer: Any, nodes: Iterable[str], graph: Graph) -> None:
             graph.setdefault(node, set()).update(rights_of(node, kind, verb, names))
 
 
-def live_graph(log: Callable[[str], None] = lambda text: None) -> Graph:
-    """The graph of every node of the suite, from a simulated cell that pushes once, and from a bag that is played."""
+def live_graph(log: Callable[[str], None] = lambda text: None, *, push: bool = True) -> Graph:
+    """The graph of every node of the suite, from a simulated cell, which pushes once where `push` says so, and from a bag that is played."""
     import rclpy
     from rclpy.context import Context
     from rclpy.node import Node
@@ -117,8 +117,9 @@ def live_graph(log: Callable[[str], None] = lambda text: None) -> Graph:
             with Supervisor(commands) as supervisor, CellClient(check=supervisor.check) as client:
                 log("waiting for an object")
                 object_id = client.wait_for_object(START_WITHIN)
-                log("pushing")
-                _push(client, object_id)
+                if push:
+                    log("pushing")
+                    log(_push(client, object_id))
                 _until_settled(observer, [*nodes, COMMANDS[0]], graph)
             log("playing a bag")
             bag = ROOT / "bags" / "hammer_depth"
@@ -136,15 +137,17 @@ def live_graph(log: Callable[[str], None] = lambda text: None) -> Graph:
     return graph
 
 
-def _push(client: Any, object_id: str) -> None:
+def _push(client: Any, object_id: str) -> str:
+    """Try random pushes until one is made; what became of it."""
     from push_ident_msgs.action import ExecutePush
 
-    deadline = time.monotonic() + PUSH_WITHIN
-    for seed in range(100):
-        goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=seed)
-        if client.execute_push(goal).error_code == 0 or time.monotonic() > deadline:
-            return
+    deadline, seed = time.monotonic() + PUSH_WITHIN, 0
+    while True:
+        result = client.execute_push(ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=seed))
+        if result.error_code == 0 or time.monotonic() > deadline:
+            return f"error code {result.error_code} {result.error_text}"
         time.sleep(0.5)
+        seed += 1
 
 
 def _until_settled(observer: Any, nodes: list[str], graph: Graph) -> None:
