@@ -59,6 +59,8 @@ class LIMITS:
         2_000, "vertices", "number of vertices of an outline is", "an outline traced at 1 mm around 0.5 m; contact looks at every edge"
     )
     OBJECTS: Final = Limit(50, "objects", "number of objects is", "the suite is tested with 10 at once")
+    EXTENT: Final = Limit(5, "m", "extent of an object is", "the reach of a large arm; 60 mm in millimetres are 60")
+    PUSHER_RADIUS: Final = Limit(1, "m", "radius of a pusher is", "a tool is some centimetres wide; 8 mm in millimetres are 8")
     COORDINATE: Final = Limit(
         100,
         "m",

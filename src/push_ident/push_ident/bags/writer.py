@@ -92,6 +92,10 @@ class BagWriter:
         """Messages written so far."""
         return sum(self._counts.values())
 
+    def declare(self, topic: str, msgtype: str) -> None:
+        """Write that there is a topic, though it may have no message."""
+        self._channel(topic, msgtype, None)
+
     def write_raw(
         self,
         topic: str,

@@ -18,9 +18,12 @@ from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.limits import plain_text
-from push_ident.types import CellGrid, Float64Array, ObjectShape
+from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 
-__all__ = ["ModelContent", "is_model_file", "load_model", "model_content", "posterior_of", "prior_of", "read_checked", "save_model"]
+__all__ = [
+    "ModelContent", "failure_of_model", "is_model_file", "load_model", "model_content", "posterior_of", "prior_of", "read_checked",
+    "save_model",
+]  # fmt: skip
 
 _FORMAT = "push_ident/model/1"
 
@@ -37,6 +40,8 @@ class ModelContent(BaseModel):
     object_id: str
     sources: list[str]
     """Bags and pushes that the model was fitted to."""
+    status: str = ""
+    """How the fit ended, as in the JSON of `identify`; empty where it is not known."""
     cell_size: float
     cells: list[tuple[float, float]]
     outline: list[tuple[float, float]]
@@ -58,7 +63,7 @@ class ModelContent(BaseModel):
     """The last three follow from the other fields; they are there for readers of the file."""
 
 
-def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str]) -> ModelContent:
+def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str], status: SolveStatus | None = None) -> ModelContent:
     """Content of the file of a posterior."""
     shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(
@@ -66,6 +71,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         version=__version__,
         object_id=object_id,
         sources=list(sources),
+        status=status.name.lower() if status else "",
         cell_size=shape.cells.size,
         cells=[(float(x), float(y)) for x, y in shape.cells.centres],
         outline=[(float(x), float(y)) for x, y in shape.outline],
@@ -84,9 +90,14 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
     )
 
 
-def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
-    """Write a model, for this user only; the file appears complete or not at all. Raises ModelFileError where it cannot be written."""
-    content = model_content(posterior, object_id, sources).model_dump_json(indent=1)
+def save_model(
+    path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = (), status: SolveStatus | None = None
+) -> None:
+    """Write a model, with the status of its fit, for this user only; the file appears complete or not at all.
+
+    Raises ModelFileError where it cannot be written.
+    """
+    content = model_content(posterior, object_id, sources, status).model_dump_json(indent=1)
     write_whole(path, content, "the model", private=True, error=ModelFileError)
 
 
@@ -99,8 +110,19 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
     Raises:
         ModelFileError: no such file, or not one written by `save_model`.
     """
-    content = read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
+    content = _read(path)
     return content.object_id, posterior_of(content, path)
+
+
+def failure_of_model(path: Path) -> str:
+    """Why the fit of a model failed, so that its maps are the prior; empty where it did not. Raises ModelFileError as `load_model`."""
+    name = _read(path).status.upper()
+    status = SolveStatus[name] if name in SolveStatus.__members__ else None
+    return status.value if status is not None and status.is_failure else ""
+
+
+def _read(path: Path) -> ModelContent:
+    return read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
 
 
 def is_model_file(path: Path) -> bool:

@@ -134,6 +134,8 @@ class _BagRecorder(Component):
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
             self._counts[topic] = 0
+            if found.role is Role.PUSH_RECORD:  # without a record of it, a push that was broken off must not count as one
+                self._writer.declare(topic, found.role.msgtype)
             self._node.create_subscription(
                 message, topic, lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data), qos, raw=True
             )

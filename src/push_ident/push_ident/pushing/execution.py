@@ -112,6 +112,8 @@ class ExecutedPush:
     """Why it failed."""
     pacing: PathPacing | None = None
     """Tells when which part of the plan was reached."""
+    is_reported: bool = False
+    """Whether its record was handed out."""
     _last: tuple[float, float] | None = None
 
     def observe(self, state: ArmState) -> None:
@@ -390,10 +392,14 @@ class _Execution:
         push.ended = self.ports.clock.now()
         if was_pushing and push.error is not None and push.error.code == PushCode.OBJECT_LOST:
             push.error = PlanningError(push.error.code, f"{push.error} {self._retreat(push)}")
-        if push.push_id:
-            self.owner.report(push)
+        self._report(push)
         if push.error is not None:
             raise push.error
+
+    def _report(self, push: ExecutedPush) -> None:
+        if push.push_id and not push.is_reported:
+            push.is_reported = True
+            self.owner.report(push)
 
     def _move(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
         reported: tuple[Phase | None, float] = (None, -np.inf)
@@ -408,6 +414,10 @@ class _Execution:
             if self.owner.is_pushing:
                 push.observe(state)
                 self._check_object(push)
+            elif elapsed > push.plan.rested and self._why_no_contact(push) == "":
+                # A push is whole when the object was seen at rest after it; the way home is no part of it.
+                push.ended = self.ports.clock.now()
+                self._report(push)
             phase = phase_at(elapsed)
             if phase != reported[0] or elapsed - reported[1] > _FEEDBACK_PERIOD:
                 reported = (phase, elapsed)
@@ -458,23 +468,27 @@ class _Execution:
 
     def _check_contact(self, push: ExecutedPush) -> None:
         """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived after the push."""
-        before, clock = push.before, self.ports.clock
-        assert push.pacing is not None  # the motion has been made
-        stop = push.pacing.time_of(push.plan.stop)
+        clock = self.ports.clock
         deadline = clock.monotonic() + self.settings.pose_timeout
-        after = self.ports.objects.get(before.object_id, np.inf)
-        while after.stamp <= stop:
+        while (reason := self._why_no_contact(push)) is None:
             self.owner.check_open()
             if clock.monotonic() > deadline:
-                raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{before.object_id}` after the push.")
+                raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{push.before.object_id}` after the push.")
             clock.sleep(_POLL)
-            after = self.ports.objects.get(before.object_id, np.inf)
+        if reason:
+            raise PlanningError(PushCode.NO_CONTACT, reason)
+
+    def _why_no_contact(self, push: ExecutedPush) -> str | None:
+        """Why a push that was made did not move the object; empty if it did, None before a pose after the push has arrived."""
+        assert push.pacing is not None
+        before, after = push.before, self.ports.objects.get(push.before.object_id, np.inf)
+        if after.stamp <= push.pacing.time_of(push.plan.stop):
+            return None
         shift = float(np.linalg.norm(after.pose[:2] - before.pose[:2]))
         turn = abs(float(wrap_angle(after.pose[2] - before.pose[2])))
-        if shift <= self.settings.min_object_shift and turn <= self.settings.min_object_turn:
-            raise PlanningError(
-                PushCode.NO_CONTACT, f"`{before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
-            )
+        if shift > self.settings.min_object_shift or turn > self.settings.min_object_turn:
+            return ""
+        return f"`{before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
 
 
 def phase_of(plan: ArmPlan, elapsed: float) -> Phase:

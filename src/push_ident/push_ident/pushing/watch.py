@@ -25,8 +25,8 @@ _SAME_CLOCK: Final = 1.0
 """The arm's stamps are on the clock of the cell when they differ by less [s]."""
 _ARRIVAL: Final = 1.0
 """[s] the arm may still need after the end of the plan."""
-_ABSENT: Final = 1.0
-"""A motion that was not watched for longer [s] does not go on: the cell may have changed meanwhile."""
+_ABSENT: Final = 0.5
+"""A motion that was not watched for longer [s] does not go on: the cell may have changed meanwhile, and the path of the tool has a gap."""
 _CLOCK_JUMP: Final = 0.25
 """A change of the arm's clock, beyond the time that has passed, that counts as setting it [s]."""
 _PIECES: Final = 4

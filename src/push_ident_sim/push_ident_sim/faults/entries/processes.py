@@ -30,8 +30,10 @@ from push_ident_sim.studies.common.live_nodes import own_domain
 __all__ = ["FAULTS"]
 
 _EXECUTOR, _IDENTIFICATION = "push_executor_node", "identification_node"
-_DELAYS: Final = (0.02, 0.15, 0.5, 1.0, 2.0)
-"""After the start of a process [s]: in the first moments of the interpreter, while it imports, while it makes its node, and later."""
+_CLI: Final = (sys.executable, "-m", "push_ident.cli")
+_DELAYS: Final = (0.2, 0.5, 1.0, 2.0)
+"""After the start of a process [s]: while it imports, while it makes its node, and later. Before that the interpreter itself starts, some
+0.15 s in which no code of ours runs; the children of `push-ident up` are out of reach of a Ctrl-C at the terminal."""
 _QUIET_END: Final = 2.0
 """Longest time from Ctrl-C to the end of a process [s]."""
 _BUSY: Final = 1.0
@@ -40,7 +42,7 @@ _UP_END: Final = 4.0
 """The same of `push-ident up`, which ends its nodes first [s]."""
 _N_TRANSITIONS: Final = 30
 _CGROUP: Final = Path("/sys/fs/cgroup/memory/push_ident_faults")
-_SPARE: Final = 20
+_SPARE: Final = 2
 """What a node may allocate beyond what it has [MiB]."""
 
 
@@ -48,17 +50,20 @@ def _identification_killed(trial: Trial) -> None:
     cell = trial.cell
     trial.expect(cell.push().error_code == 0, "the push before the fault failed")
     until(lambda: learned_pushes(cell) == trial.learned + 1, 15.0, "the push before the fault was not learned")
-    until(lambda: cell.monitor.maps, 5.0, "no map was published")
+    trial.wait(1.0)
     before = cell.monitor.maps[-1][1]
     sent = cell.begin(cell.goal(-1))
-    since = cell.processes[_IDENTIFICATION].kill()
+    cell.processes[_IDENTIFICATION].kill()
+    trial.wait(0.2)  # for maps that were under way
+    since = time.monotonic()
     result = cell.end(sent)
     trial.expect(result.error_code == 0, f"the push under way ended with {result.error_code} {result.error_text}")
     cell.processes[_IDENTIFICATION].start()
     until(lambda: cell.monitor.maps[-1][0] > since, 20.0, "no map came after the restart")
     after = next(msg for received, msg in cell.monitor.maps if received > since)
     same = all(np.array_equal(getattr(before, name), getattr(after, name)) for name in ("mass", "friction", "mass_friction_std"))
-    trial.expect(same, "the map after the restart is another one than before")
+    largest = float(np.max(np.abs(np.array(before.mass_friction) / np.array(after.mass_friction) - 1.0)))
+    trial.expect(same, f"the map after the restart differs by up to {largest:.1e}: {before.n_pushes} and {after.n_pushes} pushes")
     trial.note = f"{learned_pushes(cell)} pushes in the model, its map equal to the last bit"
     trial.lost = "the push under way (of identification only)"
 
@@ -67,7 +72,7 @@ def _stop_at_once(trial: Trial) -> None:
     """Ctrl-C in the first moments of every node, and of `push-ident up`."""
     domain = str(own_domain())
     commands = list(node_commands("sim"))
-    commands.append(NodeCommand("up", (sys.executable, *_UP, "up", "sim")))
+    commands.append(NodeCommand("up", (*_CLI, "up", "sim")))
     worst = 0.0
     for command in commands:
         for delay in _DELAYS:
@@ -115,13 +120,10 @@ def _stop_any_moment(trial: Trial) -> None:
     trial.note = f"{len(ends)} starts; the slowest ended after {max(took for _, _, took, _ in ends):.1f} s"
 
 
-_UP: Final = ("-m", "push_ident.cli")
-
-
 def _supervisor_killed(trial: Trial) -> None:
     """`push-ident up arm` beside an arm that is not its child is killed in the middle of a push."""
     cell = trial.cell
-    up = cell.add(NodeCommand("up", (sys.executable, *_UP, "up", "arm")))
+    up = cell.add(NodeCommand("up", (*_CLI, "up", "arm")))
     children: list[psutil.Process] = []
     try:
         sent = None
@@ -253,10 +255,9 @@ def _memory_taken(trial: Trial) -> None:
     process = cell.processes[_IDENTIFICATION]
     trial.expect(cell.push().error_code == 0, "the push before the fault failed")
     until(lambda: learned_pushes(cell) == trial.learned + 1, 15.0, "the push before the fault was not learned")
-    resident = psutil.Process(process.pid).memory_info().rss >> 20
     sent = cell.begin(cell.goal(-1))
     (_CGROUP / "cgroup.procs").write_text(str(process.pid))
-    (_CGROUP / "memory.limit_in_bytes").write_text(f"{max(_SPARE, resident // 8)}M")
+    (_CGROUP / "memory.limit_in_bytes").write_text(f"{_SPARE}M")
     result = cell.end(sent)
     trial.expect(result.error_code == 0, f"the push ended with {result.error_code} {result.error_text}")
     trial.wait(1.0)
