@@ -95,7 +95,7 @@ def observe(observer: Any, nodes: Iterable[str], graph: Graph) -> None:
 
 
 def live_graph(log: Callable[[str], None] = lambda text: None, *, push: bool = True) -> Graph:
-    """The graph of every node of the suite, from a simulated cell, which pushes once where `push` says so, and from a bag that is played."""
+    """The graph of every node of the suite: from a simulated cell, which pushes once if `push`, and from a bag that is played."""
     import rclpy
     from rclpy.context import Context
     from rclpy.node import Node
