@@ -33,7 +33,7 @@ _JUMP: Final = 0.5
 """Largest distance of a command from where the arm is, beside what it could move in the time given [rad]: at 2 rad/s a quarter of a second
 in which a busy machine brings no message."""
 _PERIOD: Final = 0.02
-_ATTEMPTS: Final = 3
+_ATTEMPTS: Final = 5
 """For a valid push: the object may have to be seen again first."""
 _BUSY: Final = 90.0
 """Longest wait for pushes that mutated goals have started [s]."""
@@ -51,9 +51,12 @@ class Executor(Scene):
         "rest": 0.4,
         "home_posture": list(_PARKED),
         "workspace": [-0.1, 0.2, -0.25, 0.25],
-        "arm_timeout": 0.5,
-        "tracking_lag": 0.5,
-        "lost_timeout": 2.0,
+        # The arm is played by the process that makes the mutations, on a machine that may be busy: none of these is what is tried here.
+        "arm_timeout": 2.0,
+        "tracking_lag": 1.0,
+        "tracking_tolerance": 0.1,
+        "motion_horizon": 0.1,
+        "lost_timeout": 8.0,
         "hand": "simulated",
         "hand_timeout": 5.0,
     }

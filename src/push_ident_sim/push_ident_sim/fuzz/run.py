@@ -23,8 +23,8 @@ __all__ = ["FUZZED", "Settings", "fuzz_messages", "nodes_of"]
 FUZZED: Final = (*NODES, *SIM_NODES)
 """Every executable of both packages."""
 _JOBS: Final = 2
-_MINIMISE: Final = 240.0
-"""Longest search for the messages that cause a failure [s]."""
+_MINIMISE: Final = (60.0, 240.0)
+"""A search for the messages that cause a failure has the time left for the node, but at least and at most this [s]."""
 _RESTARTS: Final = 6
 """A node that failed so often is left alone."""
 _PROGRESS: Final = "progress.json"
@@ -112,7 +112,8 @@ def _fuzz_node(node: str, settings: Settings, seconds: float, number: int) -> di
         first = []
         if finding is None:
             break
-        messages = minimise(finding, folder / f"minimise{run}", domain, seconds=_MINIMISE)
+        patience = min(max(until - time.monotonic(), _MINIMISE[0]), _MINIMISE[1])
+        messages = minimise(finding, folder / f"minimise{run}", domain, seconds=patience)
         path = (settings.cases or settings.out) / f"{node}_{finding.kind.replace(' ', '_')}_{settings.seed}_{run}.json"
         write_case(path, finding, messages or finding.messages[-100:])
         findings.append({"node": node, "kind": finding.kind, "text": finding.text, "messages": len(messages), "file": str(path)})
