@@ -30,6 +30,8 @@ _BYTES: Final = 0.15
 """Share of messages whose serialised bytes are mutated instead of their fields."""
 _REPLAYED: Final = 0.05
 """Share of messages that were valid once: duplicates."""
+_BETWEEN: Final = 0.02
+"""Time between two messages that are sent again [s]."""
 _WORK_EVERY: Final = 400
 """Mutated messages between two pieces of work that the node must do."""
 _MORE_MEMORY: Final = 400.0
@@ -148,6 +150,10 @@ class Session:
     def replay(self, bench: Bench, scene: Scene, messages: list[Sent]) -> None:
         """Send what was sent before, then let the node work. Raises NodeFailure."""
         for sent in messages:
+            if not sent.valid:
+                # As it was found: in the middle of a push.
+                scene.step()
+                bench.spin(_BETWEEN)
             if sent.is_request:
                 bench.replay_request(sent)
             else:
