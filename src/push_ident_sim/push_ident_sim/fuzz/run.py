@@ -23,7 +23,7 @@ __all__ = ["FUZZED", "Settings", "fuzz_messages", "nodes_of"]
 FUZZED: Final = (*NODES, *SIM_NODES)
 """Every executable of both packages."""
 _JOBS: Final = 2
-_MINIMISE: Final = (60.0, 240.0)
+_MINIMISE: Final = (60.0, 120.0)
 """A search for the messages that cause a failure has the time left for the node, but at least and at most this [s]."""
 _RESTARTS: Final = 6
 """A node that failed so often is left alone."""
