@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
@@ -68,12 +67,12 @@ class TrackedObjects:
         return [transform_points(self._poses[other][1], self._shapes[other].outline) for other in self.ids if other != object_id]
 
     def _subscribe(self, object_id: str) -> None:
-        def subscribe(kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        for kind, name, callback, qos in (
+            (OccupancyGrid, "cells", lambda msg: self._on_shape(object_id, cells=msg), _LATCHED),
+            (PolygonStamped, "outline", lambda msg: self._on_shape(object_id, outline=msg), _LATCHED),
+            (PoseWithCovarianceStamped, "pose", lambda msg: self._on_pose(object_id, msg), qos_profile_sensor_data),
+        ):
             self._node.create_subscription(kind, f"objects/{object_id}/{name}", callback, qos, callback_group=self._group)
-
-        subscribe(OccupancyGrid, "cells", lambda msg: self._on_shape(object_id, cells=msg), _LATCHED)
-        subscribe(PolygonStamped, "outline", lambda msg: self._on_shape(object_id, outline=msg), _LATCHED)
-        subscribe(PoseWithCovarianceStamped, "pose", lambda msg: self._on_pose(object_id, msg), qos_profile_sensor_data)
 
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
         stamp, pose, _ = planar_pose_from_msg(msg)

@@ -36,7 +36,7 @@ _MORE_MEMORY: Final = 400.0
 """A node may hold so much more than after its first work [MB]: limits of what it keeps, and what the allocator keeps of large messages."""
 _NOT_FUZZED: Final = ("/get_type_description",)
 _SHUTDOWN: Final = (5, 6, 7)
-"""Transitions that end the work of a node for good, as requested."""
+"""Transitions that rightly end the work of a node for good."""
 _PARAMETERS: Final = ("/set_parameters", "/set_parameters_atomically")
 
 
@@ -215,8 +215,8 @@ class Session:
             base = rng.choice(scene.requests(service) or [kind.Request()])
         request = mutate_message(base, rng)[0]
         if kind is ChangeState:
-            request = rng.choice((request, *(ChangeState.Request(transition=Transition(id=number)) for number in (1, 2, 3, 4))))
-            if request.transition.id in _SHUTDOWN or "shutdown" in request.transition.label:
+            request = rng.choice((request, *(ChangeState.Request(transition=Transition(id=number)) for number in scene.transitions)))
+            if request.transition.id not in scene.transitions and request.transition.id <= max(_SHUTDOWN):
                 request.transition = Transition(id=99)
         return request
 

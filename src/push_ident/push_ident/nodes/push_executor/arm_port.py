@@ -27,6 +27,7 @@ from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
+from push_ident.pushing.state_check import StateCheck
 from push_ident.pushing.trajectory import JointTrajectory
 
 __all__ = ["ArmLink", "ArmPort"]
@@ -41,6 +42,8 @@ _STANDING = 0.02
 """An arm whose joints are all slower stands [rad/s]."""
 _MAX_JOINTS = 256
 """Names of joints that are remembered."""
+_FASTEST = 5.0
+"""No joint turns faster [rad/s]: the fastest of an iiwa 7 reaches 3.1; descriptions often have a limit that is none."""
 
 
 class ArmLink:
@@ -222,6 +225,8 @@ class ArmPort:
         if self._reported and (unknown := [name for name in kinematics.joint_names if name not in self._reported]):
             raise InputError(f"its joints {', '.join(unknown)} are not among those of joint_states: {', '.join(sorted(self._reported))}.")
         self._planner, self._kinematics = planner, kinematics
+        speed = np.minimum(kinematics.velocity_limit, _FASTEST)
+        self._state_check = StateCheck(kinematics.position_lower, kinematics.position_upper, speed)
 
     # ---- states of the arm
 
@@ -248,6 +253,11 @@ class ArmPort:
             return
         q = np.array([position[name] for name in self._kinematics.joint_names])
         stamp = stamp_from_msg(msg.header.stamp)
+        try:
+            self._state_check.check(received, stamp, q)
+        except InputError:
+            self.n_dropped += 1
+            raise
         if self._state is not None:
             step = max(stamp - self._state.stamp, 1e-3)
             self._is_standing = len(q) != len(self._state.q) or float(np.max(np.abs(q - self._state.q))) <= _STANDING * step
