@@ -34,7 +34,7 @@ def generate_launch_description() -> LaunchDescription:
                     name=executable,
                     output="screen",
                     parameters=[LaunchConfiguration(params_file), own],
-                    arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
+                    arguments=["--ros-args", "--enclave", f"/push_ident/{executable}", "--log-level", LaunchConfiguration("log_level")],
                 )
                 for executable, (package, params_file, own) in nodes.items()
             ),

@@ -49,8 +49,8 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
     """
     LIFETIME.begin()
     LIFETIME.loaded()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)  # fails where security is enforced without keys
         node = factory()
     except Exception as error:
         _report(error)

@@ -48,7 +48,7 @@ _SPARE: Final = 2
 
 def _identification_killed(trial: Trial) -> None:
     cell = trial.cell
-    trial.expect(cell.push().error_code == 0, "the push before the fault failed")
+    cell.whole_push()
     until(lambda: learned_pushes(cell) == trial.learned + 1, 15.0, "the push before the fault was not learned")
     trial.wait(1.0)
     before = cell.monitor.maps[-1][1]
@@ -189,7 +189,7 @@ def _transitions(trial: Trial) -> None:
                 trial.expect(_ask(cell, node, transition), f"{node} cannot be brought back by transition {transition}")
                 state = target
     cell.await_executor()
-    trial.expect(cell.push().error_code == 0, "no push was possible afterwards")
+    cell.whole_push()
     trial.note = f"{_N_TRANSITIONS} requests to each of {len(cell.plan.nodes)} nodes"
 
 
@@ -253,7 +253,7 @@ def _memory_taken(trial: Trial) -> None:
     except OSError as error:
         raise Impossible(f"a limit of memory needs a writable {_CGROUP.parent}: {error.strerror}") from None
     process = cell.processes[_IDENTIFICATION]
-    trial.expect(cell.push().error_code == 0, "the push before the fault failed")
+    cell.whole_push()
     until(lambda: learned_pushes(cell) == trial.learned + 1, 15.0, "the push before the fault was not learned")
     sent = cell.begin(cell.goal(-1))
     (_CGROUP / "cgroup.procs").write_text(str(process.pid))

@@ -79,9 +79,9 @@ def _state_read_only(trial: Trial) -> None:
     cell = trial.cell
     since = time.monotonic()
     with read_only(cell.state_folder):
-        trial.expect(cell.push().error_code == 0, "the push failed")
+        cell.whole_push()
         trial.expect_report(_IDENTIFICATION, "cannot write", since=since, patience=10.0)
-    trial.expect(cell.push(cell.goal(-1)).error_code == 0, "the next push failed")
+    cell.whole_push(cell.goal(-1))
     trial.wait(2.0)
     report = cell.monitor.report_of(_IDENTIFICATION)
     trial.note = "" if report is None else report.values.get("last refusal", "")[:120]

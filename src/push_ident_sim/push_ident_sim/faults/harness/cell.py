@@ -31,6 +31,8 @@ _STARTUP: Final = 60.0
 """Longest wait for a cell that can plan a push [s]."""
 _ANSWER: Final = 3.0
 """Longest wait for the plan of a push [s]; after that it is requested again."""
+_TRIES: Final = 3
+"""A push that fails before its fault is injected is requested so many times."""
 _PUSH: Final = 60.0
 """Longest push [s]."""
 _MOVING: Final = 0.05
@@ -153,24 +155,36 @@ class Cell:
     def begin(self, goal: ExecutePush.Goal | None = None, *, phase: int = ExecutePush.Feedback.PHASE_PUSH, after: float = 0.1) -> Goal:
         """Request a push and return `after` seconds of motion in `phase`; in that of the push, of the motion after the tool has settled.
 
+        A push that ends before, as on a machine that stalls, is requested again.
+
         Raises:
-            PushIdentError: It ends before.
+            PushIdentError: It ended before each time.
         """
-        sent = self.monitor.send(goal or self.goal())
+        for left in reversed(range(_TRIES)):
+            sent = self.monitor.send(goal or self.goal())
+            if self._reaches(sent, phase):
+                time.sleep(after)
+                return sent
+            if left == 0:
+                raise PushIdentError(f"the push ended before phase {phase}: {self.end(sent).error_text or 'no error'}")
+            self.reset_object()
+        raise AssertionError
+
+    def _reaches(self, sent: Goal, phase: int) -> bool:
+        """Wait until the arm moves in `phase`; False where the push ended before."""
         settled = phase != ExecutePush.Feedback.PHASE_PUSH
 
         def reached() -> bool:
             nonlocal settled
             if sent.result is not None:
-                raise PushIdentError(f"the push ended before phase {phase}: {sent.result.error_text or 'no error'}")
+                return True
             if not sent.phases or sent.phases[-1][1] != phase:
                 return False
             settled = settled or not self.is_moving(_STILL)
             return settled and self.is_moving()
 
         until(reached, _PUSH, f"no arm that moves in phase {phase}")
-        time.sleep(after)
-        return sent
+        return sent.result is None
 
     def end(self, sent: Goal, patience: float = _PUSH) -> ExecutePush.Result:
         """Result of a push."""
@@ -182,6 +196,19 @@ class Cell:
     def push(self, goal: ExecutePush.Goal | None = None) -> ExecutePush.Result:
         """One whole push."""
         return self.end(self.monitor.send(goal or self.goal()))
+
+    def whole_push(self, goal: ExecutePush.Goal | None = None) -> None:
+        """A push that is made to its end, at the latest at the third time. Raises PushIdentError where it is not."""
+        for _ in range(_TRIES):
+            result = self.push(goal)
+            if result.error_code == 0:
+                return
+            self.reset_object()
+        raise PushIdentError(f"no push was made to its end: {result.error_text}")
+
+    def reset_object(self) -> None:
+        """Put the object back to the middle; where the arm is beside it, it stays: the next push goes up first."""
+        self.monitor.call(Trigger, "sim_cell_node/reset", Trigger.Request())
 
     def is_moving(self, speed: float = _MOVING) -> bool:
         """Whether a joint turns faster than `speed` [rad/s], by the latest joint state."""
@@ -201,8 +228,7 @@ class Cell:
         for process in self.processes.values():
             process.start()
         self.await_ready()
-        # Where the arm was held beside the object, it stays where it is: the next push goes up first.
-        self.monitor.call(Trigger, "sim_cell_node/reset", Trigger.Request())
+        self.reset_object()
 
     def await_ready(self) -> None:
         """Until the executor can plan a push; in a cell without one, until the arm reports."""

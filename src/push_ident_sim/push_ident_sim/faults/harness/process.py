@@ -14,6 +14,7 @@ from typing import Final
 from push_ident.cli.supervisor import NodeCommand
 from push_ident.files import open_log
 from push_ident.nodes.lifetime import stop_signals_blocked
+from push_ident_sim.faults.harness.priority import as_urgent_as_this_one
 
 __all__ = ["TRACEBACK", "Process"]
 
@@ -66,6 +67,7 @@ class Process:
             self._popen = subprocess.Popen(
                 self.command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
             )
+        as_urgent_as_this_one(self._popen.pid)
 
     def signal(self, number: signal.Signals) -> float:
         """Send a signal to the process alone; the time [s]."""
