@@ -111,12 +111,8 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     found = _Records(source)
     with BagWriter(out) as writer:
         for operation, content in found:
-            if operation == records.SCHEMA:
-                key, schema = records.schema_of(content)
-                schemas[key] = schema
-            elif operation == records.CHANNEL:
-                key, channel = records.channel_of(content)
-                channels[key] = channel
+            if operation in (records.SCHEMA, records.CHANNEL):
+                _declare(operation, content, schemas, channels)
             elif operation == records.MESSAGE:
                 number, log_time, data = records.message_of(content)
                 if (known := channels.get(number)) is None or known.schema_id not in schemas:
@@ -131,6 +127,20 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     if not counts:
         raise BagError(f"{path}: no message was found intact and with its type; {out} was left empty.")
     return SalvageReport(out, dict(sorted(counts.items())), found.damaged_chunks, undecodable, found.end)
+
+
+def _declare(operation: int, content: bytes | memoryview, schemas: dict[int, records.Schema], channels: dict[int, records.Channel]) -> None:
+    """Take a schema or channel record; of a damaged one, the messages are lost."""
+    try:
+        if operation == records.SCHEMA:
+            key, schema = records.schema_of(content)
+            schemas[key] = schema
+        else:
+            key, channel = records.channel_of(content)
+            channels[key] = channel
+    except BagError:
+        return
+    LIMITS.TOPICS.check(len(channels), "the file", error=BagError, remedy="It is damaged.")
 
 
 def _decodes(topic: str, msgtype: str, data: memoryview) -> bool:

@@ -74,12 +74,19 @@ class Fields:
 
     def text(self) -> str:
         """String with its length before it."""
-        return self.take(self.number(4)).decode("utf-8")
+        return _decoded(self.take(self.number(4)))
 
     def counts(self, key: int, value: int) -> dict[int, int]:
         """Map from integers to integers, of so many bytes each."""
         inner = Fields(self.take(self.number(4)))
         return {inner.number(key): inner.number(value) for _ in range(len(inner.data) // (key + value))}
+
+
+def _decoded(raw: bytes) -> str:
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        raise BagError(f"a name or text has bytes that are no UTF-8: {raw[:20]!r}; the file is damaged.") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +133,7 @@ def schema_of(content: bytes | memoryview) -> tuple[int, Schema]:
     identifier, name, encoding = fields.number(2), check_name(fields.text(), "a message type"), fields.text()
     size = fields.number(4)
     LIMITS.SCHEMA.check(size, name, error=BagError)
-    return identifier, Schema(name, encoding, fields.take(size).decode("utf-8"))
+    return identifier, Schema(name, encoding, _decoded(fields.take(size)))
 
 
 def channel_of(content: bytes | memoryview) -> tuple[int, Channel]:
