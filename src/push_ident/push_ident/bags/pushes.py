@@ -28,6 +28,8 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
         raise BagError(f"{contents.path}: no object {object_id!r}; the bag has {known}.")
     track = contents.objects[object_id]
     if track.shape is None or len(track.time) < 2:
+        if unusable := [note for note in contents.notes if note.startswith(f"object {object_id}: its cells cannot be used")]:
+            raise BagError(f"{contents.path}: {unusable[0]}")
         lacking = "usable cells" if track.shape is None else "poses"
         raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it in the depth images, or record `objects/<id>/*`.")
     pushes = _cutter_of(contents, [object_id], gap).finished(flush=True)

@@ -21,6 +21,8 @@ __all__ = ["SalvageReport", "count_recoverable", "salvage"]
 
 _CHEAP: Final = 2**28
 """Largest file that is read only to count the recoverable messages [bytes]."""
+_COUNTED: Final = 200_000
+"""Largest number of records that are read only to count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,22 +77,27 @@ class _Records:
     def _intact(self, content: bytes, expansion: Expansion) -> Iterator[tuple[int, bytes | memoryview]]:
         try:
             data = memoryview(records.chunk_content(content))
-            for _ in records.chunk_records(data):
+            for _ in records.chunk_records(data, Expansion("a chunk", expansion.file_size)):
                 pass
         except Exception:
             # Decompressor and parser may raise any exception on damaged bytes; the whole chunk is lost.
             self.damaged_chunks += 1
             return
         expansion.add(len(data))
-        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data))
+        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data, expansion))
 
 
 def count_recoverable(path: Path) -> int | None:
-    """Number of messages that `salvage` would recover from an .mcap file; None for a file too large to be read for that."""
+    """Number of messages that `salvage` would recover from an .mcap file; None for one too large to be read for that."""
     try:
         if path.stat().st_size > _CHEAP:
             return None
-        return sum(operation == records.MESSAGE for operation, _ in _Records(path))
+        count = 0
+        for number, (operation, _) in enumerate(_Records(path)):
+            count += operation == records.MESSAGE
+            if number > _COUNTED:
+                return None
+        return count
     except (OSError, BagError):
         return 0
 

@@ -125,7 +125,11 @@ def _try(work: Path, recipe: Recipe, number: int, commands: list[str] | None = N
     """Runs of the commands on one mutant: `command, verdict, cpu, memory`."""
     folder = Path(tempfile.mkdtemp(dir=work))
     try:
-        bag = make(recipe, work / "sources" / recipe.source, folder / "bag")
+        try:
+            bag = make(recipe, work / "sources" / recipe.source, folder / "bag")
+        except Exception as error:
+            # A mutation cannot always be made after others; that is no failure of a command.
+            return [{"command": "make", "verdict": f"not made: {type(error).__name__}", "cpu": 0.0, "memory": 0}]
         return [
             _outcome(command, bag, folder / f"out{k}", work) for k, command in enumerate(commands or commands_for(recipe.source, number))
         ]
@@ -146,7 +150,7 @@ def _count(summary: BagFuzzSummary, recipe: Recipe, runs: list[dict[str, Any]]) 
     for run in runs:
         failure = run["verdict"]
         summary.add({**run, "verdict": failure.partition(":")[0]})
-        if failure not in ("refused", "succeeded"):
+        if failure not in ("refused", "succeeded") and run["command"] != "make":
             summary.findings.append(BagFinding(run["command"], failure, recipe))
 
 

@@ -18,7 +18,18 @@ __all__ = ["BYTES", "MCAP", "METADATA", "SQLITE"]
 _NUMBERS: Final = (0, 1, 2, 255, 65535, 2**16, 2**20, 2**28, 2**31 - 1, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
 _BOMB: Final = 60_000_000
 """Zeros in a bomb [bytes]."""
-_DAMAGING: Final = (OSError, sqlite3.Error, yaml.YAMLError, ValueError, KeyError, TypeError, IndexError, struct.error, OverflowError)
+_DAMAGING: Final = (
+    OSError,
+    sqlite3.Error,
+    yaml.YAMLError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    struct.error,
+    OverflowError,
+    RecursionError,
+)
 
 Mutator = Callable[[Path, Generator], None]
 
