@@ -54,7 +54,7 @@ CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "bomb that claims little": (lambda path: claims.bomb(path, claimed=1000), "expected 1000"),
     "bomb that claims much": (lambda path: claims.bomb(path, claimed=2**63), "expected at most 67,108,864 bytes"),
     "chunk listed often": (lambda path: claims.with_index(path, listed=1000), "overlaps others"),
-    "chunk listed elsewhere": (lambda path: claims.with_index(path, offset=20), "there is another"),
+    "chunk listed elsewhere": (lambda path: claims.with_index(path, offset=20), "the file is cut or damaged"),
     "chunk listed beyond the end": (lambda path: claims.with_index(path, offset=2**63), "overlaps others"),
     "type that contains itself": (lambda path: claims.with_schema(path, b"PoseStamped x"), "contains itself"),
     "array of 2^31 numbers": (lambda path: claims.with_schema(path, b"float64[2147483647] x"), "array of 2147483647"),
