@@ -16,6 +16,7 @@ ORDER = [
     "types",
     "errors",
     "limits",
+    "files",
     "pages",
     "geometry",
     "perception",
@@ -29,7 +30,7 @@ ORDER = [
     "nodes",
     "cli",
 ]
-"""A stage imports what stands before it; `types`, `errors` and `limits` know each other."""
+"""A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` writes for all."""
 ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "builtin_interfaces"}
 
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from push_ident.nodes.cell_node import AUTOSTART
+
 SOURCE = Path(__file__).resolve().parent.parent / "src"
 PACKAGES = ("push_ident", "push_ident_sim")
 ORDER = (
@@ -27,6 +29,9 @@ HEAD = """# Nodes
 Made from the code of the nodes. Names of topics are relative and can be remapped; `<id>` is the id of an object. Parameters marked
 *fixed* are read at the start. Their values are in `src/*/config/*.yaml`. A player publishes, and a recorder takes in, every topic of the
 [contract of bags](../how-to/own-data.md).
+
+All nodes are lifecycle nodes that start themselves, unless `autostart` is false. What a node cannot use it refuses, and it names the last
+refusal in `/diagnostics`: [decision 50](../decisions/0050-nodes-are-hard-to-break.md).
 """
 CALLS = {
     "create_publisher": "publishes",
@@ -34,7 +39,7 @@ CALLS = {
     "create_subscription": "subscribes to",
     "create_service": "serves",
     "create_client": "calls",
-    "ActionServer": "serves the action",
+    "create_action_server": "serves the action",
     "ActionClient": "calls the action",
 }
 PLACEHOLDERS = {"object_id": "<id>", "_TRUTH_ID": "<id>", "self._id": "<id>", "name": "<name>"}
@@ -169,7 +174,7 @@ def parameters_of(name: str, known: dict[str, Module]) -> list[str]:
         if node_name(module) != name or not re.search(r"^PARAMETERS\b.*= \($", module.path.read_text(encoding="utf-8"), re.MULTILINE):
             continue
         lines = ["", "| parameter | default | range | meaning |", "|---|---|---|---|"]
-        for row in importlib.import_module(module.name).PARAMETERS:
+        for row in (*importlib.import_module(module.name).PARAMETERS, AUTOSTART):
             limits = ", ".join(row.choices) or ("" if row.minimum is None else f"{row.minimum:g} … {row.maximum:g}")
             lines.append(f"| `{row.name}` | `{row.default}` | {limits} | {row.description}{' *(fixed)*' if row.read_only else ''} |")
         return lines

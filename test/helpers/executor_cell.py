@@ -7,15 +7,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.action import ActionClient
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
@@ -31,6 +34,7 @@ from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus, PushRecord
 from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RADIUS = 0.018
@@ -52,11 +56,13 @@ QUICK = {
     "hand": "simulated",
     "hand_timeout": 2.0,
 }
+PAUSE = 1.0
+"""Between the commands of two motions [s]; within one there is one every 20 ms, if the machine has time for it."""
 FIST = {"g_act": 1, "g_mod": 0, "g_gto": 1, "g_imc": 3, "g_sta": 2, "g_flt": 0, "g_pra": 255}
 
 
 class Cell(Node):
-    """An arm that follows every trajectory exactly, a hand that is a fist, and a box that the tool carries along while it overlaps."""
+    """An arm that follows trajectories as ros2_control does, a hand that is a fist, and a box that the tool carries along."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("cell", context=context)
@@ -72,6 +78,8 @@ class Cell(Node):
         self.fist = dict(FIST)
         self.box = np.array([0.0, 0.02, 0.3])
         self.commands: list[tuple[float, JointTrajectory]] = []
+        self.states: list[tuple[float, np.ndarray]] = []
+        self._followed = Followed.hold(self.q)
         self.tool: list[PoseStamped] = []
         self.pusher: list[PoseStamped] = []
         self.records: list[PushRecord] = []
@@ -80,7 +88,8 @@ class Cell(Node):
         self._tip = self.kinematics.forward(self.q)[:3, 3]
         shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
         cells, outline = shape_to_msgs(shape, "box", self.get_clock().now().to_msg())
-        self._publish_once(String, "robot_description", String(data=robot_description()))
+        self._description = self.create_publisher(String, "robot_description", LATCHED)
+        self.describe(robot_description())
         self._publish_once(OccupancyGrid, "objects/box/cells", cells)
         self._publish_once(PolygonStamped, "objects/box/outline", outline)
         self._states = self.create_publisher(JointState, "joint_states", 10)
@@ -105,28 +114,51 @@ class Cell(Node):
         self.silent, self.box_sticks, self.offset = False, True, np.zeros(7)
         self.sees_box, self.feels, self.force, self.fist = True, True, 1.0, dict(FIST)
         self.box[:] = 0.0, 0.02, 0.3
-        for kept in (self.commands, self.tool, self.pusher, self.records):
+        for kept in (self.commands, self.states, self.tool, self.pusher, self.records):
             kept.clear()
         self.place_arm(np.array(PARKED))
 
     def place_arm(self, q: np.ndarray) -> None:
         """Joint positions [rad], shape (7,), without a motion that would carry the box along."""
         self.q = q
+        self._followed = Followed.hold(q)
         self._tip = self.kinematics.forward(q)[:3, 3]
+
+    @property
+    def holds(self) -> list[tuple[float, JointTrajectory]]:
+        """Commands of one point, which is how a motion ends before its time: received [s], message."""
+        return [(received, msg) for received, msg in list(self.commands) if is_hold(msg)]
+
+    @property
+    def motions(self) -> list[list[tuple[float, JointTrajectory]]]:
+        """Commands of each motion: it ends with a hold, or before a pause."""
+        found: list[list[tuple[float, JointTrajectory]]] = []
+        for received, msg in list(self.commands):
+            if not found or received - found[-1][-1][0] > PAUSE or is_hold(found[-1][-1][1]):
+                found.append([])
+            found[-1].append((received, msg))
+        return found
+
+    def describe(self, urdf_xml: str) -> None:
+        """Publish a description of the arm."""
+        self._description.publish(String(data=urdf_xml))
 
     def _publish_once(self, kind: type, topic: str, msg: object) -> None:
         self.create_publisher(kind, topic, LATCHED).publish(msg)
 
     def _on_command(self, msg: JointTrajectory) -> None:
         received = time.monotonic()
-        self._times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
-        self._positions = np.array([p.positions for p in msg.points])
+        order = [list(msg.joint_names).index(name) for name in self.kinematics.joint_names]
+        times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+        position, velocity = (np.array([getattr(p, name) for p in msg.points])[:, order] for name in ("positions", "velocities"))
+        self._followed = Followed(times, position, velocity).from_state(received, *self._followed.sample(received))
         self.commands.append((received, msg))
 
     def _tick(self) -> None:
+        now = time.monotonic()
         if self.commands:
-            elapsed = time.monotonic() - self.commands[-1][0]
-            self.q = np.array([np.interp(elapsed, self._times, column) for column in self._positions.T])
+            self.q = self._followed.sample(now)[0]
+        self.states.append((now, self.q))
         before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
         if self.box_sticks and self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
             self.box[:2] += self._tip[:2] - before[:2]
@@ -157,11 +189,22 @@ class Call:
         return self.result.result().result
 
 
+def is_hold(command: JointTrajectory) -> bool:
+    return len(command.points) == 1 and not np.any(command.points[0].velocities)
+
+
 def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "timed out"
         time.sleep(0.002)
+
+
+def begin_push(cell: Cell, **fields: object) -> Call:
+    """A push whose tool is on its way through the box."""
+    call = send(cell, **(CONTACT | fields))
+    wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+    return call
 
 
 def send(cell: Cell, **fields: object) -> Call:
@@ -196,6 +239,25 @@ CONTACT = {
     "distance": 0.06,
     "speed": 0.2,
 }
+
+
+@contextmanager
+def spinning_cell(domain: int) -> Iterator[Cell]:
+    """A cell whose callbacks run in a thread of their own."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    cell = Cell(context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(cell)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    try:
+        yield cell
+    finally:
+        executor.shutdown()
+        thread.join(2.0)
+        cell.destroy_node()
+        context.try_shutdown()
 
 
 class Stalls:

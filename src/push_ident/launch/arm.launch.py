@@ -41,7 +41,7 @@ def generate_launch_description() -> LaunchDescription:
                     output="screen",
                     parameters=[LaunchConfiguration("params_file")],
                     remappings=[(topic, LaunchConfiguration(name)) for name, topic in TOPICS.items()],
-                    arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
+                    arguments=["--ros-args", "--enclave", f"/push_ident/{executable}", "--log-level", LaunchConfiguration("log_level")],
                 )
                 for executable in executables
             ),

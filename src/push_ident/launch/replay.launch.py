@@ -13,7 +13,10 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description() -> LaunchDescription:
     config = PathJoinSubstitution([FindPackageShare("push_ident"), "config", "push_ident.yaml"])
     params_file = LaunchConfiguration("params_file")
-    arguments = ["--ros-args", "--log-level", LaunchConfiguration("log_level")]
+
+    def arguments(executable: str) -> list[object]:
+        return ["--ros-args", "--enclave", f"/push_ident/{executable}", "--log-level", LaunchConfiguration("log_level")]
+
     return LaunchDescription(
         [
             DeclareLaunchArgument("bag", description="bag to play: a folder or a file of the bag contract"),
@@ -26,7 +29,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="perception_node",
                 output="screen",
                 parameters=[params_file, {"use_sim_time": True}],
-                arguments=arguments,
+                arguments=arguments("perception_node"),
                 condition=IfCondition(LaunchConfiguration("perception")),
             ),
             Node(
@@ -35,7 +38,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="identification_node",
                 output="screen",
                 parameters=[params_file, {"use_sim_time": True}],
-                arguments=arguments,
+                arguments=arguments("identification_node"),
             ),
             Node(
                 package="push_ident",
@@ -43,7 +46,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="bag_player_node",
                 output="screen",
                 parameters=[params_file, {"bag": LaunchConfiguration("bag")}],
-                arguments=arguments,
+                arguments=arguments("bag_player_node"),
             ),
         ]
     )

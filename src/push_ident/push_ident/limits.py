@@ -13,10 +13,13 @@ from typing import Final
 
 from push_ident.errors import InputError, PushIdentError
 
-__all__ = ["LIMITS", "Limit", "check_coordinates", "check_object_id", "check_stamp", "plain_text"]
+__all__ = ["LIMITS", "Limit", "check_coordinates", "check_object_id", "check_stamp", "plain_text", "printable"]
 
 _ID: Final = re.compile(r"[A-Za-z0-9_]+")
 _CONTROL: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
+_CONTROL_IN_LINES: Final = re.compile(_CONTROL.pattern.replace("\\x00-\\x1f", "\\x00-\\x08\\x0b-\\x1f"))
+_ANSI: Final = re.compile(r"\x1b\[[0-9;?]*[ -/]*[@-~]")
+"""Colours and movements of the cursor, as libraries write them (ECMA-48, CSI)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,8 @@ class LIMITS:
         2_000, "vertices", "number of vertices of an outline is", "an outline traced at 1 mm around 0.5 m; contact looks at every edge"
     )
     OBJECTS: Final = Limit(50, "objects", "number of objects is", "the suite is tested with 10 at once")
+    EXTENT: Final = Limit(5, "m", "extent of an object is", "the reach of a large arm; 60 mm in millimetres are 60")
+    PUSHER_RADIUS: Final = Limit(1, "m", "radius of a pusher is", "a tool is some centimetres wide; 8 mm in millimetres are 8")
     COORDINATE: Final = Limit(
         100,
         "m",
@@ -143,3 +148,8 @@ def plain_text(text: str) -> str:
     most = LIMITS.SHOWN.value
     shown = _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text[:most])
     return shown if len(text) <= most else shown + "…"
+
+
+def printable(text: str) -> str:
+    """Foreign text for a terminal, of any length and number of lines: it cannot move the cursor, change colours or hide characters."""
+    return _CONTROL_IN_LINES.sub("\N{REPLACEMENT CHARACTER}", _ANSI.sub("", text))

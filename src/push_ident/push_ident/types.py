@@ -283,4 +283,10 @@ class SolveStatus(Enum):
     STALLED = "stopped at the best point so far, from which no step lowered the cost; the pushes may contradict each other"
     POOR_FIT = "the fit is far worse than the noise: the pushes contradict each other or the model; look at their poses, or diagnose"
     SIMULATION_FAILED = "the simulation did not converge for this model; check masses, outline and pusher path"
+    UNEXPLAINED = "the fit does not explain its own training pushes; check outline, pusher radius, frames, units and clocks"
     NO_CONTACT = "no push touches the object; nothing can be learned from these pushes"
+
+    @property
+    def is_failure(self) -> bool:
+        """Whether there is no result: the estimate is the prior."""
+        return self in (SolveStatus.SIMULATION_FAILED, SolveStatus.UNEXPLAINED, SolveStatus.NO_CONTACT)

@@ -14,7 +14,7 @@ def generate_launch_description() -> LaunchDescription:
     sim_config = PathJoinSubstitution([FindPackageShare("push_ident_sim"), "config", "sim.yaml"])
     on_its_clock = {"use_sim_time": True}
     # A simulator may pause for longer than an arm; the watchdogs of the real one stay as tight as they are.
-    patient = {"arm_timeout": 1.0, "tracking_lag": 1.0}
+    patient = {"arm_timeout": 1.0, "tracking_lag": 1.0, "stamp_commands": True}
     nodes = {
         "sim_cell_node": ("push_ident_sim", "sim_params_file", {}),
         "perception_node": ("push_ident", "params_file", on_its_clock),
@@ -34,7 +34,7 @@ def generate_launch_description() -> LaunchDescription:
                     name=executable,
                     output="screen",
                     parameters=[LaunchConfiguration(params_file), own],
-                    arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
+                    arguments=["--ros-args", "--enclave", f"/push_ident/{executable}", "--log-level", LaunchConfiguration("log_level")],
                 )
                 for executable, (package, params_file, own) in nodes.items()
             ),

@@ -5,15 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from helpers.bags import (
     COVARIANCE,
     L_SHAPE,
     write_push,
 )
+from push_ident.bags.contract import Role
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.bags.writer import BagWriter
+from push_ident.errors import BagError
 
 
 def test_pushes_are_cut_at_gaps_and_take_the_poses_at_rest_around_them(tmp_path: Path) -> None:
@@ -59,3 +62,12 @@ def test_push_records_cut_the_bag_and_failed_pushes_are_left_out(tmp_path: Path)
     n_notes = len(contents.notes)
     split_pushes(contents, "7")
     assert len(contents.notes) == n_notes
+
+
+def test_bag_of_a_cell_whose_executor_ended_in_its_only_push_has_no_push(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/push_record", Role.PUSH_RECORD.msgtype)
+        writer.write_shape("7", L_SHAPE, 1.0)
+        write_push(writer, 2.0)
+    with pytest.raises(BagError, match="the executor ended in the middle"):
+        split_pushes(read_bag(tmp_path / "bag"), "7")

@@ -15,27 +15,37 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from helpers.executor_cell import Stalls
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
+from push_ident.nodes.lifetime import stop_signals_blocked
 
 pytestmark = pytest.mark.alone
 
 NODE = """
-import subprocess, sys, time
+import os, subprocess, sys, time
 from pathlib import Path
 from push_ident.nodes.lifetime import LIFETIME
 LIFETIME.begin()
 time.sleep(float(sys.argv[3]))
-from rclpy.node import Node
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.run import run_node
 folder, name = Path(sys.argv[1]), sys.argv[2]
 
-class Tested(Node):
+class Tested(CellNode):
     def __init__(self):
-        super().__init__(name)
+        super().__init__(name, ())
+        (folder / f"{name}.pid").write_text(str(os.getpid()))
+    def make_component(self):
+        return Arm(self)
+
+class Arm(Component):
+    def __init__(self, node):
+        self.context = node.context
         child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
         (folder / f"{name}.child").write_text(str(child.pid))
-        (folder / f"{name}.pid").write_text(str(__import__("os").getpid()))
+    def health(self):
+        return Health(b"\\0", "")
     def close(self):
         (folder / f"{name}.held").write_text(str(self.context.ok()))
 
@@ -59,10 +69,11 @@ def start_supervisor(nodes: dict[str, tuple[str, ...]]) -> subprocess.Popen[byte
     return subprocess.Popen([sys.executable, "-c", RUN, json.dumps(nodes)], stderr=subprocess.DEVNULL)
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 30.0) -> None:
-    deadline = time.monotonic() + timeout
+def wait_until(condition: Callable[[], object], timeout: Callable[[], float] = lambda: 60.0) -> None:
+    """`timeout` [s] may grow while it waits, with what the machine lets threads wait."""
+    began = time.monotonic()
     while not condition():
-        assert time.monotonic() < deadline, "waited too long"
+        assert time.monotonic() - began < timeout(), "waited too long"
         time.sleep(0.02)
 
 
@@ -85,9 +96,10 @@ def children_of(process: int) -> list[int]:
 def test_killed_supervisor_leaves_no_process_and_every_node_holds_first(tmp_path: Path) -> None:
     supervisor = start_supervisor({name: node(tmp_path, name) for name in ("one", "two")})
     family = [written(tmp_path / f"{name}.{what}") for name in ("one", "two") for what in ("pid", "child")]
-    supervisor.kill()
-    supervisor.wait()
-    wait_until(lambda: not any(is_alive(pid) for pid in family), timeout=2.5)
+    with Stalls() as stalls:
+        supervisor.kill()
+        supervisor.wait()
+        wait_until(lambda: not any(is_alive(pid) for pid in family), lambda: 2.0 + 4.0 * stalls.worst)
     assert [(tmp_path / f"{name}.held").read_text() for name in ("one", "two")] == ["True", "True"]
 
 
@@ -97,9 +109,10 @@ def test_supervisor_killed_while_its_nodes_start_leaves_no_process(tmp_path: Pat
     wait_until(lambda: len(children_of(supervisor.pid)) == 2)
     family = children_of(supervisor.pid)
     time.sleep(delay)
-    supervisor.kill()
-    supervisor.wait()
-    wait_until(lambda: not any(is_alive(pid) for pid in family), timeout=2.5)
+    with Stalls() as stalls:
+        supervisor.kill()
+        supervisor.wait()
+        wait_until(lambda: not any(is_alive(pid) for pid in family), lambda: 2.0 + 4.0 * stalls.worst)
 
 
 def test_stopped_supervisor_changes_nothing(tmp_path: Path) -> None:
@@ -110,7 +123,7 @@ def test_stopped_supervisor_changes_nothing(tmp_path: Path) -> None:
     assert is_alive(process)
     supervisor.send_signal(signal.SIGCONT)
     supervisor.send_signal(signal.SIGINT)
-    assert supervisor.wait(timeout=5.0) == 0
+    assert supervisor.wait(timeout=20.0) == 0
     assert not is_alive(process)
 
 
@@ -143,17 +156,20 @@ def test_node_that_could_not_start_is_not_started_again(tmp_path: Path) -> None:
     assert supervisor.deaths == []
 
 
-def interrupted(argv: tuple[str, ...], delay: float, number: signal.Signals, output: Path) -> tuple[int, float, str]:
-    """Exit code, time to the end [s], output of a program that gets a signal after a delay."""
-    with output.open("w") as file:
+def interrupted(argv: tuple[str, ...], delay: float, output: Path) -> tuple[int, float, str]:
+    """Exit code, time to the end [s] and output of a program that gets Ctrl-C after a delay.
+
+    Its signals are blocked until it can handle them, as those of nodes and, by the environment that `make setup` writes, of commands.
+    """
+    with output.open("w") as file, stop_signals_blocked():
         process = subprocess.Popen(argv, stdout=file, stderr=file)
-        time.sleep(delay)
-        process.send_signal(number)
-        asked = time.monotonic()
-        try:
-            code = process.wait(timeout=10.0)
-        finally:
-            process.kill()
+    time.sleep(delay)
+    process.send_signal(signal.SIGINT)
+    asked = time.monotonic()
+    try:
+        code = process.wait(timeout=30.0)
+    finally:
+        process.kill()
     return code, time.monotonic() - asked, output.read_text()
 
 
@@ -168,18 +184,19 @@ def test_stop_at_any_moment_of_a_supervised_node_is_quiet_and_quick(tmp_path: Pa
         supervisor = Supervisor([supervised(node_name)], log_dir=tmp_path)
         supervisor.start()
         time.sleep(rng.uniform(0.0, 3.0) if number else 0.0)
-        asked = time.monotonic()
-        assert supervisor.stop() == []
-        assert time.monotonic() - asked < 2.2
+        with Stalls() as stalls:
+            asked = time.monotonic()
+            assert supervisor.stop() == []
+            assert time.monotonic() - asked < 2.0 + 4.0 * stalls.worst
         assert supervisor.exit_code(node_name) == 0
         assert "Traceback" not in (tmp_path / f"{node_name}.log").read_text()
 
 
 @pytest.mark.parametrize("command", ["up sim", "doctor"])
-@pytest.mark.parametrize("delay", [0.3, 0.6, 1.2])
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.3, 0.8, 1.6])
 def test_ctrl_c_at_any_moment_of_a_command_is_quiet(tmp_path: Path, command: str, delay: float) -> None:
-    program = (sys.executable, "-c", "from push_ident.cli.entry import main; main()", *command.split())
-    code, took, output = interrupted(program, delay, signal.SIGINT, tmp_path / "output")
+    with Stalls() as stalls:
+        code, took, output = interrupted((sys.executable, "-m", "push_ident.cli", *command.split()), delay, tmp_path / "output")
     assert "Traceback" not in output
     assert code == (0 if command.startswith("up") else 130)
-    assert took < 3.5
+    assert took < 3.0 + 6.0 * stalls.worst

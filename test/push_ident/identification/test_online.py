@@ -126,3 +126,12 @@ def _with_wrench(record: PushRecord) -> PushRecord:
 
     motion = simulate(TRUTH, PushScenario(record.pusher, record.poses.pose[0], record.poses.time))
     return PushRecord(record.object_id, record.shape, record.poses, record.pusher, WrenchTrack(motion.force_time, 1.2 * motion.force))
+
+
+def test_push_that_is_left_out_leaves_no_trace() -> None:
+    online = _pushed(TRAIN[:2])
+    before = online.posterior
+    online.update(TRAIN[2])
+    assert not np.array_equal(online.posterior.z, before.z)
+    assert online.drop_update() and online.posterior is before
+    assert not online.drop_update()

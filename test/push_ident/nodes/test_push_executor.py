@@ -20,7 +20,22 @@ from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory
 
 from helpers.domains import own_domain
-from helpers.executor_cell import ARM_TIMEOUT, CONTACT, FIST, PARKED, RADIUS, Call, Cell, Stalls, send, start_node, summary, wait_for
+from helpers.executor_cell import (
+    ARM_TIMEOUT,
+    CONTACT,
+    FIST,
+    PARKED,
+    RADIUS,
+    Cell,
+    Stalls,
+    begin_push,
+    is_hold,
+    send,
+    spinning_cell,
+    start_node,
+    summary,
+    wait_for,
+)
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import stamp_from_msg
@@ -41,26 +56,16 @@ def domain() -> int:
 
 
 @pytest.fixture(scope="module")
-def spinning_cell(domain: int) -> Iterator[Cell]:
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    cell = Cell(context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(cell)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield cell
-    executor.shutdown()
-    thread.join(2.0)
-    cell.destroy_node()
-    context.try_shutdown()
+def the_cell(domain: int) -> Iterator[Cell]:
+    with spinning_cell(domain) as cell:
+        yield cell
 
 
 @pytest.fixture(scope="module")
-def node(domain: int, spinning_cell: Cell) -> Iterator[subprocess.Popen[str]]:
+def node(domain: int, the_cell: Cell) -> Iterator[subprocess.Popen[str]]:
     process = start_node(domain)
     try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(spinning_cell.diagnostics)), 60.0)
+        wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
         yield process
     finally:
         process.send_signal(signal.SIGINT)
@@ -72,11 +77,11 @@ def node(domain: int, spinning_cell: Cell) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.fixture
-def cell(node: subprocess.Popen[str], spinning_cell: Cell) -> Cell:
+def cell(node: subprocess.Popen[str], the_cell: Cell) -> Cell:
     """At home, with nothing recorded yet."""
-    spinning_cell.reset()
+    the_cell.reset()
     time.sleep(0.2)
-    return spinning_cell
+    return the_cell
 
 
 @pytest.fixture
@@ -146,18 +151,17 @@ def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cel
     call = send(cell, **CONTACT)
     wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
     assert send(cell, **CONTACT).end().error_code == PushCode.BUSY
-    assert len(cell.commands) == 1
+    assert cell.holds == []
     asked = time.monotonic()
     call.handle.cancel_goal_async()
-    wait_for(lambda: len(cell.commands) == 2)
-    received, hold = cell.commands[1]
+    wait_for(lambda: cell.holds)
+    received, hold = cell.holds[0]
     assert received - asked < 0.1 + 2 * stalls.worst
-    assert len(hold.points) == 1 and not np.any(hold.points[0].velocities)
     assert call.end().error_code == PushCode.CANCELED
     wait_for(lambda: cell.records)
     assert cell.records[0].error_code == PushCode.CANCELED
     time.sleep(0.3)
-    assert len(cell.commands) == 2 and cell.q == pytest.approx(list(hold.points[0].positions), abs=1e-9)
+    assert cell.commands[-1][1] is hold and cell.q == pytest.approx(list(hold.points[0].positions), abs=1e-9)
     assert np.ptp([m.pose.position.x for m in cell.tool[-5:]]) < 1e-9
 
     # The arm stands low beside the box: the next push first goes up from there.
@@ -174,12 +178,12 @@ def test_silent_arm_is_held_and_the_goal_aborted(cell: Cell, stalls: Stalls) -> 
     wait_for(lambda: cell.commands)
     time.sleep(0.5)
     cell.silent, silent_since = True, time.monotonic()
-    wait_for(lambda: len(cell.commands) == 2)
-    assert cell.commands[1][0] - silent_since < ARM_TIMEOUT + 0.2 + 2 * stalls.worst
+    wait_for(lambda: cell.holds)
+    assert cell.holds[0][0] - silent_since < ARM_TIMEOUT + 0.2 + 2 * stalls.worst
     result = call.end()
     assert result.error_code == PushCode.ARM_SILENT and "joint_states" in result.error_text
     refused = send(cell, **CONTACT).end()
-    assert refused.error_code == PushCode.ARM_SILENT and len(cell.commands) == 2
+    assert refused.error_code == PushCode.ARM_SILENT and is_hold(cell.commands[-1][1])
 
 
 def test_arm_that_deviates_from_its_path_is_held(cell: Cell) -> None:
@@ -189,18 +193,11 @@ def test_arm_that_deviates_from_its_path_is_held(cell: Cell) -> None:
     cell.offset = np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     result = call.end()
     assert result.error_code == PushCode.TRACKING and "mm from its path" in result.error_text
-    assert len(cell.commands) == 2 and len(cell.commands[1][1].points) == 1
+    assert_held_once(cell)
 
 
-def begin_push(cell: Cell, **fields: object) -> Call:
-    """A push whose tool is on its way through the box."""
-    call = send(cell, **(CONTACT | fields))
-    wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
-    return call
-
-
-def is_hold(command: JointTrajectory) -> bool:
-    return len(command.points) == 1 and not np.any(command.points[0].velocities)
+def assert_held_once(cell: Cell) -> None:
+    assert len(cell.holds) == 1 and is_hold(cell.commands[-1][1])
 
 
 def test_force_over_the_limit_is_held(cell: Cell, stalls: Stalls) -> None:
@@ -209,8 +206,8 @@ def test_force_over_the_limit_is_held(cell: Cell, stalls: Stalls) -> None:
     result = call.end()
     assert result.error_code == PushCode.FORCE and "31.0 N" in result.error_text, result.error_text
     time.sleep(0.3)
-    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
-    assert cell.commands[1][0] - since < 0.1 + 2 * stalls.worst
+    assert_held_once(cell)
+    assert cell.holds[0][0] - since < 0.1 + 2 * stalls.worst
     wait_for(lambda: cell.records)
     assert cell.records[0].error_code == PushCode.FORCE
 
@@ -221,7 +218,7 @@ def test_force_that_is_not_measured_any_more_is_held(cell: Cell) -> None:
     result = call.end()
     assert result.error_code == PushCode.FORCE and "no message on pusher/wrench" in result.error_text
     time.sleep(0.2)
-    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
+    assert_held_once(cell)
 
 
 @pytest.mark.parametrize("fault", ["not seen", "outside"])
@@ -235,25 +232,26 @@ def test_object_lost_during_a_push_stops_it_and_the_arm_leaves_on_a_checked_path
         cell.box[0] = 0.35
     result = call.end()
     assert result.error_code == PushCode.OBJECT_LOST and "went home" in result.error_text, result.error_text
-    push, hold, retreat = (msg for _, msg in cell.commands)
-    assert is_hold(hold) and len(push.points) > 100 and len(retreat.points) > 50
+    push, retreat = ([msg for _, msg in motion] for motion in cell.motions)
+    assert is_hold(push[-1])
+    assert len(push) > 20 and len(retreat) > 20
     assert cell.q == pytest.approx(PARKED, abs=0.02)
     if fault == "not seen":
         assert np.linalg.norm(cell.box[:2] - before[:2]) < 0.1  # half a second at most, of the twelve centimetres asked for
-    heights = [cell.kinematics.forward(point.positions)[2, 3] for point in retreat.points[::5]]
+    heights = [cell.kinematics.forward(point.positions)[2, 3] for piece in retreat for point in piece.points[:1]]
     assert min(heights) > 0.011 and max(heights) > 0.11
     wait_for(lambda: cell.records)
     record = cell.records[0]
     assert record.error_code == PushCode.OBJECT_LOST and stamp_from_msg(record.start) < stamp_from_msg(record.end)
     time.sleep(0.3)
-    assert len(cell.commands) == 3
+    assert len(cell.motions) == 2 and len(cell.holds) == 1
 
 
 def test_arm_moved_by_hand_while_it_was_silent_starts_from_where_it_is_now(cell: Cell) -> None:
     call = begin_push(cell)
     cell.silent = True
     assert call.end().error_code == PushCode.ARM_SILENT
-    assert is_hold(cell.commands[1][1])
+    assert_held_once(cell)
     cell.commands.clear()
     cell.place_arm(np.array(PARKED) + 0.15 * np.array([1.0, -1.0, 0.5, 0.0, 0.5, 0.0, 1.0]))
     moved = cell.q.copy()
@@ -261,8 +259,8 @@ def test_arm_moved_by_hand_while_it_was_silent_starts_from_where_it_is_now(cell:
     cell.silent = False
     time.sleep(0.2)
     assert send(cell, **CONTACT).end().error_code == 0
-    assert len(cell.commands) == 1
-    assert list(cell.commands[0][1].points[0].positions) == pytest.approx(moved, abs=1e-6)
+    assert len(cell.motions) == 1
+    assert list(cell.commands[0][1].points[0].positions) == pytest.approx(moved, abs=5e-3)
 
 
 def test_hand_that_is_no_fist_refuses_a_push_and_holds_a_running_one(cell: Cell) -> None:
@@ -278,7 +276,7 @@ def test_hand_that_is_no_fist_refuses_a_push_and_holds_a_running_one(cell: Cell)
     result = call.end()
     assert result.error_code == PushCode.HAND and "0x0D" in result.error_text
     time.sleep(0.2)
-    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
+    assert_held_once(cell)
 
 
 def test_recording_that_fails_holds_the_push_and_refuses_the_next(cell: Cell) -> None:
@@ -286,8 +284,8 @@ def test_recording_that_fails_holds_the_push_and_refuses_the_next(cell: Cell) ->
     cell.recording.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full"))
     result = call.end()
     assert result.error_code == PushCode.RECORDING and "disk full" in result.error_text
-    assert len(cell.commands) == 2 and is_hold(cell.commands[1][1])
-    assert send(cell, **CONTACT).end().error_code == PushCode.RECORDING and len(cell.commands) == 2
+    assert_held_once(cell)
+    assert send(cell, **CONTACT).end().error_code == PushCode.RECORDING and is_hold(cell.commands[-1][1])
     cell.recording.publish(DiagnosticStatus(level=DiagnosticStatus.OK))
     time.sleep(0.2)
     assert send(cell, dry_run=True, **CONTACT).end().error_code == 0
@@ -324,18 +322,19 @@ def test_object_near_the_edge_is_first_pushed_back_to_the_middle_in_a_push_of_it
 
 def test_command_is_what_a_trajectory_controller_of_ros2_control_takes(cell: Cell) -> None:
     assert send(cell, **CONTACT).end().error_code == 0
-    command = cell.commands[0][1]
     limits = cell.kinematics
-    times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in command.points])
-    position, velocity = (np.array([list(getattr(p, name)) for p in command.points]) for name in ("positions", "velocities"))
-    assert tuple(command.joint_names) == limits.joint_names and stamp_from_msg(command.header.stamp) == 0.0
-    assert times[0] == 0.0 and np.all(np.diff(times) > 0)
-    assert np.abs(velocity[[0, -1]]).max() < 1e-7  # the controller refuses to end in motion
-    assert np.all((position >= limits.position_lower) & (position <= limits.position_upper))
-    assert np.all(np.abs(velocity) <= 2.0 + 1e-3)
-    # Cubics through the points: velocities are the derivative of the positions.
-    slope = np.diff(position, axis=0) / np.diff(times)[:, None]
-    assert np.abs(slope - 0.5 * (velocity[1:] + velocity[:-1])).max() < 0.05
+    assert len(cell.commands) > 40
+    for _, command in cell.commands:
+        times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in command.points])
+        position, velocity = (np.array([list(getattr(p, name)) for p in command.points]) for name in ("positions", "velocities"))
+        assert tuple(command.joint_names) == limits.joint_names and stamp_from_msg(command.header.stamp) == 0.0
+        assert 2 <= len(times) <= 25 and times[0] > 0.0 and np.all(np.diff(times) > 0)
+        assert np.all(velocity[-1] == 0.0)  # the controller refuses to end in motion
+        assert np.all((position >= limits.position_lower) & (position <= limits.position_upper))
+        assert np.all(np.abs(velocity) <= 2.0 + 1e-3)
+        # Cubics through the points: velocities are the derivative of the positions.
+        slope = np.diff(position, axis=0) / np.diff(times)[:, None]
+        assert np.abs(slope - 0.5 * (velocity[1:] + velocity[:-1])).max() < 0.05
 
 
 def test_object_that_stays_is_no_contact(cell: Cell) -> None:
@@ -386,8 +385,8 @@ def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: 
     wait_for(lambda: ExecutePush.Feedback.PHASE_PUSH in call.feedback)
     node.send_signal(signal.SIGINT)
     asked = time.monotonic()
-    wait_for(lambda: len(cell.commands) == 2)
-    assert cell.commands[1][0] - asked < 0.2 and len(cell.commands[1][1].points) == 1
+    wait_for(lambda: cell.holds)
+    assert cell.holds[0][0] - asked < 0.2
     wait_for(lambda: node.poll() is not None, 2.0)
     assert node.returncode == 0
 

@@ -20,15 +20,23 @@ pytestmark = pytest.mark.alone
 
 SCRIPT = """
 import sys, time
-from rclpy.node import Node
 from push_ident.errors import InputError
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.run import run_node
 
-class Tested(Node):
+class Tested(CellNode):
     def __init__(self):
-        super().__init__("tested")
-        self.create_timer(0.05, self.tick)
+        super().__init__("tested", ())
+    def make_component(self):
+        return Ticking(self)
+
+class Ticking(Component):
+    def __init__(self, node):
+        self.context = node.context
+        node.create_timer(0.05, self.tick)
         self.started = False
+    def health(self):
+        return Health(b"\\0", "")
     def tick(self):
         if not self.started:
             self.started = True

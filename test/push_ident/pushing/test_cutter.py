@@ -55,6 +55,24 @@ def test_object_hidden_around_a_push_has_its_last_pose_before_and_its_first_pose
     assert push.records[0].poses.time == pytest.approx([0.95, 5.0])
 
 
+@pytest.mark.parametrize("back", [1.5, 10.0, 50.0])
+def test_one_late_message_does_not_shut_out_the_streams_that_go_on(back: float) -> None:
+    """Only the push of that moment may be lost: a record or a force with an old stamp is no clock that was set back."""
+    cutter = PushCutter()
+    cutter.set_shape("o1", hammer_shape())
+    cutter.set_radius(0.01)
+    pushes = []
+    for i, time in enumerate(times(60, 80)):
+        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+        if int(time) in (62, 66, 70):
+            cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+            cutter.add_wrench(time, np.zeros(2))
+        if i in (0, 50):
+            cutter.add_record(PushInterval(9, "o1", time - 0.1 - back * (i > 0), time - back * (i > 0), 0))
+        pushes += cutter.finished()
+    assert [round(push.interval.start) for push in pushes if push.records][-2:] == [66, 70]
+
+
 def test_pose_nearer_to_another_push_is_not_taken() -> None:
     pushes = play([*times(0, 1), 5.5, *times(9, 10)], times(2, 3) + times(5, 6))
     assert pushes[0].records == [] and pushes[1].records[0].poses.time == pytest.approx([5.5, 9.0])
@@ -320,3 +338,51 @@ def test_record_that_comes_in_time_gives_the_interval_as_in_a_bag() -> None:
     pushes = cutter.finished(flush=True)
     assert_same_pushes(pushes, cell)
     assert [push.interval.error_code for push in pushes] == [0, 0, -5]
+
+
+def play_with_records(
+    records: list[tuple[float, PushInterval]], *, pusher: list[tuple[float, float]], end: float, expects: bool = True
+) -> list[CutPush]:
+    """Poses at 20 Hz up to `end` [s], the pusher in some spans of time, records when they come; `finished` is called as a node does."""
+    cutter, pushes, waiting = PushCutter(), [], deque(sorted(records, key=lambda r: r[0]))
+    cutter.set_shape("o1", hammer_shape())
+    cutter.set_radius(0.01)
+    for time in times(0, end):
+        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+        if any(start - 1e-6 <= time < stop - 1e-6 for start, stop in pusher):
+            cutter.expects_records |= expects
+            cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+        while waiting and waiting[0][0] <= time:
+            cutter.add_record(waiting.popleft()[1])
+        pushes += cutter.finished()
+    return pushes
+
+
+def record_of(start: float, end: float) -> PushInterval:
+    return PushInterval(1, "o1", start, end, 0)
+
+
+def test_run_without_a_record_is_no_push_where_records_are_written() -> None:
+    """The executor ended in the middle of its first push: nothing says what it made."""
+    (lost,) = play_with_records([], pusher=[(2, 3)], end=20)
+    assert lost.unrecorded and lost.records == [] and "the executor ended in the middle" in lost.left_out["o1"]
+    (push,) = play_with_records([], pusher=[(2, 3)], end=20, expects=False)
+    assert not push.unrecorded and len(push.records) == 1
+
+
+def test_record_is_waited_for_as_long_as_an_arm_may_take_home() -> None:
+    assert play_with_records([], pusher=[(2, 3)], end=8) == []
+    (push,) = play_with_records([(7.0, record_of(2.0, 3.0))], pusher=[(2, 3)], end=20)
+    assert len(push.records) == 1 and push.interval.push_id == 1
+
+
+def test_record_of_a_later_push_says_that_the_one_before_has_none() -> None:
+    lost, push = play_with_records([(7.1, record_of(6.0, 7.0))], pusher=[(2, 3), (6, 7)], end=9)
+    assert lost.unrecorded and lost.interval.end == pytest.approx(2.95)
+    assert not push.unrecorded and push.records[0].poses.time[0] > 4.0
+
+
+def test_push_during_which_the_pusher_paused_is_handed_out_once() -> None:
+    pushes = play_with_records([(5.0, record_of(2.0, 4.5))], pusher=[(2, 3), (3.8, 4.5)], end=20)
+    assert len(pushes) == 1
+    assert pushes[0].records[0].pusher.time[[0, -1]] == pytest.approx([2.0, 4.45])

@@ -64,8 +64,8 @@ def test_lowered_tool_moves_only_along_the_push_line(plan: ArmPlan, push: PushPl
 
 
 def test_arm_that_has_not_started_to_move_has_no_deviation(plan: ArmPlan) -> None:
-    assert plan.deviation(plan.tip[0], -0.05, 0.02) == pytest.approx(0.0, abs=1e-9)
-    assert plan.deviation(plan.tip[0] + [0.0, 0.03, 0.0], -0.05, 0.02) == pytest.approx(0.03, abs=1e-9)
+    assert plan.deviation(plan.tip[0], -0.07, -0.05) == pytest.approx(0.0, abs=1e-9)
+    assert plan.deviation(plan.tip[0] + [0.0, 0.03, 0.0], -0.07, -0.05) == pytest.approx(0.03, abs=1e-9)
 
 
 def test_tool_does_not_spin_while_it_pushes(arm: ArmKinematics, plan: ArmPlan) -> None:

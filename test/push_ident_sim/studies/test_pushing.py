@@ -12,6 +12,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.convert import stamp_to_msg
 from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push
+from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident_msgs.msg import PushRecord
 from push_ident_sim.cell.robot import HOME, robot_description
@@ -103,3 +104,22 @@ def test_push_past_the_object_counts_as_no_contact_and_all_is_summed_up(arm: Arm
     assert "50.0 %" in text and "1 of 1" in text and "0 of 1" in text
     for picture in pushing.STUDY.draw(summary, tmp_path):
         assert (tmp_path / picture).stat().st_size > 10_000
+
+
+def test_pieces_of_a_motion_add_up_to_what_was_planned(plan: ArmPlan) -> None:
+    pacing, commands, received = PathPacing(plan.trajectory, plan.acceleration_limit, 0.08, 0.0), [], START
+    while not pacing.is_complete:
+        piece = pacing.piece(received - START)
+        msg = JointTrajectory(joint_names=list(plan.joint_names))
+        for time, position in zip(piece.time, piece.position, strict=True):
+            point = JointTrajectoryPoint(positions=position.tolist())
+            point.time_from_start.nanosec = int(1e9 * time)
+            msg.points.append(point)
+        commands.append((received, msg))
+        received += 0.02
+    ((first, whole),) = pushing.joined(commands)
+    assert first == START
+    time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in whole.points])
+    assert np.all(np.diff(time) > 0) and time[-1] == pytest.approx(plan.duration, abs=1e-6)
+    planned = np.array([plan.trajectory.at(t) for t in time])
+    assert np.array([p.positions for p in whole.points]) == pytest.approx(planned, abs=1e-3)

@@ -114,11 +114,10 @@ def traced_outline(cells: CellGrid, yaw: float) -> Float64Array:
 
 
 def cylinder_radius_of(primitive: Any) -> float | None:
-    """Radius [m] of a shape_msgs/SolidPrimitive; None unless it is a cylinder with a finite radius >= 0."""
+    """Radius [m] of a shape_msgs/SolidPrimitive, as it is given; None unless it is a cylinder."""
     if primitive.type != _CYLINDER or len(primitive.dimensions) <= _CYLINDER_RADIUS:
         return None
-    radius = float(primitive.dimensions[_CYLINDER_RADIUS])
-    return radius if np.isfinite(radius) and radius >= 0 else None
+    return float(primitive.dimensions[_CYLINDER_RADIUS])
 
 
 def homogeneous_of(transform: Any) -> Float64Array:

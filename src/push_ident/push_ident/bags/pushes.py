@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from push_ident.bags.contract import Role, role_of
 from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
@@ -17,8 +18,8 @@ __all__ = ["pushes_by_object", "split_pushes"]
 def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> list[PushRecord]:
     """The pushes of one object in a bag, in order of time, cut by the rules of `pushing/cutter.py`.
 
-    Where the bag has push records, they give the intervals of the pushes, and only those with error code 0 are used. Else a pause of the
-    pusher over `gap` [s] ends a push.
+    Where the bag has push records, they give the intervals of the pushes, and only those with error code 0 are used. Where it has their
+    topic but no record, no push was made to its end. Else a pause of the pusher over `gap` [s] ends a push.
 
     Failed pushes and those with fewer than 2 pusher samples or 2 poses are left out with a line in `contents.notes`; `source` still
     counts them, from 0. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
@@ -28,9 +29,9 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
         raise BagError(f"{contents.path}: no object {object_id!r}; the bag has {known}.")
     track = contents.objects[object_id]
     if track.shape is None or len(track.time) < 2:
-        if unusable := [note for note in contents.notes if note.startswith(f"object {object_id}: its cells cannot be used")]:
-            raise BagError(f"{contents.path}: {unusable[0]}")
-        lacking = "usable cells" if track.shape is None else "poses"
+        if track.shape is None and (reasons := [note for note in contents.notes if note.startswith(f"object {object_id}: its cells")]):
+            raise BagError(f"{contents.path}: {reasons[0]}")
+        lacking = "cells" if track.shape is None else "poses"
         raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it in the depth images, or record `objects/<id>/*`.")
     pushes = _cutter_of(contents, [object_id], gap).finished(flush=True)
     LIMITS.PUSHES.check(len(pushes), str(contents.path), error=BagError, remedy="Split the bag.")
@@ -61,6 +62,8 @@ def pushes_by_object(contents: BagContents, gap: float = 0.5) -> dict[str, list[
 def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> PushCutter:
     """A cutter with all samples of the bag for these objects."""
     cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
+    # The topic alone, without a message, says that an executor was there; its pushes were not made to the end.
+    cutter.expects_records = any((found := role_of(topic)) and found.role is Role.PUSH_RECORD for topic in contents.topics)
     cutter.set_radius(contents.pusher_radius)
     for interval in contents.push_intervals:
         cutter.add_record(interval)

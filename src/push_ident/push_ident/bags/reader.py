@@ -15,10 +15,10 @@ from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Ro
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.bags.storage.storage import RecordedTopic
 from push_ident.errors import BagError, FrameError, InputError
-from push_ident.geometry.outline import crosses_itself, points_in_polygon, polygon_area
+from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushInterval
-from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["BagContents", "ObjectTrack", "Samples", "read_bag"]
 
@@ -27,8 +27,6 @@ _MAX_JUMP_BACK: Final = 1_000_000_000
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
 _LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE})
 """Latched topics: a newer message replaces the previous one."""
-_AREA_RATIO: Final = 4.0
-"""Largest ratio of the areas of outline and cells [-], either way: cells as wide as half the object still cover a quarter of it."""
 _DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
 
 
@@ -150,7 +148,7 @@ def _contents(
         origin_ns=origin,
         objects={object_id: _object_track(object_id, recorded, samples, origin, notes) for object_id in object_ids},
         pusher=_samples(samples[TopicRole(Role.PUSHER)], origin),
-        pusher_radius=_pusher_radius(recorded, notes),
+        pusher_radius=_pusher_radius(path, recorded, notes),
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
         camera_in_table=_camera_in_table(recorded, notes),
@@ -279,38 +277,27 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
     try:
         cells, yaw = decode.cells_of(grids[-1])
         outline = decode.outline_of(polygons[-1].polygon) if polygons else None
-        lacking = _lacking(outline, cells, bool(polygons))
-        if outline is None or lacking:
+        if outline is None:
+            lacking = "its outline encloses nothing" if polygons else "no outline"
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
             LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
-        outside = int(np.sum(~points_in_polygon(cells.centres, outline)))
-        if outside > len(cells) / 2:
-            notes.append(f"object {object_id}: {outside} of {len(cells)} cells lie outside its outline; cells or outline are wrong.")
-        return ObjectShape(cells, outline)
+        return check_shape(ObjectShape(cells, outline))
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
         return None
 
 
-def _lacking(outline: Float64Array | None, cells: CellGrid, is_recorded: bool) -> str:
-    """Why a recorded outline cannot be that of the cells; empty where it can."""
-    if outline is None:
-        return "its outline encloses nothing" if is_recorded else "no outline"
-    ratio = abs(polygon_area(outline)) / (len(cells) * cells.size**2)
-    if not 1 / _AREA_RATIO < ratio < _AREA_RATIO:
-        return f"its outline encloses {ratio:.3g} times the area of its cells"
-    return "its outline crosses itself" if crosses_itself(outline) else ""
-
-
-def _pusher_radius(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
+def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
     shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
-    LIMITS.COORDINATE.check(radius or 0.0, "the radius in `pusher/shape`", error=BagError)
     if radius is None:
         notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is modelled as a point.")
         return 0.0
-    return radius
+    try:
+        return check_pusher_radius(radius)
+    except InputError as error:
+        raise BagError(f"{path}: `{Role.PUSHER_SHAPE.value.name}`: {error}") from None
 
 
 def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: list[str]) -> tuple[PushInterval, ...]:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.bags.contract import CAMERA_FRAME, TABLE_FRAME, Role, object_frame, topic_of
 from push_ident.bags.typestore import definition_of, jazzy_typestore
 from push_ident.errors import BagError
+from push_ident.files import open_new, write_whole
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
@@ -64,7 +65,7 @@ class BagWriter:
             raise BagError(f"{self.path}: exists already and is not overwritten; choose another name.")
         try:
             self._storage.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self._storage.open("xb")
+            self._file = open_new(self._storage)
             self._writer = Writer(self._file, chunk_size=self._chunk_size)
             self._writer.start(profile="ros2", library="push_ident")
             self._writer.flush()
@@ -81,7 +82,7 @@ class BagWriter:
             with file:
                 self._writer.finish()
             if self._storage != self.path:
-                (self.path / "metadata.yaml").write_text(self._metadata(), encoding="utf-8")
+                write_whole(self.path / "metadata.yaml", self._metadata(), "the metadata of the bag", error=BagError)
         except OSError as failure:
             if error is None:
                 raise self._refused(failure) from failure
@@ -90,6 +91,10 @@ class BagWriter:
     def message_count(self) -> int:
         """Messages written so far."""
         return sum(self._counts.values())
+
+    def declare(self, topic: str, msgtype: str) -> None:
+        """Write that there is a topic, though it may have no message."""
+        self._channel(topic, msgtype, None)
 
     def write_raw(
         self,

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
 from push_ident.cli.experiment import sim_module
-from push_ident.cli.output import console
+from push_ident.cli.output import Description, console
 from push_ident.errors import InputError
 
 __all__ = ["bench_command"]
@@ -36,7 +36,7 @@ def bench_command(
     settings = sim_module("push_ident_sim.studies.common.benchmark").Settings(truth, quick, seed)
     if unknown := [name for name in names or () if name not in known]:
         raise InputError(f"There is no benchmark `{unknown[0]}`; choose some of {', '.join(known)}.")
-    with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console) as progress:
+    with Progress(Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console) as progress:
         for name in names or known:
             task = progress.add_task(name)
             result = runner.run_benchmark(

@@ -14,7 +14,7 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from push_ident.cli.output import JsonOption, console, millimetres, write_json
+from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
@@ -67,7 +67,7 @@ def demo_command(
     commands = node_commands("sim", record=run / "bag", parameters=own)
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        Description(),
         BarColumn(),
         TextColumn("{task.completed}/{task.total}"),
         TimeElapsedColumn(),

@@ -6,11 +6,11 @@ import math
 from typing import Annotated
 
 import typer
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
-from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, warn, write_json
+from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.next_push import SeparatingPush
@@ -56,7 +56,7 @@ def diagnose_command(
         pusher_friction=pusher_friction,
     )
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")
 

@@ -8,9 +8,9 @@ from types import ModuleType
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-from push_ident.cli.output import JsonOption, console, warn
+from push_ident.cli.output import Description, JsonOption, console, warn
 from push_ident.errors import InputError
 
 __all__ = ["experiment_command", "sim_module"]
@@ -67,7 +67,7 @@ def experiment_command(
         recordings=recordings,
         minutes=minutes,
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(name)
         content = runner.run_experiment(

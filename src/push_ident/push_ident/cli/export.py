@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from push_ident.cli.output import console
+from push_ident.cli.output import console, warn
 from push_ident.errors import InputError
 from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
 from push_ident.identification.export.files import SUFFIXES, write_description
-from push_ident.identification.model_file import load_model
+from push_ident.identification.model_file import failure_of_model, load_model
 
 __all__ = ["export_command"]
 
@@ -40,6 +40,8 @@ def export_command(
     if path.resolve() == model.resolve():
         raise InputError(f"{path} is the model itself; name another file with --out.")
     object_id, posterior = load_model(model)
+    if failure := failure_of_model(model):
+        warn(f"! the model is only the prior: {failure}")
     thing = describe(
         posterior.model, object_id=object_id, source=model.name, height=height, sliding=_CELLS[cells], effects=posterior.effects
     )

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from push_ident.cli.identify import ObjectOption
-from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
+from push_ident.cli.output import Description, JsonOption, console, millimetres, warn, write_json
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
 from push_ident.identification.prior import Prior
@@ -51,7 +51,7 @@ def fleet_command(
         seed=seed,
     )
     jobs = find_jobs(bags, options)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     n_failed = 0
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("bags", total=len(jobs))

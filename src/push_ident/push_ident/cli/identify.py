@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
-from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
+from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
@@ -27,13 +27,11 @@ from push_ident.identification.running_record import running_record
 from push_ident.identification.scoring import PushScore
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.offline.loading import LoadedPushes, load_pushes
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.types import Float64Array
 
 __all__ = ["CameraOption", "ObjectOption", "identify_command", "read_camera"]
 
 _NOMINAL = Prior()
-FAILED: Final = (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
-
 ObjectOption = Annotated[
     str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one with the most pushes.", show_default=False)
 ]
@@ -73,7 +71,7 @@ def identify_command(
         friction=friction,
         pusher_friction=pusher_friction,
     )
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")
 
@@ -92,7 +90,8 @@ def identify_command(
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         scores = [] if out is None else _scores(loaded, prior, report)
-    content = result_json(result, loaded.object_id, loaded.records, chosen, loaded.notes)
+    found = result.explanation.notes([loaded.records[i].source for i in chosen])
+    content = result_json(result, loaded.object_id, loaded.records, chosen, [*loaded.notes, *found])
     _show_errors(content, loaded)
     _show_identifiability(result)
     if json is not None:
@@ -100,8 +99,10 @@ def identify_command(
     if out is not None:
         write_json(out / "result.json", content)
         _write_model(out, result, loaded, chosen, scores)
-    if result.status in FAILED:
-        warn(f"push-ident: {result.status.value}")
+    for line in found:
+        warn(f"! {line}")
+    if result.status.is_failure:
+        warn(f"push-ident: {result.status.value}; the maps that are written are the prior")
         raise typer.Exit(1)
 
 
@@ -114,7 +115,7 @@ def _scores(loaded: LoadedPushes, prior: Prior, report: Callable[[str], None]) -
 def _write_model(out: Path, result: Identification, loaded: LoadedPushes, chosen: Sequence[int], scores: Sequence[PushScore]) -> None:
     """Write model, pictures and report, and name the files."""
     sources = [loaded.records[i].source for i in chosen]
-    save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources)
+    save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources, status=result.status)
     draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
     known = identifiability(result.posterior)
     draw_identifiability(out / "knowledge.png", result.posterior, known, title=f"Identifiability from {len(chosen)} pushes")
@@ -124,7 +125,7 @@ def _write_model(out: Path, result: Identification, loaded: LoadedPushes, chosen
         result,
         push_errors(result, loaded.records, chosen),
         push_errors(result, loaded.records, others),
-        Provenance(loaded.object_id, tuple(sources), tuple(loaded.notes)),
+        Provenance(loaded.object_id, tuple(sources), (*loaded.notes, *result.explanation.notes(sources))),
         loaded.records[0].pusher.radius,
         scores,
     )

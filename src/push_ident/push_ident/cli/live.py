@@ -14,12 +14,14 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.network import listens_on
+from push_ident.offline.loading import most_pushed
 
 __all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
 
@@ -67,6 +69,8 @@ def replay_command(
 ) -> None:
     """Play a bag through the live nodes and show the identified maps."""
     contents = read_bag(bag)  # an unusable bag is refused before any process starts
+    if contents.has_poses:
+        split_pushes(contents, most_pushed(contents))
     # Poses have two subscribers, the identification node and this command; depth has one, perception.
     listeners = 2 if contents.has_poses else 1
     parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
@@ -86,6 +90,7 @@ def replay_command(
             if out is not None:
                 client.save_model(object_id, str((out / "model.json").resolve()))
             counts = {v.key: v.value for s in client.diagnostics.values() if "identification" in s.name for v in s.values}
+            health = next((s.message for s in client.diagnostics.values() if "identification" in s.name and s.level != s.OK), "")
     mass, friction = list(latest.mass), list(latest.friction)
     console.print(
         f"object {object_id}: {len(mass)} cells, {latest.n_pushes} pushes, {latest.status_text}; pusher friction "
@@ -112,6 +117,9 @@ def replay_command(
     if out is not None:
         write_json(out / "result.json", content)
         console.print(f"written: {out / 'model.json'}, {out / 'result.json'}", highlight=False, soft_wrap=True)
+    if latest.status in (latest.STATUS_FAILED, latest.STATUS_PRIOR):
+        warn(f"push-ident: {health or latest.status_text}; the maps that are written are the prior")
+        raise typer.Exit(1)
 
 
 def _camera_parameters(camera_in_table: Any) -> dict[str, object]:

@@ -3,19 +3,49 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 from rich.console import Console
+from rich.progress import ProgressColumn, Task
+from rich.text import Text
 
-from push_ident.errors import PushIdentError
-from push_ident.identification.files import json_text
+from push_ident.files import json_text, write_whole
+from push_ident.limits import printable
 
-__all__ = ["BagsArgument", "JsonOption", "OutOption", "console", "millimetres", "warn", "write_json"]
+__all__ = ["BagsArgument", "Description", "JsonOption", "OutOption", "PlainConsole", "console", "millimetres", "warn", "write_json"]
 
-console = Console()
-_errors = Console(stderr=True)
+_WORD: Final = 1_000
+"""Longest word that is shown whole; rich takes minutes to break one of 100,000 characters into the lines of a table."""
+_LONG: Final = re.compile(rf"\S{{{_WORD + 1},}}")
+
+
+class PlainConsole(Console):
+    """A console on which names and texts from outside are only text: no markup, no emoji codes, no control characters.
+
+    Every command prints through one; rich passes each string here, those of tables and titles included.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """See `rich.console.Console.render_str`."""
+        return super().render_str(_LONG.sub(lambda word: word[0][:_WORD] + "…", printable(text)), **options)
+
+
+class Description(ProgressColumn):
+    """What a task of a progress bar is doing, as plain text."""
+
+    def render(self, task: Task) -> Text:
+        """See `rich.progress.ProgressColumn.render`."""
+        return Text(printable(task.description))
+
+
+console: Final = PlainConsole()
+_errors: Final = PlainConsole(stderr=True)
 
 BagsArgument = Annotated[
     list[Path], typer.Argument(metavar="BAG...", help="Bags: folders, .mcap, .db3 or ROS 1 .bag files.", show_default=False)
@@ -36,8 +66,4 @@ def millimetres(metres: float) -> str:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON in which numbers that are not finite are null. Raises PushIdentError where the file cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json_text(content), encoding="utf-8")
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder with write permission.") from None
+    write_whole(path, json_text(content), "the result")

@@ -14,7 +14,7 @@ from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.model_file import load_model
+from push_ident.identification.model_file import failure_of_model, load_model
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
@@ -45,6 +45,8 @@ def predict_command(
     rows = [_compare(posterior, record) for record in loaded.records]
     for note in loaded.notes:
         warn(f"note: {note}")
+    if failure := failure_of_model(model):
+        warn(f"! the model is only the prior: {failure}")
     table = Table(title=f"object {in_file}: predicted against observed, at the end of each push")
     for heading in ("push", "cell error", "expected", "within 90%", "status"):
         table.add_column(heading, justify="right")

@@ -17,6 +17,8 @@ from typing import IO, Final
 from rich.console import Console
 from rich.text import Text
 
+from push_ident.files import open_log
+from push_ident.limits import printable
 from push_ident.nodes.lifetime import LIFELINE, stop_signals_blocked
 
 __all__ = ["LAST_LINES", "NodeCommand", "NodeExit", "NodeProcess"]
@@ -88,7 +90,7 @@ class NodeProcess:
         self._reader.start()
 
     def _read(self, output: IO[str]) -> None:
-        with output, open(self._log or os.devnull, "a", encoding="utf-8") as file:
+        with output, open_log(self._log or Path(os.devnull)) as file:
             for line in output:
                 self._tail.append(line.rstrip("\n"))
                 file.write(line)
@@ -97,12 +99,12 @@ class NodeProcess:
 
     def _show(self, text: str) -> None:
         if self._console is not None:
-            self._console.print(Text.assemble(self._prefix, Text.from_ansi(text)), soft_wrap=True)
+            self._console.print(Text.assemble(self._prefix, printable(text)), soft_wrap=True)
 
     def say(self, text: str) -> None:
         """Add a line of the supervisor to what the process has written, after its end."""
         if self._log is not None:
-            with self._log.open("a", encoding="utf-8") as file:
+            with open_log(self._log) as file:
                 file.write(text + "\n")
         self._show(text)
 

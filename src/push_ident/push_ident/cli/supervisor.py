@@ -20,9 +20,10 @@ from rich.text import Text
 from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProcess
 from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
+from push_ident.limits import printable
 from push_ident.nodes.lifetime import LIFETIME
 
-__all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_commands"]
+__all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_command", "node_commands"]
 
 Kind = Literal["sim", "replay", "arm"]
 
@@ -36,7 +37,7 @@ _KILL_AFTER: Final = 1.0
 _COULD_NOT_START: Final = 1
 """Exit code of a node that could not start; see `push_ident.nodes.run`, which imports ROS."""
 
-_SIM_NODES: Final = ("sim_cell_node",)
+_SIM_NODES: Final = ("sim_cell_node", "sim_hand_node")
 """Nodes of the package push_ident_sim; the others belong to push_ident."""
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
@@ -233,13 +234,13 @@ class Supervisor:
                 while not requested and (dead := self.poll()) is None and self._any_runs():
                     time.sleep(_POLL_PERIOD)
             except SupervisorError as error:
-                console.print(Text(str(error), style="bold red"))
+                console.print(Text(printable(str(error)), style="bold red"))
                 return 1
             stubborn = self.stop()
         if stubborn:
             console.print(Text(f"did not stop within {_TERMINATE_AFTER:g} s and were terminated: {', '.join(stubborn)}", style="yellow"))
         if not requested and dead is not None:
-            console.print(Text(str(dead), style="bold red"))
+            console.print(Text(printable(str(dead)), style="bold red"))
             return 1
         return 0
 
@@ -343,19 +344,21 @@ def node_commands(
     unknown = sorted(set(own) - set(names))
     if unknown:
         raise InputError(f"parameters are given for {', '.join(unknown)}, expected nodes of `{kind}`: {', '.join(names)}")
-    return [_node_command(name, _defaults_of(name, kind) | own.get(name, {}), log_level) for name in names]
+    return [node_command(name, _defaults_of(name, kind) | own.get(name, {}), log_level) for name in names]
 
 
 def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
     """Parameters of a node that depend on the kind of the cell."""
     clock: dict[str, object] = {"use_sim_time": True} if kind != "arm" and name not in _CLOCKS else {}
     # A simulator may pause for longer than an arm; the watchdogs of a real arm keep their limits.
-    watchdogs = dict.fromkeys(("arm_timeout", "tracking_lag"), _SIM_PATIENCE) if kind == "sim" and name == "push_executor_node" else {}
-    return clock | watchdogs
+    simulated: dict[str, object] = {}
+    if kind == "sim" and name == "push_executor_node":
+        simulated = {"arm_timeout": _SIM_PATIENCE, "tracking_lag": _SIM_PATIENCE, "stamp_commands": True}
+    return clock | simulated
 
 
-def _node_command(name: str, parameters: Mapping[str, object], log_level: str) -> NodeCommand:
-    """The process of one node."""
+def node_command(name: str, parameters: Mapping[str, object], log_level: str = "info") -> NodeCommand:
+    """The process of one node, with its parameters, in its own enclave of SROS 2 (`security/policy.xml`)."""
     if name in _SIM_NODES:
         package, file, program = "push_ident_sim", "sim.yaml", "push_ident_sim"
     else:
@@ -363,5 +366,5 @@ def _node_command(name: str, parameters: Mapping[str, object], log_level: str) -
     arguments = ["--params-file", str(config_file(package, file))]
     # JSON is YAML: text stays text even if it looks like a number.
     arguments += [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
-    argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--log-level", log_level)
+    argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--enclave", f"/push_ident/{name}", "--log-level", log_level)
     return NodeCommand(name, argv, may_end=name == "bag_player_node", is_node=True)

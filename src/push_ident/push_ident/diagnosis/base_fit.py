@@ -12,6 +12,7 @@ from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.residuals import correlation_in_motion
 from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
+from push_ident.identification.evidence import explain
 from push_ident.identification.fit import Fit
 from push_ident.identification.problem import FitProblem
 from push_ident.types import Float64Array, SolveStatus
@@ -39,13 +40,16 @@ def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisSta
 
 
 def check_fit(fit: Fit, policy: GatePolicy) -> list[Gate]:
-    """Gates of the base fit: convergence, and end positions under half the time step and half the smoothing speed."""
+    """Gates of the base fit: convergence, pushes that are possible, and end positions under half the time step and smoothing speed."""
     problem = fit.problem
     finer = replace(problem.settings, step=0.5 * problem.settings.step, smoothing_speed=0.5 * problem.settings.smoothing_speed)
     refined = FitProblem(problem.records, fit.unknowns, noise=problem.noise, settings=finer)
     differences = [a - b for a, b in zip(_end_poses(problem, fit.x), _end_poses(refined, fit.x), strict=True)]
+    contradiction = explain(fit.posterior, problem.records, settings=problem.settings).contradiction
     change = float(np.median([np.linalg.norm(difference[:2]) for difference in differences]))
+    impossible = [Gate(False, contradiction, "No effect explains them: correct the recording first.")] if contradiction else []
     return [
+        *impossible,
         Gate(
             fit.status in (SolveStatus.CONVERGED, SolveStatus.STALLED),
             f"the fit of the base model ended with status {fit.status.name.lower()}",

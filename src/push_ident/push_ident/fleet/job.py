@@ -89,10 +89,14 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
         budget = Budget(max_seconds=options.max_seconds)
         chosen = [loaded.records[i] for i in train]
         result = identify(chosen, options.prior, method=options.method, budget=budget, options=FitOptions(seed=options.seed))
-        outcome["result"] = result_json(result, loaded.object_id, loaded.records, train, loaded.notes)
         sources = [record.source for record in chosen]
-        outcome["model"] = model_content(result.posterior, loaded.object_id, sources).model_dump_json(indent=1)
-        outcome["state"] = "done"
+        notes = [*loaded.notes, *result.explanation.notes(sources)]
+        outcome["result"] = result_json(result, loaded.object_id, loaded.records, train, notes)
+        outcome["model"] = model_content(result.posterior, loaded.object_id, sources, result.status).model_dump_json(indent=1)
+        if result.status.is_failure:
+            outcome["error"] = result.explanation.failure or result.status.value
+        else:
+            outcome["state"] = "done"
     except PushIdentError as error:
         outcome["error"] = str(error)
     except Exception as error:  # whatever is wrong with one bag must not stop the others

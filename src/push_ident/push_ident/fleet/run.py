@@ -7,11 +7,12 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from push_ident.errors import InputError, PushIdentError
+from push_ident.files import json_text, write_whole
 from push_ident.fleet.job import FleetOptions, Job, Outcome, identify_bag
-from push_ident.identification.files import json_text, write_whole
 
 __all__ = ["FleetProgress", "run_fleet"]
 
@@ -77,36 +78,43 @@ def _work(
     on_outcome: FleetProgress,
 ) -> None:
     """Run the jobs on Ray and add their outcomes."""
-    ray = _start(address, workers)
-    try:
-        remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(identify_bag)
-        waiting = list(reversed(todo))
-        under_way: dict[Any, Job] = {}
-        limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-        while waiting or under_way:
-            while waiting and len(under_way) < limit:
-                job = waiting.pop()
-                under_way[remote.remote(job.bag.resolve(), options)] = job
-            finished, _ = ray.wait(list(under_way), num_returns=1)
-            for reference in finished:
-                job = under_way.pop(reference)
-                try:
-                    outcome = ray.get(reference)
-                except ray.exceptions.RayError as error:
-                    # The worker was killed, ran out of memory, or its machine was lost; the first line names the cause.
-                    lines = str(error).strip().splitlines() or [""]
-                    why = f"its worker died twice ({type(error).__name__}: {lines[0]}); check the memory of the machine"
-                    outcome = {"bag": str(job.bag), "state": "failed", "error": why, "host": "", "process": 0, "seconds": 0.0}
-                outcome["bag"] = str(job.bag)
-                _store(folder, job, outcome)
-                outcomes[job.key] = outcome
-                on_outcome(outcome)
-    finally:
-        ray.shutdown()
+    with TemporaryDirectory(prefix="push_ident_ray_", ignore_cleanup_errors=True) as scratch:
+        ray = _start(address, workers, scratch)
+        try:
+            _run_all(ray, todo, options, folder, outcomes, on_outcome)
+        finally:
+            ray.shutdown()
 
 
-def _start(address: str, workers: int) -> Any:
-    """Connect to a cluster or start one; the module `ray`."""
+def _run_all(
+    ray: Any, todo: Sequence[Job], options: FleetOptions, folder: Path, outcomes: dict[str, Outcome], on_outcome: FleetProgress
+) -> None:
+    remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(identify_bag)
+    waiting = list(reversed(todo))
+    under_way: dict[Any, Job] = {}
+    limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+    while waiting or under_way:
+        while waiting and len(under_way) < limit:
+            job = waiting.pop()
+            under_way[remote.remote(job.bag.resolve(), options)] = job
+        finished, _ = ray.wait(list(under_way), num_returns=1)
+        for reference in finished:
+            job = under_way.pop(reference)
+            try:
+                outcome = ray.get(reference)
+            except ray.exceptions.RayError as error:
+                # The worker was killed, ran out of memory, or its machine was lost; the first line names the cause.
+                lines = str(error).strip().splitlines() or [""]
+                why = f"its worker died twice ({type(error).__name__}: {lines[0]}); check the memory of the machine"
+                outcome = {"bag": str(job.bag), "state": "failed", "error": why, "host": "", "process": 0, "seconds": 0.0}
+            outcome["bag"] = str(job.bag)
+            _store(folder, job, outcome)
+            outcomes[job.key] = outcome
+            on_outcome(outcome)
+
+
+def _start(address: str, workers: int, scratch: str) -> Any:
+    """Connect to a cluster or start one, with its sockets and logs in the folder `scratch`; the module `ray`."""
     # Ray reads these when it is imported.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
@@ -116,7 +124,17 @@ def _start(address: str, workers: int) -> Any:
         raise InputError(f"Ray is not installed ({error}); run `pip install --no-deps -r requirements/fleet.txt`.") from None
     # One thread per bag, since the bags run in parallel.
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
-    here: dict[str, Any] = {} if address else {"num_cpus": workers or os.cpu_count() or 1, "include_dashboard": False}
+    here: dict[str, Any] = {}
+    if not address:
+        # Ray replaces 127.0.0.1 by an address of the network unless it is told, by this variable of other systems, that there are no
+        # clusters here; then its servers listen on loopback. Its folder has a random name and is for this user only.
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+        here = {
+            "num_cpus": workers or os.cpu_count() or 1,
+            "include_dashboard": False,
+            "_node_ip_address": "127.0.0.1",
+            "_temp_dir": scratch,
+        }
     try:
         ray.init(address=address or "local", runtime_env={"env_vars": threads}, logging_level=logging.ERROR, log_to_driver=False, **here)
     except (ConnectionError, RuntimeError, ValueError) as error:
@@ -145,6 +163,6 @@ def _store(folder: Path, job: Job, outcome: Outcome) -> None:
     model = outcome.pop("model", None)
     if model is not None:
         path = folder / "models" / f"{job.key}.json"
-        write_whole(path, model, "the model")
+        write_whole(path, model, "the model", private=True)
         outcome["model_file"] = str(path.relative_to(folder))
     write_whole(_file(folder, job), json_text(outcome), "the outcome of a bag")

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError
+from push_ident.files import replaced
 from push_ident.fleet.job import Outcome
 
 __all__ = ["read_table", "row_of", "write_table"]
@@ -83,13 +84,8 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
             ("notes", pa.list_(pa.string())),
         ]
     )
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        parquet.write_table(pa.Table.from_pylist([row_of(o) for o in outcomes], schema=schema), part)
-        part.replace(path)
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder with write permission.") from None
+    with replaced(path, "the table") as file:
+        parquet.write_table(pa.Table.from_pylist([row_of(o) for o in outcomes], schema=schema), file)
 
 
 def read_table(path: Path) -> list[dict[str, Any]]:

@@ -18,7 +18,6 @@ from push_ident.types import BoolArray, CellGrid, Float64Array
 
 __all__ = [
     "cells_in_outline",
-    "crosses_itself",
     "edge_normals",
     "outline_of_cells",
     "points_in_polygon",
@@ -89,22 +88,6 @@ def _in_blocks(function: Callable[[Float64Array, Float64Array], Any], points: Fl
     if len(points) <= size:
         return np.asarray(function(points, polygon))
     return np.concatenate([function(points[at : at + size], polygon) for at in range(0, len(points), size)])
-
-
-def crosses_itself(polygon: Float64Array) -> bool:
-    """Whether two edges of a polygon cross; edges that only touch do not count."""
-    start, end = polygon, np.roll(polygon, -1, axis=0)
-
-    def side(a: Float64Array, b: Float64Array, point: Float64Array) -> Float64Array:
-        along, to = b - a, point - a
-        return np.asarray(np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]))
-
-    for k in range(len(polygon) - 2):
-        a, b, others = start[k], end[k], slice(k + 2, None)
-        apart = side(a, b, start[others]) * side(a, b, end[others])
-        if np.any((apart < 0) & (side(start[others], end[others], a) * side(start[others], end[others], b) < 0)):
-            return True
-    return False
 
 
 def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:

@@ -9,6 +9,8 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget, Meter, Progress
+from push_ident.identification.evidence import explain
+from push_ident.identification.explanation import Explanation
 from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.prior import Prior
@@ -79,7 +81,8 @@ def identify(
     scalar = _fit_scalars(records, prior, options)
     past = earlier.past if solver.capabilities.takes_past else None
     fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past))
-    posterior, status = _checked(fit, prior, effects, earlier.past)
+    explanation = explain(fit.posterior, records, settings=options.numerics)
+    posterior, status = _checked(fit, explanation, prior, effects, earlier.past)
     return Identification(
         method=method,
         status=status,
@@ -92,6 +95,7 @@ def identify(
         time_s=meter.seconds,
         warm_starts=fit.warm_starts,
         history=_checkpoints(fit.problem),
+        explanation=explanation,
     )
 
 
@@ -102,12 +106,15 @@ def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOption
     return Fit(problem, *minimise(problem, np.zeros(problem.size), options.max_iterations))
 
 
-def _checked(fit: MapFit, prior: Prior, effects: Sequence[str], past: Summary | None) -> tuple[ModelPosterior, SolveStatus]:
-    """The posterior with the measured forces; the prior where the pushes cannot be simulated or never touch the object."""
+def _checked(
+    fit: MapFit, explanation: Explanation, prior: Prior, effects: Sequence[str], past: Summary | None
+) -> tuple[ModelPosterior, SolveStatus]:
+    """The posterior with the measured forces; the prior where the pushes cannot be simulated, explained, or never touch the object."""
     problem, status = fit.problem, fit.status
-    untouched = not any(o.touched for o in problem.observations)
-    if status is SolveStatus.SIMULATION_FAILED or untouched:
-        status = status if status is SolveStatus.SIMULATION_FAILED else SolveStatus.NO_CONTACT
+    if status is not SolveStatus.SIMULATION_FAILED and not any(o.touched for o in problem.observations):
+        status = SolveStatus.NO_CONTACT
+    status = explanation.judged(status)
+    if status.is_failure:
         return ModelPosterior.of_prior(Unknowns(problem.unknowns.shape, prior, effects=effects)), status
     return with_measured_forces(fit.posterior, problem, fit.x, past.log_forces.tolist() if past else ()), status
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,16 +13,19 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from push_ident import __version__
 from push_ident.errors import InputError, ModelFileError
-from push_ident.identification.files import write_whole
+from push_ident.files import read_regular, write_whole
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.unknowns import Unknowns
-from push_ident.types import CellGrid, Float64Array, ObjectShape
+from push_ident.limits import plain_text
+from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 
-__all__ = ["ModelContent", "load_model", "model_content", "posterior_of", "prior_of", "read_checked", "save_model"]
+__all__ = [
+    "ModelContent", "failure_of_model", "is_model_file", "load_model", "model_content", "posterior_of", "prior_of", "read_checked",
+    "save_model",
+]  # fmt: skip
 
 _FORMAT = "push_ident/model/1"
-_MAX_BYTES = 64 << 20
 
 _Content = TypeVar("_Content", bound=BaseModel)
 
@@ -36,6 +40,8 @@ class ModelContent(BaseModel):
     object_id: str
     sources: list[str]
     """Bags and pushes that the model was fitted to."""
+    status: str = ""
+    """How the fit ended, as in the JSON of `identify`; empty where it is not known."""
     cell_size: float
     cells: list[tuple[float, float]]
     outline: list[tuple[float, float]]
@@ -57,7 +63,7 @@ class ModelContent(BaseModel):
     """The last three follow from the other fields; they are there for readers of the file."""
 
 
-def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str]) -> ModelContent:
+def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str], status: SolveStatus | None = None) -> ModelContent:
     """Content of the file of a posterior."""
     shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(
@@ -65,6 +71,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         version=__version__,
         object_id=object_id,
         sources=list(sources),
+        status=status.name.lower() if status else "",
         cell_size=shape.cells.size,
         cells=[(float(x), float(y)) for x, y in shape.cells.centres],
         outline=[(float(x), float(y)) for x, y in shape.outline],
@@ -83,9 +90,15 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
     )
 
 
-def save_model(path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = ()) -> None:
-    """Write a model; the file appears complete or not at all."""
-    write_whole(path, model_content(posterior, object_id, sources).model_dump_json(indent=1), "the model")
+def save_model(
+    path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = (), status: SolveStatus | None = None
+) -> None:
+    """Write a model, with the status of its fit, for this user only; the file appears complete or not at all.
+
+    Raises ModelFileError where it cannot be written.
+    """
+    content = model_content(posterior, object_id, sources, status).model_dump_json(indent=1)
+    write_whole(path, content, "the model", private=True, error=ModelFileError)
 
 
 def load_model(path: Path) -> tuple[str, ModelPosterior]:
@@ -97,18 +110,36 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
     Raises:
         ModelFileError: no such file, or not one written by `save_model`.
     """
-    content = read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
+    content = _read(path)
     return content.object_id, posterior_of(content, path)
+
+
+def failure_of_model(path: Path) -> str:
+    """Why the fit of a model failed, so that its maps are the prior; empty where it did not. Raises ModelFileError as `load_model`."""
+    name = _read(path).status.upper()
+    status = SolveStatus[name] if name in SolveStatus.__members__ else None
+    return status.value if status is not None and status.is_failure else ""
+
+
+def _read(path: Path) -> ModelContent:
+    return read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
+
+
+def is_model_file(path: Path) -> bool:
+    """Whether a file says that it is one of `save_model`, complete or not."""
+    try:
+        content = json.loads(read_regular(path))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("format") == _FORMAT
 
 
 def read_checked(path: Path, content: type[_Content], what: str, remedy: str) -> _Content:
     """Read JSON of a known form. Raises ModelFileError: missing, too large, or of another form."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ModelFileError(f"{path} has {path.stat().st_size} bytes, expected at most {_MAX_BYTES}; it is not {what}.")
-        return content.model_validate_json(path.read_bytes())
+        return content.model_validate_json(read_regular(path))
     except OSError as error:
-        raise ModelFileError(f"Cannot read {path}: {error.strerror}; {remedy}.") from None
+        raise ModelFileError(f"Cannot read {plain_text(str(path))}: {error.strerror}; {remedy}.") from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"

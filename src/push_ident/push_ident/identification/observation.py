@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import BoolArray, Float64Array, PushRecord
 
-__all__ = ["NoiseModel", "Observation", "noise_correlation", "observe_push"]
+__all__ = ["NoiseModel", "Observation", "noise_correlation", "observe_push", "pusher_gaps"]
 
 _SHARING = 10
 """Number of frames of one motion for which `NoiseModel.fit_discrepancy` holds; where there are more, each counts less."""
@@ -146,7 +146,7 @@ def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENO
     for record in records:
         before, after, _ = _rests(record)
         # With an error of tool or camera, the object moves before the pusher seems to touch it.
-        clear = before[record.poses.time[before] < _first_time(record, _gaps(record) < _CLEAR)]
+        clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < _CLEAR)]
         for rest in (_agreeing(record, clear), _agreeing(record, after)):
             if len(rest) < 4:
                 continue
@@ -181,7 +181,7 @@ def _repetition(correlation: float) -> float:
 def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
     """Frames at rest before contact and after the push, at least one each; and whether the pusher comes near the object."""
     poses, pusher = record.poses, record.pusher
-    near = _gaps(record) < max(_NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
+    near = pusher_gaps(record) < max(_NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
     contact_time = _first_time(record, near)
     speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
     driving = near & (speed > _DRIVING * max(float(speed.max()), 1e-9))
@@ -211,7 +211,7 @@ def _scatter(record: PushRecord, *rests: NDArray[np.intp]) -> float:
     return squares / freedom if freedom >= _ENOUGH else 1.0
 
 
-def _gaps(record: PushRecord) -> Float64Array:
+def pusher_gaps(record: PushRecord) -> Float64Array:
     """Gap between pusher and outline at every pusher sample, from the observed poses [m], shape (n_samples,)."""
     poses, pusher = record.poses, record.pusher
     pose = np.column_stack([np.interp(pusher.time, poses.time, poses.pose[:, axis]) for axis in range(3)])

@@ -131,6 +131,11 @@ class OnlineIdentifier:
         self.state = OnlineState(state.shape, state.prior, records, past, result.warm_starts, result.posterior, result.status)
         return result
 
+    def drop_update(self) -> bool:
+        """Forget what was estimated from the push so far, which is not finished; whether there was anything."""
+        had, self._under_way, self.posterior = self._under_way is not None, None, self.state.posterior
+        return had
+
     def update(self, partial: PushRecord) -> FrameUpdate | None:
         """Estimate from the push so far; None where the pusher does not touch the object yet."""
         started = time.perf_counter()

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.files import replaced
 from push_ident.identification.identifiability import Identifiability
 from push_ident.identification.result import ModelPosterior
+from push_ident.pages.page import figure_text
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
 
 if TYPE_CHECKING:
@@ -45,7 +47,7 @@ def draw_identifiability(path: Path, posterior: ModelPosterior, known: Identifia
     top, bottom = figure.subfigures(2, 1, squeeze=False)[:, 0]
     bars, spectrum = top.subplots(1, 2)
     named = [q for q in known.quantities if q.prior_std > 0]
-    bars.barh([q.name for q in named][::-1], [q.std / q.prior_std for q in named][::-1], color="tab:blue")
+    bars.barh([figure_text(q.name) for q in named][::-1], [q.std / q.prior_std for q in named][::-1], color="tab:blue")
     bars.set_xlabel("standard deviation after / before the pushes")
     bars.set_xlim(0, 1.05)
     ratios = [c.std_ratio for c in known.combinations]
@@ -63,7 +65,7 @@ def draw_identifiability(path: Path, posterior: ModelPosterior, known: Identifia
         ax.set_title(f"{100 * combination.std_ratio:.0f} % of the prior deviation", fontsize=10)
         bottom.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(figure_text(title), fontsize=11)
     _save(figure, path)
 
 
@@ -90,7 +92,7 @@ def draw_panels(
         ax.set_title(name, fontsize=10)
         figure.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
     if title:
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(figure_text(title), fontsize=11)
     _save(figure, path)
 
 
@@ -114,8 +116,5 @@ def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str,
 
 
 def _save(figure: Figure, path: Path) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a folder with write permission.") from None
+    with replaced(path, "the picture", error=InputError) as file:
+        figure.savefig(file, dpi=110)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from push_ident.identification.explanation import Explanation
 from push_ident.identification.prior import Prior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
@@ -151,6 +152,8 @@ class Identification:
     """Where the fits of the solver ended: starts for the same solver, the same pushes and more."""
     history: tuple[Checkpoint, ...] = ()
     """Every improvement during the solve, the oldest first."""
+    explanation: Explanation = field(default_factory=Explanation)
+    """How well the fit explains its training pushes, also where `posterior` is the prior because it does not."""
 
     @property
     def model(self) -> ObjectModel:

@@ -38,6 +38,8 @@ class PushScore:
     """Squared Mahalanobis distance of the last pose: chi squared with 3 degrees of freedom where the covariance is right."""
     uniform_cell_error: float
     """Of equal cells with nominal values [m]."""
+    explained: bool = True
+    """Whether the model explains this push once it was fitted to it, too; False: its poses and the model contradict each other."""
 
     @property
     def within_90(self) -> bool:

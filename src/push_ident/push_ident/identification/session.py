@@ -107,6 +107,12 @@ class ObjectSession:
         return self.online.state.status
 
     @property
+    def failure(self) -> str:
+        """Why the latest solve is no success, although it ended; empty where it explains its pushes."""
+        result = self.online.result
+        return result.explanation.failure if result is not None and result.status is SolveStatus.UNEXPLAINED else ""
+
+    @property
     def n_pushes(self) -> int:
         """Number of finished pushes in the estimate."""
         return self.online.n_pushes
@@ -119,6 +125,10 @@ class ObjectSession:
         """Estimate from the push so far; None where the pusher does not touch the object yet, or the push is known already."""
         return None if self.knows(partial) else self.online.update(partial)
 
+    def drop_update(self) -> bool:
+        """Forget what was estimated from a push that is not finished; whether there was anything."""
+        return self.online.drop_update()
+
     def finish(self, record: PushRecord) -> PushScore | None:
         """Score the prediction of a finished push, add the push to the estimate, and keep the state; None where it adds nothing.
 
@@ -127,12 +137,15 @@ class ObjectSession:
         """
         if self.knows(record):
             self.n_known_again += 1
+            self.drop_update()
             return None
         if not observe_push(record, self.options.noise).touched:
+            self.drop_update()
             return None
         record = replace(record, order=self.n_pushes)
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
-        self.online.add(record)
+        result = self.online.add(record)
+        score = replace(score, explained=result.explanation.pushes[-1].is_explained and result.status is not SolveStatus.UNEXPLAINED)
         self._known.add(_key(record))
         self.record = self.record.add(score)
         self.sources = [*self.sources, record.source][-_SOURCES:]

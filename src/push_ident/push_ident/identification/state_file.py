@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from push_ident.errors import InputError, ModelFileError
-from push_ident.identification.files import write_whole
+from push_ident.files import write_whole
 from push_ident.identification.model_file import ModelContent, model_content, posterior_of, prior_of, read_checked
 from push_ident.identification.online import OnlineState
 from push_ident.identification.quadratic import Quadratic
@@ -61,6 +61,7 @@ class _Score(_Part):
     expected_cell_error: float = Field(alias="expected")
     mahalanobis2: float = Field(alias="distance2")
     uniform_cell_error: float = Field(alias="uniform")
+    explained: bool = True
 
 
 class _Record(_Part):
@@ -128,7 +129,8 @@ def save_state(
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
     )
-    write_whole(path, content.model_dump_json(by_alias=True), "the state of the identification")
+    text = content.model_dump_json(by_alias=True, exclude_defaults=True)
+    write_whole(path, text, "the state of the identification", private=True, error=ModelFileError)
 
 
 def load_state(path: Path) -> KeptState:

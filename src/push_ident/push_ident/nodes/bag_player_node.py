@@ -9,10 +9,9 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from rclpy.clock import Clock, ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMsg
@@ -20,8 +19,9 @@ from std_msgs.msg import Bool
 
 from push_ident.bags.contract import Role, role_of, topic_of
 from push_ident.bags.raw import RawMessage, bag_topics, raw_messages
-from push_ident.errors import BagError, PushIdentError
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.errors import BagError
+from push_ident.nodes.cell_node import CellNode, Component, Health
+from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.run import run_node
 
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
@@ -45,12 +45,25 @@ PARAMETERS: Final = (
 )
 
 
-class BagPlayerNode(Node):
-    """Publishes the recorded messages of the contract byte for byte under their contract names."""
+class BagPlayerNode(CellNode):
+    """Publishes the recorded messages of the contract byte for byte under their contract names.
 
-    def __init__(self) -> None:
-        super().__init__("bag_player_node")
-        self._settings = Parameters(self, PARAMETERS)
+    It plays while it is active; activated again, it starts at the beginning.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("bag_player_node", PARAMETERS, **kwargs)
+
+    def make_component(self) -> Component:
+        """A publisher for each topic of the bag."""
+        return _BagPlayer(self)
+
+
+class _BagPlayer(Component):
+    """Publishers and the thread that plays."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._node, self._settings = node, node.settings
         if not self._settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to play, as -p bag:=PATH.")
         self._path = Path(self._settings["bag"])
@@ -64,43 +77,60 @@ class BagPlayerNode(Node):
                 continue
             qos = _LATCHED if found.role in _LATCHED_ROLES else qos_profile_sensor_data if found.role is Role.DEPTH else _RELIABLE
             name = "/tf_static" if found.role is Role.TF_STATIC else topic_of(found.role, live_object_id(found.object_id))
-            self._player_publishers[topic] = self.create_publisher(message, name, qos)
+            self._player_publishers[topic] = self._node.create_publisher(message, name, qos)
         if not self._player_publishers:
             raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
         if skipped:
-            self.get_logger().info(f"not played: {', '.join(skipped)}")
-        self._clock_publisher = self.create_publisher(ClockMsg, "/clock", 10)
-        self._done = self.create_publisher(Bool, "~/done", _LATCHED)
+            self._node.get_logger().info(f"not played: {', '.join(skipped)}")
+        self._clock_publisher = self._node.create_publisher(ClockMsg, "/clock", 10)
+        self._done = self._node.create_publisher(Bool, "~/done", _LATCHED)
         self._done.publish(Bool(data=False))
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._play, name="play", daemon=True)
-        self._thread.start()
-        # Wakes the executor regularly so that it notices a stop; the wall clock runs independently of /clock.
-        self.create_timer(1.0, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._thread: threading.Thread | None = None
+        self._n_played = 0
+        self._is_done = False
 
-    def close(self) -> None:
+    def resume(self) -> None:
+        """Play from the beginning."""
+        self._stop = threading.Event()
+        self._is_done = False
+        self._thread = threading.Thread(target=self._play, args=(self._stop,), name="play", daemon=True)
+        self._thread.start()
+
+    def pause(self) -> None:
         """Stop playing."""
         self._stop.set()
-        self._thread.join(timeout=1.0)
+        if self._thread is not None:
+            self._thread.join(timeout=1.0)
 
-    def _play(self) -> None:
-        try:
+    def health(self) -> Health:
+        """How much was played."""
+        text = "played to the end" if self._is_done else f"playing {self._path}"
+        return Health(DiagnosticStatus.OK, text, {"messages played": self._n_played})
+
+    def _play(self, stop: threading.Event) -> None:
+        with self._node.guard.watch("play"):
             self._await_listeners()
-            while not self._stop.is_set():
-                count = self._play_once()
-                self.get_logger().info(f"played {count} messages of {self._path}")
+            while not stop.is_set():
+                count = self._play_once(stop)
+                self._node.get_logger().info(f"played {count} messages of {self._path}")
                 if not self._settings["loop"]:
                     break
-        except PushIdentError as error:
-            self.get_logger().fatal(str(error))
-        self._done.publish(Bool(data=True))
-        # The last messages must reach their subscribers before the publisher is destroyed.
+        if stop.is_set():
+            return
+        self._is_done = True
+        with self._node.guard.watch("play"):
+            self._done.publish(Bool(data=True))
+            self._await_delivery(stop)
+        if not stop.is_set():
+            signal.raise_signal(signal.SIGTERM)
+
+    def _await_delivery(self, stop: threading.Event) -> None:
+        """The last messages must reach their subscribers before the publisher is destroyed."""
         deadline = time.monotonic() + _DELIVERY
         for publisher in self._player_publishers.values():
-            while not publisher.wait_for_all_acked(Duration(seconds=0.1)) and not self._stop.is_set() and time.monotonic() < deadline:
+            while not publisher.wait_for_all_acked(Duration(seconds=0.1)) and not stop.is_set() and time.monotonic() < deadline:
                 pass
-        if not self._stop.is_set():
-            signal.raise_signal(signal.SIGTERM)
 
     def _await_listeners(self) -> None:
         expected, patience = self._settings["listeners"], self._settings["wait"]
@@ -119,29 +149,30 @@ class BagPlayerNode(Node):
             if self._stop.wait(0.05):
                 return
         if why:
-            self.get_logger().warning(f"{why} after {patience:.0f} s; playing all the same")
+            self._node.get_logger().warning(f"{why} after {patience:.0f} s; playing all the same")
 
     def _publishers_of(self, roles: frozenset[Role]) -> list[Publisher]:
         return [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
 
-    def _play_once(self) -> int:
+    def _play_once(self, stop: threading.Event) -> int:
         rate = self._settings["rate"]
         started, first, clocked, count = time.monotonic(), None, -(10**18), 0
         for message in raw_messages(self._path):
-            if self._stop.is_set():
+            if stop.is_set():
                 break
             first = message.stamp_ns if first is None else first
             if rate > 0:
                 ahead = (message.stamp_ns - first) * 1e-9 / rate - (time.monotonic() - started)
-                if ahead > 0 and self._stop.wait(ahead):
+                if ahead > 0 and stop.wait(ahead):
                     break
             elif count % 100 == 99:
                 # Full speed still gives the listeners a chance: their queues are long, not endless.
-                self._stop.wait(0.005)
+                stop.wait(0.005)
             if message.stamp_ns - clocked >= _CLOCK_PERIOD_NS:
                 clocked = message.stamp_ns
                 self._publish_clock(clocked)
-            count += self._publish(message)
+            count += self._publish(message, stop)
+            self._n_played += 1
         return count
 
     def _publish_clock(self, stamp_ns: int) -> None:
@@ -149,17 +180,17 @@ class BagPlayerNode(Node):
         msg.clock.sec, msg.clock.nanosec = divmod(stamp_ns, 10**9)
         self._clock_publisher.publish(msg)
 
-    def _publish(self, message: RawMessage) -> int:
+    def _publish(self, message: RawMessage, stop: threading.Event) -> int:
         publisher = self._player_publishers.get(message.topic)
         if publisher is None:
             return 0
-        while not self._stop.is_set():
+        while not stop.is_set():
             try:
                 publisher.publish(message.data)
                 return 1
             except rclpy_implementation.RCLError:
                 # No room within the 0.1 s timeout of DDS: a subscriber is busy.
-                if not self.context.ok():
+                if not self._node.context.ok():
                     break
         return 0
 

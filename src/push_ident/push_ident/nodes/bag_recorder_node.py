@@ -6,22 +6,21 @@ import importlib
 import shutil
 from collections import Counter
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.cell_node import CellNode, Component, Health
+from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.recording_port import RECORDING_QOS, RECORDING_TOPIC
 from push_ident.nodes.run import run_node
-from push_ident.types import Float64Array
 
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
@@ -37,55 +36,64 @@ PARAMETERS: Final = (
 )
 
 
-class BagRecorderNode(Node):
+class BagRecorderNode(CellNode):
     """Subscribes to every topic of the contract that appears and writes its messages unchanged.
 
     It publishes its status on the latched topic `recording`. When it cannot write any more, it closes the bag at once, which stays
-    readable, and an executor that receives the status stops pushing.
+    readable, and an executor that receives the status stops pushing. A node that is deactivated keeps its bag open; cleaned up, it closes
+    the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`.
     """
 
-    def __init__(self) -> None:
-        super().__init__("bag_recorder_node")
-        self._settings = Parameters(self, PARAMETERS)
-        if not self._settings["bag"]:
+    def __init__(self, **kwargs: Any) -> None:
+        self._n_bags = 0
+        super().__init__("bag_recorder_node", PARAMETERS, **kwargs)
+
+    def make_component(self) -> Component:
+        """A bag that is new."""
+        if not self.settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
-        path = Path(self._settings["bag"])
+        path = Path(self.settings["bag"])
+        recorder = _BagRecorder(self, path if not self._n_bags else path.with_name(f"{path.name}_{self._n_bags + 1}"))
+        self._n_bags += 1
+        return recorder
+
+
+class _BagRecorder(Component):
+    """The bag of a configured node, and what is written to it."""
+
+    def __init__(self, node: CellNode, path: Path) -> None:
+        self._node, self._settings = node, node.settings
+        quaternion = self._settings["camera_quaternion"]
+        self._extrinsics = pose_of_quaternion(self._settings["camera_position"], quaternion) if np.any(quaternion) else None
         existing = next(p for p in [path.absolute(), *path.absolute().parents] if p.exists())
         self._disk = existing if existing.is_dir() else existing.parent
         self._check_disk()
         self._writer = BagWriter(path)
         self._writer.__enter__()
-        quaternion = np.array(self._settings["camera_quaternion"])
-        if np.any(quaternion):
-            self._extrinsics: Float64Array | None = pose_of_quaternion(
-                self._settings["camera_position"], self._settings["camera_quaternion"]
-            )
-        else:
-            self._extrinsics = None
         self._counts: Counter[str] = Counter()
         self._failed = ""
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._recording = self.create_publisher(DiagnosticStatus, RECORDING_TOPIC, RECORDING_QOS)
-        wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_CHECK_PERIOD, self._look_around, clock=wall)
-        self.create_timer(1.0, self._report, clock=wall)
+        self._recording = node.create_publisher(DiagnosticStatus, RECORDING_TOPIC, RECORDING_QOS)
+        node.create_timer(_CHECK_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.get_logger().info(f"recording to {path}")
+
+    def resume(self) -> None:
+        """Subscribe to what there is, and publish that it is written."""
         self._discover()
         self._recording.publish(self._status())
-        self.get_logger().info(f"recording to {path}")
 
     def close(self) -> None:
         """Finish the bag."""
         if not self._failed:
             self._writer.__exit__(None, None, None)
-        self.get_logger().info(f"{self._counts.total()} messages in {self._writer.path}")
+        self._node.get_logger().info(f"{self._counts.total()} messages in {self._writer.path}")
 
     def _look_around(self) -> None:
         if self._failed:
             return
         try:
             self._check_disk()
-        except BagError as error:
-            self._fail(error)
+        except Exception as error:
+            self._fail(self._node.guard.explain(error))
         else:
             self._discover()
 
@@ -94,21 +102,21 @@ class BagRecorderNode(Node):
         if free < least:
             raise BagError(f"{self._disk} has {free} MiB free, expected at least {least}; free some space first.")
 
-    def _fail(self, error: BagError) -> None:
+    def _fail(self, why: str) -> None:
         """Publish the failure and close the bag, which stays readable."""
-        self._failed = str(error)
+        self._failed = why
         self._recording.publish(self._status())
-        self.get_logger().error(self._failed)
+        self._node.get_logger().error(self._failed)
         try:
             self._writer.__exit__(None, None, None)
-        except BagError as failure:
-            self.get_logger().error(f"the bag has no index, but its chunks can be read: {failure}")
-        self._report()
+        except Exception as failure:
+            self._node.get_logger().error(f"the bag has no index, but its chunks can be read: {failure}")
+        self._node.report()
 
     def _discover(self) -> None:
-        for topic, types in self.get_topic_names_and_types():
+        for topic, types in self._node.get_topic_names_and_types():
             found = role_of(topic)
-            if found is None or topic in self._counts or found.role.msgtype not in types or self.count_publishers(topic) == 0:
+            if found is None or topic in self._counts or found.role.msgtype not in types or self._node.count_publishers(topic) == 0:
                 continue
             if found.role is Role.DEPTH and not self._settings["depth"]:
                 continue
@@ -118,7 +126,7 @@ class BagRecorderNode(Node):
             except ImportError:
                 continue
             latched = any(
-                info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in self.get_publishers_info_by_topic(topic)
+                info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in self._node.get_publishers_info_by_topic(topic)
             )
             qos = QoSProfile(
                 depth=1000,
@@ -126,32 +134,35 @@ class BagRecorderNode(Node):
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
             self._counts[topic] = 0
-            self.create_subscription(message, topic, lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data), qos, raw=True)
+            if found.role is Role.PUSH_RECORD:  # without a record of it, a push that was broken off must not count as one
+                self._writer.declare(topic, found.role.msgtype)
+            self._node.create_subscription(
+                message, topic, lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data), qos, raw=True
+            )
 
     def _write(self, topic: str, msgtype: str, data: bytes) -> None:
         if self._failed:
             return
         try:
-            now = self.get_clock().now().nanoseconds
+            now = self._node.get_clock().now().nanoseconds
             if self._extrinsics is not None and topic.endswith(Role.DEPTH.value.name):
                 self._writer.write_extrinsics(1e-9 * now, self._extrinsics)
                 self._extrinsics = None
             self._writer.write_raw(topic, msgtype, now, data)
             self._counts[topic] += 1
-        except BagError as error:
-            self._fail(error)
+        except Exception as error:
+            self._fail(self._node.guard.explain(error))
 
-    def _status(self) -> DiagnosticStatus:
+    def health(self) -> Health:
+        """What was written, or why nothing is."""
         level = DiagnosticStatus.ERROR if self._failed else DiagnosticStatus.OK if self._counts else DiagnosticStatus.WARN
         text = self._failed or (f"{self._counts.total()} messages" if self._counts else "no topic of the bag contract is published")
-        status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
-        status.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(self._counts.items())]
-        return status
+        return Health(level, text, {topic: count for topic, count in sorted(self._counts.items())})
 
-    def _report(self) -> None:
-        msg = DiagnosticArray(status=[self._status()])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(msg)
+    def _status(self) -> DiagnosticStatus:
+        health, name = self.health(), self._node.get_fully_qualified_name()
+        values = [KeyValue(key=key, value=str(value)) for key, value in health.values.items()]
+        return DiagnosticStatus(level=health.level, name=name, message=health.message, hardware_id="push_ident", values=values)
 
 
 def main() -> int:

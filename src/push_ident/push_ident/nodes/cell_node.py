@@ -162,6 +162,17 @@ class CellNode(LifecycleNode, ABC):
         """End the component: the process ends."""
         self._release()
 
+    def raw_callbacks(self) -> list[str]:
+        """Callbacks of this node that no guard surrounds: none, because only functions of this class make them."""
+        found: dict[str, Any] = {f"subscription {s.topic_name}": s.callback for s in self.subscriptions}
+        found |= {f"service {s.srv_name}": s.callback for s in self.services}
+        found |= {f"timer {i}": timer.callback for i, timer in enumerate(self.timers)}
+        for number, waitable in enumerate(self.waitables):
+            if isinstance(waitable, ActionServer):
+                names = ("_execute_callback", "_goal_callback", "_cancel_callback", "_handle_accepted_callback")
+                found |= {f"action {number}{name}": getattr(waitable, name) for name in names}
+        return [name for name, callback in found.items() if not is_guarded(callback)]
+
     # ---- lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -27,6 +27,7 @@ from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_msg, shape_from_msgs
 from push_ident.nodes.discovery import ObjectTopics
+from push_ident.nodes.network import COMMAND_LINE
 from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import DiagnoseGap, ExecutePush
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
@@ -53,7 +54,10 @@ class CellClient:
 
     def __init__(self, *, check: Callable[[], None] = lambda: None) -> None:
         self._check = check
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE], signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:
+            raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
         self.node = Node("push_ident_client")
         self._poses: dict[str, deque[tuple[float, Float64Array]]] = {}
         self._maps: dict[str, MassFrictionMap] = {}

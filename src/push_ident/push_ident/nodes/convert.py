@@ -22,6 +22,7 @@ from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
+from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.depth import check_intrinsics, depth_from_buffer
 from push_ident.pushing.cutter import PushInterval
@@ -214,10 +215,10 @@ def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
     """
     if msg.type != SolidPrimitive.CYLINDER or len(msg.dimensions) != 2:
         raise InputError(f"Pusher shape has type {msg.type} and {len(msg.dimensions)} dimensions, expected a CYLINDER (height, radius).")
-    radius = float(msg.dimensions[SolidPrimitive.CYLINDER_RADIUS])
-    if not (math.isfinite(radius) and 0 <= radius < 1):
-        raise InputError(f"Pusher radius is {radius}, expected 0 to 1 m.")
-    return radius
+    height = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
+    if not (math.isfinite(height) and 0 <= height < 10):
+        raise InputError(f"Pusher height is {height}, expected 0 to 10 m.")
+    return check_pusher_radius(float(msg.dimensions[SolidPrimitive.CYLINDER_RADIUS]))
 
 
 def shape_to_msgs(shape: ObjectShape, object_id: str, stamp: Time) -> tuple[OccupancyGrid, PolygonStamped]:
@@ -239,7 +240,7 @@ def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None)
     """Shape of an object; without an outline it is traced from the cells. Cells run row by row: x fastest, then y.
 
     Raises:
-        InputError: No cells, too many, sizes that do not fit, or cells and outline of different objects.
+        InputError: No cells, too many, sizes that do not fit, an outline that cannot be one, or cells and outline of different objects.
     """
     # The resolution is a float32: its shortest decimal is the number that was meant.
     size, width, height = float(str(np.float32(cells.info.resolution))), int(cells.info.width), int(cells.info.height)
@@ -258,9 +259,9 @@ def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None)
     centres = transform_points([origin.position.x, origin.position.y, yaw], (np.stack([columns, rows], axis=1) + 0.5) * size)
     check_coordinates(centres, name)
     if outline is None:
-        return ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size, yaw=yaw))
+        return check_shape(ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size, yaw=yaw)))
     _check_frame(outline.header.frame_id, cells.header.frame_id)
-    return ObjectShape(CellGrid(centres, size), outline_from_msg(outline))
+    return check_shape(ObjectShape(CellGrid(centres, size), outline_from_msg(outline)))
 
 
 def outline_from_msg(outline: PolygonStamped) -> Float64Array:
@@ -363,8 +364,6 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
         raise FrameError(
             f"Depth image is {image.width} x {image.height}, camera info {info.width} x {info.height}; expected the same size."
         )
-    LIMITS.IMAGE_SIDE.check(max(image.width, image.height), "Depth image", error=FrameError)
-    LIMITS.IMAGE_PIXELS.check(image.width * image.height, "Depth image", error=FrameError)
     stamp = stamp_from_msg(image.header.stamp)
     skew = stamp - stamp_from_msg(info.header.stamp)
     if max_skew is not None and abs(skew) > max_skew:

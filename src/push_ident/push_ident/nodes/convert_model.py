@@ -49,6 +49,7 @@ _STATUS = {
     SolveStatus.STALLED: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.POOR_FIT: MassFrictionMap.STATUS_NOT_CONVERGED,
     SolveStatus.SIMULATION_FAILED: MassFrictionMap.STATUS_FAILED,
+    SolveStatus.UNEXPLAINED: MassFrictionMap.STATUS_FAILED,
     SolveStatus.NO_CONTACT: MassFrictionMap.STATUS_PRIOR,
 }
 _LOW, _HIGH = np.array([0.17, 0.25, 0.55]), np.array([0.98, 0.80, 0.15])

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.context import Context
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 
 __all__ = ["make_executor"]
 
 
 class _GuardedExecutor(Executor):  # type: ignore[misc]
-    """Guards what callbacks themselves cannot: taking a message whose bytes are damaged, sending an answer to a client that has gone, and
-    the work of rclpy around actions and events. In rclpy such an error ends the process, or blocks a callback group for ever."""
+    """Guards what callbacks themselves cannot: taking a message, sending an answer to a client that has gone, the work of rclpy around
+    actions and events. In rclpy such an error ends the process, or blocks a callback group for ever."""
 
     def _make_handler(self, entity: Any, node: Any, take_from_wait_list: Callable[[Any], Any]) -> Any:
         return super()._make_handler(entity, node, lambda entity: _guarded(entity, node.guard, take_from_wait_list))
@@ -26,9 +27,9 @@ class _Multi(_GuardedExecutor, MultiThreadedExecutor):  # type: ignore[misc]
     pass
 
 
-def make_executor(n_threads: int) -> Executor:
+def make_executor(n_threads: int, *, context: Context | None = None) -> Executor:
     """An executor of so many threads for nodes that have a `guard`."""
-    return _Single() if n_threads == 1 else _Multi(n_threads)
+    return _Single(context=context) if n_threads == 1 else _Multi(n_threads, context=context)
 
 
 def _guarded(entity: Any, guard: Any, take: Callable[[Any], Any]) -> Any:

@@ -12,6 +12,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from push_ident.bags.contract import Role, role_of
+from push_ident.errors import PushIdentError
+from push_ident.nodes.network import COMMAND_LINE
 
 __all__ = ["listen_to_contract"]
 
@@ -21,7 +23,10 @@ _RARE = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, Role.TF_STATIC, 
 
 def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
     """Listen for some time [s]; one row per topic: topic, type, rate_hz, qos, silent (no message although some are expected)."""
-    rclpy.init()
+    try:
+        rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE])
+    except RuntimeError as error:
+        raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
     node = Node("push_ident_doctor")
     counts: Counter[str] = Counter()
     found: dict[str, tuple[str, str, Role]] = {}

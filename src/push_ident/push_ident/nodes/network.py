@@ -11,10 +11,12 @@ from collections.abc import MutableMapping
 from pathlib import Path
 from typing import Final
 
-__all__ = ["PROFILE", "RANGE", "choose_network", "listens_on"]
+__all__ = ["COMMAND_LINE", "PROFILE", "RANGE", "choose_network", "listens_on"]
 
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
+COMMAND_LINE: Final = "/push_ident/command_line"
+"""Enclave of SROS 2 of the nodes of the command line (`security/policy.xml`)."""
 _LOCAL: Final = "fastdds_local.xml"
 _NETWORK: Final = "fastdds_network.xml"
 

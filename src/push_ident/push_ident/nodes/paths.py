@@ -6,14 +6,25 @@ import os
 from pathlib import Path
 
 from push_ident.errors import InputError
+from push_ident.identification.model_file import is_model_file
 from push_ident.limits import LIMITS, plain_text
 
 __all__ = ["file_to_read", "file_to_write"]
 
 
 def file_to_write(text: str) -> Path:
-    """The path; raises InputError unless it names a file in a folder that is there and can be written to."""
+    """The path of a model that a client asks to write.
+
+    Any process that reaches the service could otherwise replace any file of the user: so the name has to end with `.json`, and what is
+    there already has to be a model.
+
+    Raises InputError: the path is another one, or the folder is not there or cannot be written to.
+    """
     path = _path(text)
+    if path.suffix != ".json":
+        raise InputError(f"The path is {plain_text(text)!r}, expected the name of a model, which ends with .json.")
+    if path.is_symlink() or (path.exists() and not is_model_file(path)):
+        raise InputError(f"{plain_text(str(path))} exists and is no model of push_ident; it is not replaced, choose another name.")
     if not path.parent.is_dir():
         raise InputError(f"There is no folder {plain_text(str(path.parent))}; make it first.")
     if not os.access(path.parent, os.W_OK | os.X_OK):

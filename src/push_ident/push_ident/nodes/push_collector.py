@@ -28,7 +28,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.shapes import ShapeInput
 from push_ident.nodes.stamps import StampCheck
-from push_ident.pushing.cutter import PushCutter
+from push_ident.pushing.cutter import UNRECORDED, PushCutter
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
@@ -44,6 +44,7 @@ _HIDDEN: Final = 10.0
 _NO_CLOCK: Final = 3.0
 """Wall time without /clock after which simulated time counts as missing [s]."""
 _FAILED: Final = "pushes that failed, left out"
+_UNRECORDED: Final = "pushes without an end record, left out"
 _PERIOD: Final = 0.1
 """Wall time between two checks for complete pushes [s]."""
 
@@ -57,6 +58,7 @@ class PushCollector:
         on_object: called with the id of each object as soon as its pose is published.
         on_shape: called with id and shape of an object whenever its shape is published; a `PushIdentError` refuses the shape.
         on_pushes: called with complete pushes, each a list of one record per object; empty without enough observations.
+        on_left_out: called when a push is left out, so that nothing is kept of what was learned during it.
         on_frame: called with the id of an object after each new pose while a push is under way.
 
     Attributes:
@@ -73,6 +75,7 @@ class PushCollector:
         on_object: Callable[[str], None],
         on_shape: Callable[[str, ObjectShape], None],
         on_pushes: Callable[[list[list[PushRecord]]], None],
+        on_left_out: Callable[[], None] = lambda: None,
         on_frame: Callable[[str], None] = lambda object_id: None,
     ) -> None:
         self.counts: Counter[str] = Counter()
@@ -80,6 +83,7 @@ class PushCollector:
         self.radius = 0.0
         self._node = node
         self._on_object, self._on_shape, self._on_pushes, self._on_frame = on_object, on_shape, on_pushes, on_frame
+        self._on_left_out = on_left_out
         self._lock = threading.RLock()
         self._cutter = PushCutter(gap)
         self._stamps = StampCheck()
@@ -138,6 +142,7 @@ class PushCollector:
             return {
                 **self.counts,
                 _FAILED: self.counts[_FAILED],
+                _UNRECORDED: self.counts[_UNRECORDED],
                 "run": self._run,
                 "last error": self.last_error or "none",
             }
@@ -152,6 +157,7 @@ class PushCollector:
         """Drop a push under way: the next messages come after a gap."""
         with self._lock:
             self._cutter.reset()
+        self._on_left_out()
 
     # ---- messages
 
@@ -198,6 +204,8 @@ class PushCollector:
         with self._taking("pusher samples", "pusher/pose"):
             stamp, position = position_from_msg(msg)
             self._stamps.check("pusher/pose", stamp)
+            if not self._cutter.expects_records:
+                self._cutter.expects_records = self._node.count_publishers("push_record") > 0
             self._arrived("pusher samples", self._cutter.add_pusher(stamp, position[:2]))
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
@@ -216,6 +224,7 @@ class PushCollector:
             interval = push_interval_from_msg(msg)
             self._stamps.check("push_record", interval.end)
             self._cutter.add_record(interval)
+            self._cutter.expects_records = True
             self.counts["push records"] += 1
 
     def _arrived(self, what: str, taken: bool) -> bool:
@@ -237,10 +246,16 @@ class PushCollector:
             silent = not self._flushed and time.monotonic() - self._received > patience
             pushes = self._cutter.finished(flush=silent)
             self._flushed = self._flushed or silent
-        failed = sum(push.interval.error_code != 0 for push in pushes)
-        self.counts[_FAILED] += failed
-        if len(pushes) > failed:
-            self._on_pushes([push.records for push in pushes if push.interval.error_code == 0])
+        for push in pushes:
+            if push.unrecorded:
+                self.counts[_UNRECORDED] += 1
+                self.refuse("pushes", "push_record", UNRECORDED)
+            self.counts[_FAILED] += push.interval.error_code != 0
+        good = [push.records for push in pushes if push.interval.error_code == 0 and not push.unrecorded]
+        if len(good) < len(pushes):
+            self._on_left_out()
+        if good:
+            self._on_pushes(good)
 
     def _lacks_clock(self) -> bool:
         """Whether the node waits for a /clock without publisher."""

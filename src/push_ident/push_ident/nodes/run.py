@@ -8,15 +8,15 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Final
 
 import rclpy
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from push_ident.errors import PushIdentError
+from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.executors import make_executor
-from push_ident.nodes.guard import Guard
 from push_ident.nodes.lifetime import LIFETIME
 
 __all__ = ["COULD_NOT_START", "FAILED", "run_node", "settle_memory"]
@@ -33,10 +33,10 @@ _YIELD: Final = 3e-4
 """Time for a worker thread to begin its callback [s]."""
 
 
-def run_node(factory: Callable[[], Any], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
+def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = None, n_threads: int = 1) -> int:
     """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.
 
-    The request to stop only raises a flag: the ROS context stays valid, so a node that has a method `close()` can still publish
+    The request to stop only raises a flag: the ROS context stays valid, so the component of the node can still publish
     there (hold the arm, end a bag) before it is destroyed. A process that still runs after 1.8 s is ended by force.
 
     Args:
@@ -49,8 +49,8 @@ def run_node(factory: Callable[[], Any], *, args: Sequence[str] | None = None, n
     """
     LIFETIME.begin()
     LIFETIME.loaded()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)  # fails where security is enforced without keys
         node = factory()
     except Exception as error:
         _report(error)
@@ -73,24 +73,20 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def _spin(node: Any, n_threads: int) -> None:
-    guard = getattr(node, "guard", None) or Guard(node.get_logger)
-    node.guard = guard
+def _spin(node: CellNode, n_threads: int) -> None:
     executor = make_executor(n_threads)
     executor.add_node(node)
     settle_memory()
     try:
         while not LIFETIME.stop.is_set() and rclpy.ok():
-            with guard.watch("executor"):
+            with node.guard.watch("executor"):
                 executor.spin_once(timeout_sec=_WAIT)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
                 # interpreter for the worker: 100 % of a core instead of 16 %.
                 time.sleep(_YIELD)
     finally:
-        close = getattr(node, "close", None)
-        if close is not None:
-            close()
+        node.close()
         executor.shutdown(timeout_sec=0.5)
         node.destroy_node()
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.callback_groups import CallbackGroup
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
-from push_ident.errors import InputError, PlanningError
+from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import planar_pose_from_msg, shape_from_msgs
+from push_ident.nodes.cell_node import CellNode
+from push_ident.nodes.convert import planar_pose_from_msg
 from push_ident.nodes.discovery import ObjectTopics
+from push_ident.nodes.shapes import ShapeInput
+from push_ident.nodes.stamps import StampCheck
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape
@@ -24,13 +27,13 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class TrackedObjects:
-    """Subscribes to pose, cells and outline of each object that appears; messages that are refused are logged and dropped."""
+    """Subscribes to pose, cells and outline of each object that appears."""
 
-    def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
+    def __init__(self, node: CellNode, callback_group: CallbackGroup) -> None:
         self._node = node
         self._group = callback_group
-        self._cells: dict[str, OccupancyGrid] = {}
-        self._outlines: dict[str, PolygonStamped] = {}
+        self._stamps = StampCheck()
+        self._shape_input = ShapeInput()
         self._poses: dict[str, tuple[float, Float64Array, float]] = {}
         self._shapes: dict[str, ObjectShape] = {}
         self._topics = ObjectTopics(node, self._subscribe, callback_group=callback_group)
@@ -64,41 +67,19 @@ class TrackedObjects:
         return [transform_points(self._poses[other][1], self._shapes[other].outline) for other in self.ids if other != object_id]
 
     def _subscribe(self, object_id: str) -> None:
-        def topic(name: str) -> str:
-            return f"objects/{object_id}/{name}"
-
-        def subscribe(kind: type, name: str, qos: QoSProfile, store: dict) -> None:  # type: ignore[type-arg]
-            def on_message(msg: object) -> None:
-                store[object_id] = msg
-                self._update_shape(object_id)
-
-            self._node.create_subscription(kind, topic(name), on_message, qos, callback_group=self._group)
-
-        subscribe(OccupancyGrid, "cells", _LATCHED, self._cells)
-        subscribe(PolygonStamped, "outline", _LATCHED, self._outlines)
-        self._node.create_subscription(
-            PoseWithCovarianceStamped,
-            topic("pose"),
-            lambda msg: self._on_pose(object_id, msg),
-            qos_profile_sensor_data,
-            callback_group=self._group,
-        )
+        for kind, name, callback, qos in (
+            (OccupancyGrid, "cells", lambda msg: self._on_shape(object_id, cells=msg), _LATCHED),
+            (PolygonStamped, "outline", lambda msg: self._on_shape(object_id, outline=msg), _LATCHED),
+            (PoseWithCovarianceStamped, "pose", lambda msg: self._on_pose(object_id, msg), qos_profile_sensor_data),
+        ):
+            self._node.create_subscription(kind, f"objects/{object_id}/{name}", callback, qos, callback_group=self._group)
 
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
-        try:
-            stamp, pose, _ = planar_pose_from_msg(msg)
-        except InputError as error:
-            self._warn(f"objects/{object_id}/pose dropped: {error}")
-            return
+        stamp, pose, _ = planar_pose_from_msg(msg)
+        self._stamps.check(object_id, stamp)
         self._poses[object_id] = (stamp, pose, time.monotonic())
 
-    def _update_shape(self, object_id: str) -> None:
-        if object_id not in self._cells:
-            return
-        try:
-            self._shapes[object_id] = shape_from_msgs(self._cells[object_id], self._outlines.get(object_id))
-        except InputError as error:
-            self._warn(f"shape of objects/{object_id} dropped: {error}")
-
-    def _warn(self, text: str) -> None:
-        self._node.get_logger().warning(text, throttle_duration_sec=5.0)
+    def _on_shape(self, object_id: str, **part: Any) -> None:
+        shape = self._shape_input.add(object_id, **part)
+        if shape is not None:
+            self._shapes[object_id] = shape

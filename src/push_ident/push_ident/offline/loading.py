@@ -17,7 +17,7 @@ from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import observe_offline
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["LoadedPushes", "load_pushes", "track_from_depth"]
+__all__ = ["LoadedPushes", "load_pushes", "most_pushed", "track_from_depth"]
 
 _MAX_AGE: Final = 0.1
 """Longest time between a depth image and the pusher's pose that places it in the image [s]."""
@@ -62,7 +62,7 @@ def load_pushes(
             if on_progress:
                 on_progress(f"{path.name}: no object poses; tracking the object in {contents.n_depth} depth images")
             contents = track_from_depth(contents, camera_in_table)
-        chosen = object_id or _most_pushed(contents)
+        chosen = object_id or most_pushed(contents)
         object_id = object_id or chosen
         records += split_pushes(contents, chosen)
         notes += [f"{path.name}: {note}" for note in contents.notes]
@@ -104,8 +104,8 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     return replace(contents, objects=objects)
 
 
-def _most_pushed(contents: BagContents) -> str:
-    """The object that the most pushes touch."""
+def most_pushed(contents: BagContents) -> str:
+    """The only object, or the one that the most pushes touch. Raises BagError where none of several has poses and usable cells."""
     if len(contents.objects) == 1:
         return next(iter(contents.objects))
     touched = {}
@@ -115,5 +115,8 @@ def _most_pushed(contents: BagContents) -> str:
             some = records[:: 1 + len(records) // _ENOUGH_PUSHES]
             touched[object_id] = float(np.mean([observe_push(record).touched for record in some])) * len(records)
     if not touched:
-        raise BagError(f"{contents.path}: none of the objects {', '.join(contents.objects)} has cells, poses and a usable push.")
+        reasons = " ".join(note for note in contents.notes if note.startswith("object "))
+        raise BagError(
+            f"{contents.path}: none of the objects {', '.join(contents.objects)} has cells, poses and a usable push. {reasons}".rstrip()
+        )
     return max(touched, key=lambda key: touched[key])

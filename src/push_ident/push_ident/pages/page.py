@@ -9,11 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from push_ident.errors import InputError
+from push_ident.files import write_whole
+from push_ident.limits import plain_text, printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["svg", "write_page"]
+__all__ = ["figure_text", "svg", "write_page"]
+
+
+def figure_text(text: str) -> str:
+    """Foreign text for a figure: one line, and no formula; matplotlib would parse what stands between two `$`, and fail."""
+    return plain_text(text).replace("$", r"\$")
 
 
 def svg(figure: Figure) -> str:
@@ -57,8 +64,4 @@ def write_page(path: Path, package: str, template: str, context: Mapping[str, An
     environment.filters["mm"] = lambda metres, digits=1: "–" if metres is None or metres != metres else f"{1e3 * metres:.{digits}f} mm"
     environment.filters["figure"] = lambda text: Markup(text)
     page = environment.get_template(template).render(**context)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"Cannot write the report {path}: {error.strerror}; choose a folder with write permission.") from None
+    write_whole(path, printable(page), "the report", error=InputError)

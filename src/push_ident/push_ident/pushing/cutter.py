@@ -1,6 +1,7 @@
 """Cuts the streams of a cell into pushes: the same rules for a bag, which is there as a whole, and for messages as they arrive.
 
-1. A push is an interval of time. A push record gives it. Without one it is a run of pusher samples without a pause over `gap`.
+1. A push is an interval of time. A push record gives it. Where nobody writes records it is a run of pusher samples without a pause over
+   `gap`. Where somebody does, a run without a record is no push: the executor ended in the middle of it, and nothing says what it made.
 2. A push owns the time between the midpoints to the intervals before and after it, those of failed pushes included.
 3. Of the poses that it owns, a push takes those up to `gap` around its interval. Where there is none at or before its start, it takes the
    last one before; where there is none at or after its end, the first one after; neither is farther than a minute.
@@ -27,7 +28,7 @@ from push_ident.errors import InputError
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
-__all__ = ["LIVE_CAPACITY", "CutPush", "PushCutter", "PushInterval"]
+__all__ = ["LIVE_CAPACITY", "UNRECORDED", "CutPush", "PushCutter", "PushInterval"]
 
 LIVE_CAPACITY: Final = 20_000
 """Samples of a stream that a live cell keeps: ten minutes at 30 Hz."""
@@ -40,6 +41,10 @@ _SILENT_CALLS: Final = 3
 topic between two calls of a timer, so that no message can be waiting then."""
 _NEAREST: Final = 60.0
 """Farthest pose before or after a push that shows the object at rest there [s]."""
+_RECORD_WITHIN: Final = 10.0
+"""A push record comes so much later than its push at the latest [s]: an executor may first take the arm home."""
+UNRECORDED: Final = "push without an end record: the executor ended in the middle"
+"""Why such a run is no push."""
 _ROUNDING: Final = 5e-7
 """Stamps and ends of intervals went through different roundings [s]."""
 
@@ -68,6 +73,8 @@ class CutPush:
     """One for each object that has a shape and enough poses; empty for a failed push."""
     left_out: dict[str, str]
     """Objects that have a shape but no record, and why."""
+    unrecorded: bool = False
+    """Whether it should have a push record, but has none."""
 
 
 @dataclass(slots=True)
@@ -130,6 +137,7 @@ class _Run:
     start: float
     end: float
     record: PushInterval | None = None
+    expects_record: bool = False
 
 
 class PushCutter:
@@ -138,8 +146,7 @@ class PushCutter:
     Args:
         gap: pause of the pusher that ends a push [s].
         capacity: samples of each stream to keep at least; None keeps all.
-        find_runs: whether a run of pusher samples without a push record is a push. False for a complete bag that has push records; true for
-            a live cell, where a push is not kept back until its record arrives.
+        find_runs: whether runs of pusher samples are looked for. False for a complete bag that has push records.
     """
 
     def __init__(self, gap: float = 0.5, *, capacity: int | None = LIVE_CAPACITY, find_runs: bool = True) -> None:
@@ -158,11 +165,15 @@ class PushCutter:
         self._handed_out_until = -math.inf
         """End of the last push that was handed out [s]."""
         self._now = -math.inf
+        self._before = math.inf
+        """Time when it was last set back [s]."""
         self._streams: dict[str, _Stream] = {}
         self._cuts: deque[float] = deque()
         self._records: deque[PushInterval] = deque(maxlen=None if capacity is None else _MAX_RECORDS)
         self.run = 1
         """Counts how often time was set back, from 1."""
+        self.expects_records = False
+        """Whether somebody writes push records: from now on, and for the run under way, a run without one is no push."""
 
     # ---- input
 
@@ -226,6 +237,7 @@ class PushCutter:
         if self._open is None:
             self._open = _Run(stamp, stamp)
         self._open.end = stamp
+        self._open.expects_record |= self.expects_records
 
     def _end_run(self) -> None:
         if self._open is not None:
@@ -244,14 +256,17 @@ class PushCutter:
         elif stamp <= stream.latest:
             return False
         elif stream.is_behind:
-            stream.is_behind = self._now < stream.latest
+            # What is left from before time was set back is not later than the time then: if this is, one message was late, not the clock.
+            stream.is_behind = self._now < stream.latest and stamp <= self._before + _JUMP_BACK
         stream.latest = stamp
         if not stream.is_behind:
             self._now = max(self._now, stamp)
         return not stream.is_behind
 
     def _set_back(self, stamp: float) -> None:
+        before = self._now
         self._forget_all()
+        self._before = before
         self._now = stamp
         self.run += 1
         for stream in self._streams.values():
@@ -298,11 +313,18 @@ class PushCutter:
             self._cuts.popleft()
         pushes = []
         while self._ended:
-            interval, window = self._interval(self._ended[0]), self._window()
+            run, interval, window = self._ended[0], self._interval(self._ended[0]), self._window()
+            if interval.push_id and interval.end <= self._handed_out_until:
+                self._ended.popleft()  # a second run of a push during which the pusher's poses paused
+                continue
             if not (flush or passed > window[1] or (self._observed_after(interval.end) and passed > interval.end + self._gap)):
                 break
+            unrecorded = run.expects_record and not self._records_of(run)
+            if unrecorded and not (flush or passed > run.end + _RECORD_WITHIN or any(r.start >= run.end for r in self._records)):
+                break
             self._ended.popleft()
-            pushes.append(self._cut_push(interval, window))
+            lost = CutPush(interval, [], dict.fromkeys(self._shapes, UNRECORDED), unrecorded=True)
+            pushes.append(lost if unrecorded else self._cut_push(interval, window))
             self._handed_out_until = interval.end
             self._forget(interval.end)
         return pushes
@@ -327,11 +349,14 @@ class PushCutter:
 
     def _interval(self, run: _Run) -> PushInterval:
         """Rule 1. Of several records that overlap a run, one of a failed push counts first."""
+        records = self._records_of(run)
+        failed = [record for record in records if record.error_code]
+        return (failed or records or [PushInterval(0, "", run.start, run.end, 0)])[0]
+
+    def _records_of(self, run: _Run) -> list[PushInterval]:
         if run.record is not None:
-            return run.record
-        overlapping = [record for record in self._records if record.start < run.end and run.start < record.end]
-        failed = [record for record in overlapping if record.error_code]
-        return (failed or overlapping or [PushInterval(0, "", run.start, run.end, 0)])[0]
+            return [run.record]
+        return [record for record in self._records if record.start < run.end and run.start < record.end]
 
     def _window(self) -> tuple[float, float]:
         """Rule 2, for the oldest push that was not handed out."""

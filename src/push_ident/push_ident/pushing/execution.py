@@ -14,6 +14,7 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.pushing.motion import ArmMotion, ArmPlan, MotionSettings, plan_push, plan_retreat
+from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
@@ -109,6 +110,10 @@ class ExecutedPush:
     ended: float = 0.0
     error: PlanningError | None = None
     """Why it failed."""
+    pacing: PathPacing | None = None
+    """Tells when which part of the plan was reached."""
+    is_reported: bool = False
+    """Whether its record was handed out."""
     _last: tuple[float, float] | None = None
 
     def observe(self, state: ArmState) -> None:
@@ -122,8 +127,11 @@ class ExecutedPush:
 
     def times(self) -> tuple[float, float, float]:
         """Start, stop and end of the push [s]. A phase that was not reached has the time of the end."""
-        end = min(self.started + self.plan.rested, self.ended)
-        return min(self.started + self.plan.lowered, end), min(self.started + self.plan.stop, end), end
+        start, stop, end = (min(self._reached(t), self.ended) for t in (self.plan.lowered, self.plan.stop, self.plan.rested))
+        return start, stop, end
+
+    def _reached(self, path_time: float) -> float:
+        return np.inf if self.pacing is None else self.pacing.time_of(path_time)
 
 
 @dataclass(slots=True)
@@ -178,6 +186,10 @@ class PushExecution:
         if self._one_at_a_time.acquire(timeout=timeout):
             self._one_at_a_time.release()
 
+    def start(self) -> None:
+        """Take requests again after `stop`."""
+        self._stopped.clear()
+
     def close_hand(self, timeout: float) -> str:
         """Close the hand; why it is not a closed fist, empty when it is."""
         if not self._one_at_a_time.acquire(blocking=False):
@@ -194,7 +206,8 @@ class PushExecution:
             outcome.error = PlanningError(PushCode.BUSY, "another push is under way; wait for it or cancel it.")
             return outcome
         try:
-            _Execution(self, self._ports, self._watch, request, settings, client, outcome).run()
+            with self._ports.arm.in_use():
+                _Execution(self, self._ports, self._watch, request, settings, client, outcome).run()
         except PlanningError as error:
             outcome.error = error
         except InputError as error:
@@ -365,7 +378,7 @@ class _Execution:
     def _make(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
         """Make one push, planned once more where the arm was moved, and report it once it has begun, however it ends.
 
-        `phase_at` gives the phase to report for a time since the start [s].
+        `phase_at` gives the phase to report for a time of the plan [s].
         """
         was_pushing = False
         try:
@@ -379,17 +392,21 @@ class _Execution:
         push.ended = self.ports.clock.now()
         if was_pushing and push.error is not None and push.error.code == PushCode.OBJECT_LOST:
             push.error = PlanningError(push.error.code, f"{push.error} {self._retreat(push)}")
-        if push.push_id:
-            self.owner.report(push)
+        self._report(push)
         if push.error is not None:
             raise push.error
+
+    def _report(self, push: ExecutedPush) -> None:
+        if push.push_id and not push.is_reported:
+            push.is_reported = True
+            self.owner.report(push)
 
     def _move(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
         reported: tuple[Phase | None, float] = (None, -np.inf)
 
-        def on_start(motion: ArmMotion, started: float) -> None:
+        def on_start(motion: ArmMotion, pacing: PathPacing) -> None:
             assert isinstance(motion, ArmPlan)
-            push.push_id, push.plan, push.started = self.owner.begin(), motion, started
+            push.push_id, push.plan, push.started, push.pacing = self.owner.begin(), motion, pacing.started, pacing
 
         def on_look(elapsed: float, state: ArmState) -> None:
             nonlocal reported
@@ -397,6 +414,10 @@ class _Execution:
             if self.owner.is_pushing:
                 push.observe(state)
                 self._check_object(push)
+            elif elapsed > push.plan.rested and self._why_no_contact(push) == "":
+                # A push is whole when the object was seen at rest after it; the way home is no part of it.
+                push.ended = self.ports.clock.now()
+                self._report(push)
             phase = phase_at(elapsed)
             if phase != reported[0] or elapsed - reported[1] > _FEEDBACK_PERIOD:
                 reported = (phase, elapsed)
@@ -419,7 +440,7 @@ class _Execution:
                 self.settings.limits,
                 replan=plan_from,
                 check_wanted=self._check_wanted,
-                on_start=lambda motion, started: None,
+                on_start=lambda motion, pacing: None,
                 on_look=lambda elapsed, state: self.client.feedback(Phase.RETREAT, 1.0),
             )
         except PlanningError as error:
@@ -447,25 +468,31 @@ class _Execution:
 
     def _check_contact(self, push: ExecutedPush) -> None:
         """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived after the push."""
-        before, stop, clock = push.before, push.started + push.plan.stop, self.ports.clock
+        clock = self.ports.clock
         deadline = clock.monotonic() + self.settings.pose_timeout
-        after = self.ports.objects.get(before.object_id, np.inf)
-        while after.stamp <= stop:
+        while (reason := self._why_no_contact(push)) is None:
             self.owner.check_open()
             if clock.monotonic() > deadline:
-                raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{before.object_id}` after the push.")
+                raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{push.before.object_id}` after the push.")
             clock.sleep(_POLL)
-            after = self.ports.objects.get(before.object_id, np.inf)
+        if reason:
+            raise PlanningError(PushCode.NO_CONTACT, reason)
+
+    def _why_no_contact(self, push: ExecutedPush) -> str | None:
+        """Why a push that was made did not move the object; empty if it did, None before a pose after the push has arrived."""
+        assert push.pacing is not None
+        before, after = push.before, self.ports.objects.get(push.before.object_id, np.inf)
+        if after.stamp <= push.pacing.time_of(push.plan.stop):
+            return None
         shift = float(np.linalg.norm(after.pose[:2] - before.pose[:2]))
         turn = abs(float(wrap_angle(after.pose[2] - before.pose[2])))
-        if shift <= self.settings.min_object_shift and turn <= self.settings.min_object_turn:
-            raise PlanningError(
-                PushCode.NO_CONTACT, f"`{before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
-            )
+        if shift > self.settings.min_object_shift or turn > self.settings.min_object_turn:
+            return ""
+        return f"`{before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
 
 
 def phase_of(plan: ArmPlan, elapsed: float) -> Phase:
-    """Phase of a push at a time since its start [s]."""
+    """Phase of a push at a time of its plan [s]."""
     if elapsed < plan.lowered:
         return Phase.APPROACH
     if elapsed < plan.stop:

@@ -85,18 +85,20 @@ class ArmMotion:
     trajectory: JointTrajectory
     tip: Float64Array
     """Tip at every sample of the trajectory [m], shape (n, 3), root frame."""
+    acceleration_limit: Float64Array
+    """Of every joint [rad/s^2], shape (n_joints,); the arm brakes within it."""
 
     @property
     def duration(self) -> float:
         """Duration of the motion [s]."""
         return self.trajectory.duration
 
-    def deviation(self, tip: Float64Array, time: float, lag: float) -> float:
-        """Distance [m] of a measured `tip` (3,) to the part of the path from `time - lag` to just after `time` [s].
+    def deviation(self, tip: Float64Array, earliest: float, latest: float) -> float:
+        """Distance [m] of a measured `tip` (3,) to the part of the path between two times of the plan [s], and a little further.
 
-        An arm that follows with a delay of up to `lag` has no deviation.
+        An arm that follows with a delay has no deviation from the path that it should have made between the two.
         """
-        first, last = np.searchsorted(self.trajectory.time, [time - lag, time + _LEAD])
+        first, last = np.searchsorted(self.trajectory.time, [earliest, latest + _LEAD])
         path = self.tip[max(int(first) - 1, 0) : int(last) + 1]
         edge = np.diff(path, axis=0)
         if len(edge) == 0:
@@ -172,6 +174,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
         kinematics.joint_names,
         trajectory,
         _checked_tip(kinematics, trajectory, max_velocity, settings),
+        _acceleration_limit(kinematics, settings),
         push,
         lowered,
         departure,
@@ -198,7 +201,7 @@ def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike
     trajectory = join(parts)
     tip = _checked_tip(kinematics, trajectory, _max_velocity(kinematics, settings), settings)
     _check_height(tip, settings, float(tip[0, 2]))
-    return ArmMotion(kinematics.joint_names, trajectory, tip)
+    return ArmMotion(kinematics.joint_names, trajectory, tip, _acceleration_limit(kinematics, settings))
 
 
 def _max_velocity(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:

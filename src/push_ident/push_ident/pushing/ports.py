@@ -6,12 +6,14 @@ The node implements these interfaces on ROS; tests implement them in memory, on 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Protocol
 
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.motion import ArmMotion
+from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "ExecutionPorts",
     "ForceSensor",
     "Hand",
+    "MotionLink",
     "Objects",
     "Phase",
     "Recorder",
@@ -106,20 +109,35 @@ class Arm(Protocol):
         """The first state that is received after this call, for an arm at rest."""
         ...
 
+    def in_use(self) -> AbstractContextManager[None]:
+        """A context in which the planner stays as it is, whatever descriptions of the arm come in."""
+        ...
+
     def rivals(self) -> tuple[str, ...]:
         """Other nodes that command the same arm."""
         ...
 
-    def prepare(self, motion: ArmMotion) -> Any:
-        """Command that starts a motion."""
+    def stamp_now(self) -> float:
+        """What the clock of the arm's stamps shows now [s]; there must have been a state."""
         ...
 
-    def send(self, command: Any) -> ArmState:
-        """Start a prepared motion; the latest state just before."""
+    def open(self, motion: ArmMotion) -> MotionLink:
+        """The only way to move the arm: pieces of `motion`, until it is held."""
         ...
 
-    def hold(self, q: Float64Array) -> None:
-        """Stand still at `q` [rad] instead of what is being executed."""
+
+class MotionLink(Protocol):
+    """Sends pieces of one motion to the arm; nothing moves it any more once it was held."""
+
+    def move(self, piece: JointTrajectory, start: float | None) -> None:
+        """Start a piece in place of the one under way. Raises PlanningError after `hold`.
+
+        Its times count from `start` on the clock of the arm's stamps [s], or from its receipt.
+        """
+        ...
+
+    def hold(self, piece: JointTrajectory) -> None:
+        """End the motion with a piece of one point, at which the arm stands."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The watch over a moving arm: any fault ends the motion, and the arm is held."""
+"""The watch over a moving arm: any fault ends the motion, and the arm is held; without the watch itself the arm stops, too."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 
 from push_ident.errors import PlanningError
 from push_ident.pushing.motion import ArmMotion
-from push_ident.pushing.ports import ArmState, Clock, ExecutionPorts
+from push_ident.pushing.pacing import SPLICE, PathPacing
+from push_ident.pushing.ports import Arm, ArmState, Clock, ExecutionPorts
 from push_ident.pushing.push import PushCode
+from push_ident.pushing.trajectory import JointTrajectory
 
 __all__ = ["ArmWatch", "WatchLimits"]
 
@@ -23,6 +25,14 @@ _SAME_CLOCK: Final = 1.0
 """The arm's stamps are on the clock of the cell when they differ by less [s]."""
 _ARRIVAL: Final = 1.0
 """[s] the arm may still need after the end of the plan."""
+_ABSENT: Final = 0.5
+"""A motion that was not watched for longer [s] does not go on: the cell may have changed meanwhile, and the path of the tool has a gap."""
+_CLOCK_JUMP: Final = 0.25
+"""A change of the arm's clock, beyond the time that has passed, that counts as setting it [s]."""
+_PIECES: Final = 4
+"""Pieces that are sent within the horizon: three may be lost or late before the arm brakes."""
+_HOLD_WITHIN: Final = 0.1
+"""Time that an arm off its path is given to come to a halt [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +49,10 @@ class WatchLimits:
     """Largest delay of the arm behind the plan [s]."""
     force_limit: float = 60.0
     """Largest horizontal force [N]."""
+    motion_horizon: float = 0.08
+    """Motion at the planned speed that the arm is given ahead [s]: without news it brakes after that."""
+    stamp_commands: bool = False
+    """Whether pieces say when they start by the clock of the arm's stamps; else they start on receipt, and transport adds its jitter."""
     wrench_timeout: float = 0.5
     """Longest time without a force measurement, where there was one at the start of the motion [s]."""
 
@@ -48,22 +62,41 @@ class WatchLimits:
 
 
 class _MotionClock:
-    """Time since a motion began, by the stamps of the arm: the clock of the cell may lag behind them, as that of a simulation does.
+    """Time during a motion, by the stamps of the arm: the clock of the cell may lag behind them, as that of a simulation does.
 
     An arm whose stamps are on no known clock is timed by the receipt of its states.
     """
 
-    def __init__(self, last: ArmState, clock: Clock) -> None:
-        """`last`: the arm's state when the motion was sent."""
+    def __init__(self, arm: Arm, last: ArmState, clock: Clock) -> None:
+        """`last`: a state of the arm from before the motion."""
         now = clock.now()
-        self._by_stamp = abs(last.stamp - now) < _SAME_CLOCK
+        self._arm, self._clock = arm, clock
+        self.by_stamp = abs(last.stamp - now) < _SAME_CLOCK
+        """Whether times are those of the arm's own clock."""
         self._received = clock.monotonic()
-        self.started = last.stamp if self._by_stamp else now
+        self.started = arm.stamp_now() if self.by_stamp else now
         """[s] on the clock of the cell."""
+        self.latest = self.started
+        """Latest result of `now` [s]."""
+        self.ahead = 0.0
+        """What it then had gained on wall time, beyond all before [s]."""
+        self._gained = self.started - self._received
 
-    def at(self, state: ArmState) -> float:
+    def of(self, state: ArmState) -> float:
         """When a state was [s]."""
-        return state.stamp - self.started if self._by_stamp else state.received - self._received
+        return state.stamp if self.by_stamp else self.started + state.received - self._received
+
+    def set_back(self, state: ArmState) -> float:
+        """By how much the stamp of a state says that the clock was set back [s]; 0 or less: it was not."""
+        return self.latest - state.stamp - _CLOCK_JUMP if self.by_stamp else 0.0
+
+    def now(self) -> float:
+        """The present; never decreases [s]."""
+        wall = self._clock.monotonic()
+        time = self._arm.stamp_now() if self.by_stamp else self.started + wall - self._received
+        self.ahead = max(time - wall - self._gained, 0.0)
+        self.latest, self._gained = max(time, self.latest), self._gained + self.ahead
+        return self.latest
 
 
 class ArmWatch:
@@ -88,7 +121,7 @@ class ArmWatch:
         *,
         replan: Callable[[np.ndarray], ArmMotion],
         check_wanted: Callable[[], None],
-        on_start: Callable[[ArmMotion, float], None],
+        on_start: Callable[[ArmMotion, PathPacing], None],
         on_look: Callable[[float, ArmState], None],
     ) -> None:
         """Make one motion.
@@ -98,24 +131,24 @@ class ArmWatch:
             limits: that it must keep to.
             replan: plans it once more from the posture [rad], if the arm was moved since.
             check_wanted: raises PlanningError when the motion should end.
-            on_start: called with the motion that was sent, and when [s].
-            on_look: called at each check with the time since the start [s] and the arm's state; may raise PlanningError, which ends the
-                motion.
+            on_start: called with the motion that begins, and with what tells when the arm reaches which part of it.
+            on_look: called at each check with the time of the plan [s] that the arm has reached, and the arm's state; may raise
+                PlanningError, which ends the motion.
 
         Raises:
             PlanningError: nothing moved, or the arm is held: TRACKING, ARM_SILENT, FORCE, HAND, RECORDING, and those of the arguments.
         """
         for attempt in range(2):
-            command = self._arm.prepare(motion)
-            q = self._arm.next_state(limits.arm_timeout).q
-            distance = float(np.max(np.abs(q - motion.trajectory.position[0])))
+            state = self._arm.next_state(limits.arm_timeout)
+            distance = float(np.max(np.abs(state.q - motion.trajectory.position[0])))
             check_wanted()
             if distance <= limits.start_tolerance:
-                clock = _MotionClock(self._arm.send(command), self._clock)
-                on_start(motion, clock.started)
-                return self._follow(motion, clock, limits, check_wanted, on_look)
+                clock = _MotionClock(self._arm, state, self._clock)
+                pacing = PathPacing(motion.trajectory, motion.acceleration_limit, limits.motion_horizon, clock.started)
+                on_start(motion, pacing)
+                return self._follow(motion, pacing, clock, limits, check_wanted, on_look)
             if attempt == 0:
-                motion = replan(q)
+                motion = replan(state.q)
         raise PlanningError(
             PushCode.TRACKING,
             f"the arm moves by itself: it is {distance:.3f} rad from the start of the plan, limit {limits.start_tolerance:.3f} rad.",
@@ -124,47 +157,69 @@ class ArmWatch:
     def _follow(
         self,
         motion: ArmMotion,
+        pacing: PathPacing,
         clock: _MotionClock,
         limits: WatchLimits,
         check_wanted: Callable[[], None],
         on_look: Callable[[float, ArmState], None],
     ) -> None:
+        """The only place from which the arm is moved: one thread, and nothing follows the hold."""
         is_measured = self._force.silence <= limits.patience(limits.wrench_timeout)
         self.peak_force, _ = 0.0, self._force.take_peak()
-        looked = self._clock.monotonic()
+        looked = sent = self._clock.monotonic()
+        link = self._arm.open(motion)
         try:
+            is_stamped = limits.stamp_commands and clock.by_stamp
+            link.move(pacing.piece(clock.started), clock.started if is_stamped else None)
             while True:
                 self._clock.sleep(_PERIOD)
                 now, before = self._clock.monotonic(), looked
                 looked = now
                 check_wanted()
                 state = self._arm.fresh_state(limits.arm_timeout, is_late=now - before > _LATE)
-                elapsed = clock.at(state)
-                self._check_tracking(motion, state, elapsed, limits)
+                self._check_time(clock, state, now - before)
+                self._check_tracking(motion, pacing, state, clock.of(state), limits)
                 self._check_force(is_measured, limits)
                 self._check_equipment()
+                elapsed = pacing.path_time(clock.of(state))
                 on_look(elapsed, state)
                 arrived = np.max(np.abs(state.q - motion.trajectory.position[-1])) <= limits.start_tolerance
                 if elapsed >= motion.duration and arrived:
                     return
+                if now - sent > limits.motion_horizon / _PIECES - 0.5 * _PERIOD and not pacing.is_complete:
+                    sent = now
+                    # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
+                    time = clock.now()
+                    link.move(pacing.piece(time, splice=SPLICE + clock.ahead), time if is_stamped else None)
         except BaseException as fault:
-            # A silent arm is best held where it was sent; one that still reports, where it is.
-            silent = isinstance(fault, PlanningError) and fault.code == PushCode.ARM_SILENT
-            planned = motion.trajectory.at(self._clock.now() - clock.started)
-            latest = self._arm.state
-            self._arm.hold(planned if silent or latest is None else latest.q)
+            link.hold(self._last_piece(fault, pacing, clock))
             raise
 
-    def _check_tracking(self, motion: ArmMotion, state: ArmState, elapsed: float, limits: WatchLimits) -> None:
-        if elapsed < -limits.arm_timeout:
-            raise PlanningError(PushCode.TRACKING, f"time jumped back by {-elapsed:.2f} s during the motion.")
-        deviation, limit = motion.deviation(state.pose_tip_in_table[:3, 3], elapsed, limits.tracking_lag), limits.tracking_tolerance
+    def _last_piece(self, fault: BaseException, pacing: PathPacing, clock: _MotionClock) -> JointTrajectory:
+        """An arm on its path brakes on it; one that has left it stands where it is."""
+        state = self._arm.state
+        if isinstance(fault, PlanningError) and fault.code == PushCode.TRACKING and state is not None:
+            return JointTrajectory(np.array([_HOLD_WITHIN]), state.q[None, :], np.zeros((1, len(state.q))))
+        return pacing.halt(clock.now())
+
+    def _check_time(self, clock: _MotionClock, state: ArmState, unwatched: float) -> None:
+        """Raise PlanningError TRACKING when it is not known how far the arm has come."""
+        if unwatched > _ABSENT:
+            raise PlanningError(PushCode.TRACKING, f"the motion was not watched for {unwatched:.1f} s, and the arm has stopped by itself.")
+        if (back := clock.set_back(state)) > 0.0:
+            raise PlanningError(PushCode.TRACKING, f"time jumped back by {back + _CLOCK_JUMP:.2f} s during the motion.")
+        if clock.ahead > _CLOCK_JUMP:
+            raise PlanningError(PushCode.TRACKING, f"time jumped ahead by {clock.ahead:.2f} s during the motion.")
+
+    def _check_tracking(self, motion: ArmMotion, pacing: PathPacing, state: ArmState, time: float, limits: WatchLimits) -> None:
+        earliest, latest = pacing.path_time(time - limits.tracking_lag), pacing.path_time(time)
+        deviation, limit = motion.deviation(state.pose_tip_in_table[:3, 3], earliest, latest), limits.tracking_tolerance
         if deviation > limit:
             raise PlanningError(
                 PushCode.TRACKING,
-                f"the tool is {1e3 * deviation:.1f} mm from its path after {elapsed:.2f} s, limit {1e3 * limit:.1f} mm.",
+                f"the tool is {1e3 * deviation:.1f} mm from its path after {time - pacing.started:.2f} s, limit {1e3 * limit:.1f} mm.",
             )
-        if elapsed > motion.duration + _ARRIVAL:
+        if pacing.is_complete and time > pacing.time_of(motion.duration) + _ARRIVAL:
             raise PlanningError(PushCode.TRACKING, f"the arm did not arrive within {_ARRIVAL:.1f} s after the end of the plan.")
 
     def _check_force(self, is_measured: bool, limits: WatchLimits) -> None:

@@ -19,13 +19,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -35,6 +32,8 @@ from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from push_ident.errors import InputError
 from push_ident.geometry.se3 import pose_of_quaternion
+from push_ident.limits import LIMITS, plain_text
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     depth_frame_to_msgs,
@@ -45,7 +44,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.run import run_node
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise
@@ -111,8 +110,12 @@ _STOP_WITHIN: Final = 1.0
 """Longest wait for a thread at the end [s]."""
 _LAG: Final = 0.1
 """A simulation that is further behind its pace than this does not try to catch up [s]."""
-_REPORT_PERIOD: Final = 1.0
-"""Between two reports of health [s], wall clock."""
+_SOON: Final = 0.1
+"""A trajectory that starts later is refused [s]: nobody may remember having sent it."""
+_BREATH: Final = 0.1
+"""Pause after a time step that failed [s]."""
+_MAX_VELOCITY: Final = 100.0
+"""Of a joint in a trajectory [rad/s]; no arm comes near."""
 _TRUTH_ID: Final = "truth"
 """Id of an object whose poses come from the truth."""
 
@@ -128,12 +131,22 @@ class _Snapshot:
     robot_link_poses: dict[str, FloatArray]
 
 
-class SimCellNode(Node):
-    """One thread steps the world and publishes its state, one renders; callbacks only hand requests to the first."""
+class SimCellNode(CellNode):
+    """The cell; simulated time stands while the node is not active, and a motion of the arm is not continued after."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("sim_cell_node", **kwargs)
-        self._settings = Parameters(self, PARAMETERS)
+        super().__init__("sim_cell_node", PARAMETERS, **kwargs)
+
+    def make_component(self) -> Component:
+        """World, camera and their threads."""
+        return _SimCell(self)
+
+
+class _SimCell(Component):
+    """One thread steps the world and publishes its state, one renders; callbacks only hand requests to the first."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._node, self._settings = node, node.settings
         values = self._settings.as_dict()
         effects = InjectedEffects.of({name: values[_EFFECT + name] for name in INJECTED})
         thing = _object_of(values)
@@ -152,99 +165,107 @@ class SimCellNode(Node):
         self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
         self._as_perception = PoseSensor(effects, self._truth_std, self._truth_rng) if values["truth_as_perception"] else None
 
-        self._image_pub = self.create_publisher(Image, "depth/image_rect", qos_profile_sensor_data)
-        self._info_pub = self.create_publisher(CameraInfo, "depth/camera_info", qos_profile_sensor_data)
-        self._joint_pub = self.create_publisher(JointState, "joint_states", 10)
-        self._wrench_pub = self.create_publisher(WrenchStamped, "pusher/wrench", 10)
-        self._clock_pub = self.create_publisher(Clock, "/clock", 1)
-        self._truth_pub = self.create_publisher(PoseStamped, "~/ground_truth/pose", 10)
-        self._description_pub = self.create_publisher(String, "robot_description", _LATCHED)
-        self._object_pub = self.create_publisher(String, "~/ground_truth/object", _LATCHED)
-        self._diagnostics_pub = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._image_pub = node.create_publisher(Image, "depth/image_rect", qos_profile_sensor_data)
+        self._info_pub = node.create_publisher(CameraInfo, "depth/camera_info", qos_profile_sensor_data)
+        self._joint_pub = node.create_publisher(JointState, "joint_states", 10)
+        self._wrench_pub = node.create_publisher(WrenchStamped, "pusher/wrench", 10)
+        self._clock_pub = node.create_publisher(Clock, "/clock", 1)
+        self._truth_pub = node.create_publisher(PoseStamped, "~/ground_truth/pose", 10)
+        self._description_pub = node.create_publisher(String, "robot_description", _LATCHED)
+        self._object_pub = node.create_publisher(String, "~/ground_truth/object", _LATCHED)
         if self._as_perception is not None:
             topic = f"objects/{_TRUTH_ID}/"
-            self._pose_pub = self.create_publisher(PoseWithCovarianceStamped, topic + "pose", 10)
-            self._cells_pub = self.create_publisher(OccupancyGrid, topic + "cells", _LATCHED)
-            self._outline_pub = self.create_publisher(PolygonStamped, topic + "outline", _LATCHED)
+            self._pose_pub = node.create_publisher(PoseWithCovarianceStamped, topic + "pose", 10)
+            self._cells_pub = node.create_publisher(OccupancyGrid, topic + "cells", _LATCHED)
+            self._outline_pub = node.create_publisher(PolygonStamped, topic + "outline", _LATCHED)
         self._description_pub.publish(String(data=robot_description()))
         self._publish_object(values["seed"])
 
+        self._commanded = node.resolve_topic_name("joint_trajectory")
         self._trajectory = JointTrajectory.hold(self._world.joint_state()[0])
         self._new_trajectories: queue.SimpleQueue[JointTrajectoryMsg] = queue.SimpleQueue()
         self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
         self._snapshots: queue.Queue[_Snapshot] = queue.Queue(maxsize=1)
         self._stop = threading.Event()
-        self._failure: BaseException | None = None
-        self.create_subscription(JointTrajectoryMsg, "joint_trajectory", self._new_trajectories.put, 10)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/spawn", self._on_spawn)
+        self._running = threading.Event()
+        node.create_subscription(JointTrajectoryMsg, "joint_trajectory", self._new_trajectories.put, 10)
+        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_service(Trigger, "~/spawn", self._on_spawn)
         self._meter = _Meter()
-        self.create_timer(_REPORT_PERIOD, self._report, clock=RosClock(clock_type=ClockType.STEADY_TIME))
-        self._threads = [threading.Thread(target=self._guard, args=(work,), daemon=True) for work in (self._simulate, self._render)]
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._simulate, self._render)]
         for thread in self._threads:
             thread.start()
 
+    def resume(self) -> None:
+        """Let time go on; the arm stands."""
+        self._trajectory = JointTrajectory.hold(self._world.joint_state()[0])
+        self._running.set()
+
+    def pause(self) -> None:
+        """Stop time."""
+        self._running.clear()
+
     def close(self) -> None:
-        """Stop both threads; raises what ended one of them early."""
+        """Stop both threads."""
         self._stop.set()
+        self._running.set()
         for thread in self._threads:
             thread.join(_STOP_WITHIN)
         if not any(thread.is_alive() for thread in self._threads):
             self._world.close()
-        if self._failure is not None:
-            raise self._failure
-
-    def _guard(self, work: Any) -> None:
-        try:
-            work()
-        except BaseException as error:
-            self._failure = error
-            self._stop.set()
-            self.get_logger().fatal(f"The simulation ended: {error}")
-            self.context.try_shutdown()
 
     # --- thread of the simulation --------------------------------------------------------------------------------------
 
     def _simulate(self) -> None:
-        step = self._world.config.time_step
-        next_state = next_image = next_truth = 0.0
-        late: deque[_Snapshot] = deque()
-        pace = _Pace()
+        pace, schedule = _Pace(), _Schedule()
         while not self._stop.is_set():
-            with self._meter.measure("physics"):
-                self._take_requests()
-                self._world.set_joint_targets(*self._trajectory.sample(self._world.time + step))
-                self._world.step()
-            now = self._world.time
-            self._meter.simulated = now
-            if now >= next_state - 0.5 * step:
-                next_state += self._state_period
-                with self._meter.measure("state topics"):
-                    self._publish_state(now)
-            if self._as_perception is not None and now >= next_truth - 0.5 * step:
-                next_truth += self._truth_period
-                self._publish_as_perception(now)
-            if now >= next_image - 0.5 * step and self._camera is not None:
-                next_image += self._camera_period
-                if self._luck.random() >= self._dropped:
-                    pose, links = self._world.object_pose(), self._world.robot_link_poses()
-                    late.append(_Snapshot(now + stamp_delay(self._world.config.effects, now), self._world.object, pose, links))
-            while late and late[0].stamp <= now + 0.5 * step:
-                self._hand_over(late.popleft())
-            pace.wait(now, self._settings["real_time_factor"])
+            if not self._running.is_set():
+                self._running.wait()
+                pace = _Pace()
+                continue
+            was = self._node.guard.refused
+            with self._node.guard.watch("simulation"):
+                self._advance(schedule)
+            if self._node.guard.refused > was and self._world.time == schedule.now:
+                time.sleep(_BREATH)  # A world that cannot be stepped must not keep a core busy.
+            schedule.now = self._world.time
+            pace.wait(schedule.now, self._settings["real_time_factor"])
+
+    def _advance(self, schedule: _Schedule) -> None:
+        """One time step, and what is published after it."""
+        step = self._world.config.time_step
+        with self._meter.measure("physics"):
+            self._take_requests()
+            self._world.set_joint_targets(*self._trajectory.sample(self._world.time + step))
+            self._world.step()
+        now = self._world.time
+        self._meter.simulated = now
+        if now >= schedule.state - 0.5 * step:
+            schedule.state += self._state_period
+            with self._meter.measure("state topics"):
+                self._publish_state(now)
+        if self._as_perception is not None and now >= schedule.truth - 0.5 * step:
+            schedule.truth += self._truth_period
+            self._publish_as_perception(now)
+        if now >= schedule.image - 0.5 * step and self._camera is not None:
+            schedule.image += self._camera_period
+            if self._luck.random() >= self._dropped:
+                pose, links = self._world.object_pose(), self._world.robot_link_poses()
+                schedule.late.append(_Snapshot(now + stamp_delay(self._world.config.effects, now), self._world.object, pose, links))
+        while schedule.late and schedule.late[0].stamp <= now + 0.5 * step:
+            self._hand_over(schedule.late.popleft())
 
     def _take_requests(self) -> None:
         while not self._new_trajectories.empty():
             msg = self._new_trajectories.get()
-            try:
+            # Where it is refused, the previous one continues.
+            with self._node.guard.watch(self._commanded):
                 self._trajectory = self._started(msg)
-            except InputError as error:
-                self.get_logger().error(f"joint_trajectory refused, the previous one continues: {error}")
         while not self._requests.empty():
             request = self._requests.get()
             try:
                 request.work()
-            except InputError as error:
+            except Exception as error:
                 request.done.set_exception(error)
             else:
                 request.done.set_result(None)
@@ -261,7 +282,10 @@ class SimCellNode(Node):
                 f"{self._world.joint_names[j]} goes to {trajectory.position[i, j]:.3f} rad at point {i}, "
                 f"expected {self._world.joint_lower[j]:.3f} to {self._world.joint_upper[j]:.3f}."
             )
-        return trajectory.from_state(now, *self._trajectory.sample(now))
+        start = stamp_from_msg(msg.header.stamp)
+        if start > now + _SOON:
+            raise InputError(f"it starts in {start - now:.3f} s, expected a stamp of 0 or of at most {_SOON} s from now.")
+        return trajectory.from_state(now, *self._trajectory.sample(now), start=start or None)
 
     def _publish_state(self, now: float) -> None:
         stamp = stamp_to_msg(now)
@@ -304,19 +328,23 @@ class SimCellNode(Node):
                 snapshot = self._snapshots.get(timeout=0.1)
             except queue.Empty:
                 continue
-            assert self._camera is not None
-            if snapshot.thing is not self._camera.sim_object:
-                self._camera.sim_object = snapshot.thing
-            with self._meter.measure("rays"):
-                depth = self._camera.render(snapshot.pose_object, snapshot.robot_link_poses)
-            with self._meter.measure("depth noise"):
-                depth = self._noise.apply(depth, self._camera_rng)
-            with self._meter.measure("images"):
-                # The camera reports the intrinsics that it should have.
-                image, info = depth_frame_to_msgs(DepthFrame(snapshot.stamp, depth, INTRINSICS), stamp_to_msg(snapshot.stamp))
-                self._info_pub.publish(info)
-                self._image_pub.publish(image)
-            self._meter.n_images += 1
+            with self._node.guard.watch("camera"):
+                self._render_one(snapshot)
+
+    def _render_one(self, snapshot: _Snapshot) -> None:
+        assert self._camera is not None
+        if snapshot.thing is not self._camera.sim_object:
+            self._camera.sim_object = snapshot.thing
+        with self._meter.measure("rays"):
+            depth = self._camera.render(snapshot.pose_object, snapshot.robot_link_poses)
+        with self._meter.measure("depth noise"):
+            depth = self._noise.apply(depth, self._camera_rng)
+        with self._meter.measure("images"):
+            # The camera reports the intrinsics that it should have.
+            image, info = depth_frame_to_msgs(DepthFrame(snapshot.stamp, depth, INTRINSICS), stamp_to_msg(snapshot.stamp))
+            self._info_pub.publish(info)
+            self._image_pub.publish(image)
+        self._meter.n_images += 1
 
     # --- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -334,19 +362,19 @@ class SimCellNode(Node):
 
     def _run_between_steps(self, response: Trigger.Response, work: Callable[[], None], done: str) -> Trigger.Response:
         """Run `work` in the thread of the simulation, between two time steps."""
+        if not self._running.is_set():
+            raise InputError("The node is not active; activate it.")
         request = _Request(work)
         self._requests.put(request)
         try:
             request.done.result(timeout=2.0)
-        except InputError as error:
-            response.success, response.message = False, str(error)
         except TimeoutError:
-            response.success, response.message = False, "The simulation did not answer within 2 s; it is stopping or too slow."
-        else:
-            response.success, response.message = True, done
+            raise InputError("The simulation did not answer within 2 s; it is stopping or too slow.") from None
+        response.success, response.message = True, done
         return response
 
-    def _report(self) -> None:
+    def health(self) -> Health:
+        """How fast simulated time goes, and what is injected."""
         values = self._meter.read()
         effects = self._world.config.effects.as_dict()
         factor = values["real time factor"]
@@ -355,12 +383,18 @@ class SimCellNode(Node):
             text += f"; injected: {', '.join(effects)}"
         if self._as_perception is not None:
             text += f"; objects/{_TRUTH_ID} comes from the truth, not from a camera"
-        status = DiagnosticStatus(level=DiagnosticStatus.OK, name=self.get_fully_qualified_name(), message=text, hardware_id="push_ident")
-        values |= {f"effect {name}": str(size) for name, size in effects.items()}
-        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = stamp_to_msg(self._meter.simulated)
-        self._diagnostics_pub.publish(msg)
+        return Health(DiagnosticStatus.OK, text, values | {f"effect {name}": str(size) for name, size in effects.items()})
+
+
+@dataclass(slots=True)
+class _Schedule:
+    """Simulated times at which something is due [s]."""
+
+    state: float = 0.0
+    truth: float = 0.0
+    image: float = 0.0
+    now: float = -1.0
+    late: deque[_Snapshot] = field(default_factory=deque)
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,12 +455,11 @@ class _Pace:
 
 
 def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Trajectory in the order of `joint_names`, on the clock of the message; raises InputError where it is not for these joints."""
+    """Trajectory in the order of `joint_names`, from its start; raises InputError where it is not for these joints."""
     names = list(msg.joint_names)
     if sorted(names) != sorted(joint_names):
-        raise InputError(f"it is for joints {names}, expected {list(joint_names)} in any order.")
-    if stamp_from_msg(msg.header.stamp) != 0.0:
-        raise InputError(f"its stamp is {stamp_from_msg(msg.header.stamp)} s, expected 0: it starts when it arrives.")
+        raise InputError(f"it is for joints {plain_text(', '.join(names))}, expected {list(joint_names)} in any order.")
+    LIMITS.POINTS.check(len(msg.points), "Trajectory")
     order = [names.index(name) for name in joint_names]
     with_velocity = all(len(point.velocities) > 0 for point in msg.points)
     for i, point in enumerate(msg.points):
@@ -437,6 +470,8 @@ def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) 
     times = np.array([point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in msg.points])
     positions = np.array([point.positions for point in msg.points])[:, order]
     velocities = np.array([point.velocities for point in msg.points])[:, order] if with_velocity else None
+    if velocities is not None and not np.all(np.abs(velocities) <= _MAX_VELOCITY):
+        raise InputError(f"its velocities are not finite or over {_MAX_VELOCITY:.0f} rad/s.")
     return JointTrajectory(times, positions, velocities)
 
 

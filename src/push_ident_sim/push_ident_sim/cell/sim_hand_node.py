@@ -6,10 +6,11 @@ import sys
 import time
 from typing import Any, Final
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.cell_node import CellNode, Component, Health
+from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.run import run_node
 from push_ident.pushing.hand import CLOSED, HandMotion
 from push_ident_msgs.msg import HandCommand, HandStatus
@@ -26,20 +27,38 @@ _PERIOD: Final = 0.1
 """[s], as the Modbus driver polls."""
 
 
-class SimHandNode(Node):
+class SimHandNode(CellNode):
     """Takes `Robotiq3FGripper/OutputRegisters`, publishes `Robotiq3FGripper/InputRegisters`."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("sim_hand_node", **kwargs)
-        self._settings = Parameters(self, PARAMETERS)
+        super().__init__("sim_hand_node", PARAMETERS, **kwargs)
+
+    def make_component(self) -> Component:
+        """The hand."""
+        return _SimHand(self)
+
+
+class _SimHand(Component):
+    """Registers and fingers of a configured node."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._settings = node.settings
         closed = self._settings["closed"]
         self._command = HandCommand(r_act=int(closed), r_gto=int(closed), r_pra=CLOSED if closed else 0)
         self._position = float(self._command.r_pra)
         self._activation_left = 0.0 if closed else self._settings["activation_time"]
         self._looked = time.monotonic()
-        self._publisher = self.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
-        self.create_subscription(HandCommand, "Robotiq3FGripper/OutputRegisters", self._on_command, 1)
-        self.create_timer(_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._publisher = node.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
+        node.create_subscription(HandCommand, "Robotiq3FGripper/OutputRegisters", self._on_command, 1)
+        node.create_timer(_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def resume(self) -> None:
+        """Move from here on."""
+        self._looked = time.monotonic()
+
+    def health(self) -> Health:
+        """What the fingers do."""
+        return Health(DiagnosticStatus.OK, f"position {self._position:.0f} of {CLOSED}", {"activated": self._command.r_act})
 
     def _on_command(self, msg: HandCommand) -> None:
         if not msg.r_act:

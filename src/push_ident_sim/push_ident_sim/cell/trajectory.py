@@ -42,12 +42,17 @@ class JointTrajectory:
         """Stay at `position` [rad], shape (n_joints,)."""
         return cls(np.zeros(1), np.array(position, dtype=np.float64)[None, :])
 
-    def from_state(self, start: float, position: FloatArray, velocity: FloatArray) -> JointTrajectory:
-        """The same delayed by `start` [s], starting from the position commanded then; points not after `start` are dropped."""
-        time = self.time + start
-        ahead = time > start
+    def from_state(self, now: float, position: FloatArray, velocity: FloatArray, start: float | None = None) -> JointTrajectory:
+        """The same delayed by `start` [s], or by `now`, going on from the state commanded `now`; points not after `now` are dropped.
+
+        Raises InputError when it ends before `now`.
+        """
+        time = self.time + (now if start is None else start)
+        ahead = time > now
+        if start is not None and not ahead.any():
+            raise InputError(f"it ended {now - time[-1]:.3f} s ago.")
         velocities = None if self.velocity is None else np.vstack([velocity, self.velocity[ahead]])
-        return JointTrajectory(np.append(start, time[ahead]), np.vstack([position, self.position[ahead]]), velocities)
+        return JointTrajectory(np.append(now, time[ahead]), np.vstack([position, self.position[ahead]]), velocities)
 
     def sample(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Position [rad] and velocity [rad/s] at `time` [s], each shape (n_joints,)."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from push_ident.errors import PushIdentError
+from push_ident.files import write_whole
 from push_ident_sim.faults.run import FaultResult
 from push_ident_sim.studies.common.files import read_json, write_json
 
@@ -82,7 +83,7 @@ def write_page(path: Path) -> Path:
         parts.append("## What did not hold, or was not injected\n")
         parts += [f"- **{row['number']} {row['name']}** ({row['result']}): {_escaped('; '.join(row['reasons']))}" for row in open_ones]
     try:
-        page.write_text("\n".join(parts) + "\n", encoding="utf-8")
+        write_whole(page, "\n".join(parts) + "\n", "the page")
     except OSError as error:
         raise PushIdentError(f"Cannot write {page}: {error.strerror}; choose a folder with write permission.") from None
     return page

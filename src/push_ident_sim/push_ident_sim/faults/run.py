@@ -13,6 +13,7 @@ from push_ident_sim.faults.fault import Fault, Impossible, Trial
 from push_ident_sim.faults.harness import oracles
 from push_ident_sim.faults.harness.cell import Cell, CellPlan, live_cell
 from push_ident_sim.faults.harness.hold import Hold
+from push_ident_sim.faults.harness.priority import urgent
 
 __all__ = ["FaultResult", "run_faults", "try_fault"]
 
@@ -52,6 +53,12 @@ def run_faults(faults: Sequence[Fault], folder: Path, on_result: Callable[[Fault
         results.append(result)
         on_result(result)
 
+    with urgent():
+        _run_all(faults, folder, done)
+    return sorted(results, key=lambda result: result.fault.number)
+
+
+def _run_all(faults: Sequence[Fault], folder: Path, done: Callable[[FaultResult], None]) -> None:
     plans = list(dict.fromkeys(fault.cell for fault in faults))
     for plan in sorted(plans, key=lambda plan: "" if plan is None else plan.name):
         chosen = [fault for fault in faults if fault.cell == plan]
@@ -60,7 +67,6 @@ def run_faults(faults: Sequence[Fault], folder: Path, on_result: Callable[[Fault
                 done(try_fault(fault, None, folder / fault.name))
         else:
             _run_in_cells(plan, chosen, folder, done)
-    return sorted(results, key=lambda result: result.fault.number)
 
 
 def _run_in_cells(plan: CellPlan, faults: Sequence[Fault], folder: Path, done: Callable[[FaultResult], None]) -> None:

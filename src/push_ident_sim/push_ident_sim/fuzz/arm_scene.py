@@ -29,8 +29,9 @@ _SPEED: Final = 2.0
 """Limit of every joint that the node is given [rad/s]."""
 _MORE: Final = 1.3
 """Commanded speeds may be above the limit by this factor: between two points a cubic is faster than the straight line."""
-_JUMP: Final = 0.15
-"""Largest distance of a command from where the arm is, beside what it could move in the time given [rad]."""
+_JUMP: Final = 0.5
+"""Largest distance of a command from where the arm is, beside what it could move in the time given [rad]: at 2 rad/s a quarter of a second
+in which a busy machine brings no message."""
 _PERIOD: Final = 0.02
 _ATTEMPTS: Final = 3
 """For a valid push: the object may have to be seen again first."""

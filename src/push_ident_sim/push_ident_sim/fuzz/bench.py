@@ -226,7 +226,11 @@ class Bench:
     # ---- asking
 
     def request(self, service: str, kind: Any, request: Any) -> Any:
-        """As `call`, for a mutated request."""
+        """As `call`, for a mutated request; None where the node does not serve it any more."""
+        client = self._client(service, kind)
+        while not self.wait(client.service_is_ready, 1.0):
+            if service not in self.interfaces().services:
+                return None
         self._remember(Sent(service, kind, serialize_message(request), is_request=True))
         return self.call(service, kind, request)
 

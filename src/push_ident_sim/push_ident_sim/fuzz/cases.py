@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident_sim.fuzz.bench import Sent
 from push_ident_sim.fuzz.fields import interface_class
 from push_ident_sim.fuzz.session import Finding
@@ -31,8 +32,7 @@ def write_case(path: Path, finding: Finding, messages: list[Sent]) -> None:
             for sent in messages
         ],
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=1) + "\n", "the case")
 
 
 def _type_of(sent: Sent) -> str:

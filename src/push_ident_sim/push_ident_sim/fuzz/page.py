@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from push_ident.files import write_whole
+
 __all__ = ["write_page"]
 
 
@@ -32,5 +34,4 @@ def write_page(path: Path, content: dict[str, Any]) -> None:
         )
     lines += ["", "## By topic", "", "| node | topic | mutated messages |", "|---|---|---|"]
     lines += [f"| `{node['node']}` | `{topic}` | {n} |" for node in content["nodes"] for topic, n in node["topics"].items()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(lines) + "\n", "the page")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident.nodes.executables import NODES
 from push_ident_sim.executables import NODES as SIM_NODES
 
@@ -101,10 +102,7 @@ def _fuzz_node(node: str, settings: Settings, seconds: float, number: int) -> di
     until, results, findings = time.monotonic() + seconds, list[NodeResult](), list[dict[str, Any]]()
 
     def progress(result: NodeResult) -> None:
-        text = json.dumps(merged([*results, result]).as_dict())
-        partial = folder / "progress.part"
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(folder / _PROGRESS)
+        write_whole(folder / _PROGRESS, json.dumps(merged([*results, result]).as_dict()), "the progress", durable=False)
 
     for run in range(_RESTARTS):
         session = Session(node, folder / f"run{run}", domain, settings.seed + 1000 * run)

@@ -40,7 +40,7 @@ from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
 __all__ = ["SCENES", "Scene"]
 
-_PATIENCE: Final = 30.0
+_PATIENCE: Final = 15.0
 """For a node to do its work, on a busy machine [s]."""
 _RECENT: Final = 4
 """Latest valid messages of each topic that mutations start from."""
@@ -51,6 +51,8 @@ class Scene:
     """Surroundings of any node: nothing but what every node answers."""
 
     own_parameters: ClassVar[dict[str, object]] = {}
+    transitions: ClassVar[tuple[int, ...]] = (1, 2, 3, 4)
+    """Of its lifecycle, as a mutated request may ask for: configure, clean up, activate, deactivate."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -192,8 +194,9 @@ class Diagnosis(Pushes):
 
 
 class Recorder(Pushes):
-    """What is published is written."""
+    """What is published is written. Cleaning up ends the bag, which is not overwritten afterwards: this is not asked for."""
 
+    transitions: ClassVar[tuple[int, ...]] = (1, 3, 4)
     counter = "/pusher/pose"
 
     @classmethod
@@ -219,6 +222,7 @@ class Recorder(Pushes):
 class Viewer(Recorder):
     """What is published is written to a recording."""
 
+    transitions: ClassVar[tuple[int, ...]] = Scene.transitions
     own_parameters: ClassVar[dict[str, object]] = {"output": "file", "pose_rate": 15.0}
 
     @classmethod
@@ -329,9 +333,11 @@ class Hand(Scene):
 
     def work(self) -> None:
         """It closes."""
-        self.send("/Robotiq3FGripper/OutputRegisters", HandCommand(r_act=1, r_gto=1, r_pra=200, r_spa=255))
-        done = self.bench.wait(lambda: self._state.g_pra == 200 and self._state.g_imc == 3, _PATIENCE)
-        self.require(done, "the hand does not close")
+        deadline = time.monotonic() + _PATIENCE
+        while not (self._state.g_pra == 200 and self._state.g_imc == 3):
+            self.require(time.monotonic() < deadline, "the hand does not close")
+            self.send("/Robotiq3FGripper/OutputRegisters", HandCommand(r_act=1, r_gto=1, r_pra=200, r_spa=255))
+            self.bench.spin(0.2)
 
 
 class Cell(Scene):
@@ -363,8 +369,11 @@ class Cell(Scene):
     def work(self) -> None:
         """It arrives."""
         goal = next(self._goals)
-        self.send("/joint_trajectory", self._command(goal))
-        self.require(self.bench.wait(lambda: abs(self._q[0] - goal) < 0.02, _PATIENCE), f"joint 1 is at {self._q[0]:.3f}, sent to {goal}")
+        deadline = time.monotonic() + _PATIENCE
+        while abs(self._q[0] - goal) > 0.02:
+            self.require(time.monotonic() < deadline, f"joint 1 is at {self._q[0]:.3f}, sent to {goal}")
+            self.send("/joint_trajectory", self._command(goal))
+            self.bench.spin(1.0)
 
 
 class Player(Scene):

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.serialization import serialize_message
@@ -33,6 +35,8 @@ _WORK_EVERY: Final = 400
 _MORE_MEMORY: Final = 400.0
 """A node may hold so much more than after its first work [MB]: limits of what it keeps, and what the allocator keeps of large messages."""
 _NOT_FUZZED: Final = ("/get_type_description",)
+_SHUTDOWN: Final = (5, 6, 7)
+"""Transitions that rightly end the work of a node for good."""
 _PARAMETERS: Final = ("/set_parameters", "/set_parameters_atomically")
 
 
@@ -210,17 +214,16 @@ class Session:
         else:
             base = rng.choice(scene.requests(service) or [kind.Request()])
         request = mutate_message(base, rng)[0]
-        transition = getattr(request, "transition", None)
-        if transition is not None and transition.id in (5, 6, 7):
-            # Shutting down is a request that a node rightly follows.
-            transition.id = 99
+        if kind is ChangeState:
+            request = rng.choice((request, *(ChangeState.Request(transition=Transition(id=number)) for number in scene.transitions)))
+            if request.transition.id not in scene.transitions and request.transition.id <= max(_SHUTDOWN):
+                request.transition = Transition(id=99)
         return request
 
     def _work(self, bench: Bench, scene: Scene) -> None:
-        """Back to valid parameters and latched messages, then the node must work, within its memory."""
-        if self._restore:
-            kind = SetParameters
-            bench.call(f"{bench.name}/set_parameters", kind, kind.Request(parameters=self._restore))
+        """Back to an active node with its parameters and latched messages; then it must work, within its memory."""
+        _activate(bench)
+        bench.call(f"{bench.name}/set_parameters", SetParameters, SetParameters.Request(parameters=self._restore))
         scene.settle()
         scene.work()
         self.result.works += 1
@@ -235,6 +238,21 @@ class Session:
         self.result.services = {name: n for name, n in sorted(bench.sent.items()) if name in services}
         self.result.valid = bench.valid
         self.result.refused = int(bench.diagnostics.get("refused", "0"))
+
+
+def _activate(bench: Bench) -> None:
+    """Make a lifecycle node active again; mutated requests may have changed its state."""
+    name, steps = f"{bench.name}/change_state", {State.PRIMARY_STATE_UNCONFIGURED: "configure", State.PRIMARY_STATE_INACTIVE: "activate"}
+    if name not in bench.interfaces().services:
+        return
+    for _ in range(2 * len(steps)):
+        state = bench.call(f"{bench.name}/get_state", GetState, GetState.Request()).current_state
+        if state.id == State.PRIMARY_STATE_ACTIVE:
+            return
+        if state.id not in steps:
+            raise NodeFailure("no work", f"state is {state.label}, which no request led to")
+        bench.call(name, ChangeState, ChangeState.Request(transition=Transition(label=steps[state.id])))
+    raise NodeFailure("no work", f"cannot be activated: {bench.diagnostics.get('message')}")
 
 
 def _parameters_of(bench: Bench) -> list[Parameter]:

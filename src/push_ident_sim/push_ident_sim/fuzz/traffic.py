@@ -143,6 +143,7 @@ class Arm:
 
     def on_command(self, msg: JointTrajectory) -> None:
         """Follow it from now on. What cannot be followed is only recorded."""
+        self.step()
         received = time.monotonic()
         self.commands.append((received, self.q.copy(), msg))
         if sorted(msg.joint_names) != sorted(self.names) or not msg.points:

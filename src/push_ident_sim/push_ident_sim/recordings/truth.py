@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +16,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError
+from push_ident.files import replaced
 from push_ident.physics.effect_folders import extra_effect_files
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
@@ -208,14 +208,8 @@ def generate_truth(folder: Path, name: str, seed: int, settings: TruthSettings |
     motions = make_pushes(make_object(name, seed), [seed, OBJECT_NAMES.index(name)], settings)
     keys = _ARRAYS if all(m.reported is m.pusher for m in motions) else (*_ARRAYS, _REPORTED)
     arrays = {key: np.concatenate([getattr(m, key) for m in motions]) for key in keys}
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, n_rows=np.array([len(m.time) for m in motions]), **arrays)
-        partial.replace(path)
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {path}: {error.strerror}; choose a folder that can be written to.") from None
+    with replaced(path, "the pushes") as file:
+        np.savez_compressed(file, allow_pickle=False, n_rows=np.array([len(m.time) for m in motions]), **arrays)
     return path
 
 

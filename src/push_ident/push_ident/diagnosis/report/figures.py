@@ -12,6 +12,7 @@ from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
 from push_ident.geometry.se2 import transform_points
+from push_ident.pages.page import figure_text
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, ObjectShape
 
@@ -104,7 +105,7 @@ def draw_ranking(selection: Selection, min_log_bayes_factor: float) -> Figure:
     figure = Figure(figsize=(9.0, 0.32 * len(ranked) + 0.9), layout="constrained")
     ax = figure.subplots()
     colours = [_colour(name, values[name] >= min_log_bayes_factor, selection) for name in (s.name for s in ranked)]
-    ax.barh([s.name for s in ranked], np.maximum([values[s.name] for s in ranked], 0.0), color=colours)
+    ax.barh([figure_text(s.name) for s in ranked], np.maximum([values[s.name] for s in ranked], 0.0), color=colours)
     ax.invert_yaxis()
     ax.axvline(min_log_bayes_factor, color="black", linewidth=0.8, linestyle="--")
     right = max(max(values[s.name] for s in ranked), 2 * min_log_bayes_factor)

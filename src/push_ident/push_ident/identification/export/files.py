@@ -7,12 +7,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from push_ident.errors import InputError
+from push_ident.errors import InputError, ModelFileError
+from push_ident.files import write_whole
 from push_ident.identification.export.description import ObjectDescription, printable
 from push_ident.identification.export.mjcf import mjcf
 from push_ident.identification.export.sdf import sdf
 from push_ident.identification.export.urdf import urdf
-from push_ident.identification.files import write_whole
 
 __all__ = ["SUFFIXES", "write_description"]
 
@@ -44,7 +44,7 @@ def write_description(path: Path, description: ObjectDescription, format_name: s
     else:
         raise InputError(f"The format `{format_name}` is unknown, expected one of {', '.join(SUFFIXES)}.")
     for file, content in files.items():
-        write_whole(file, content, "the description")
+        write_whole(file, content, "the description", error=ModelFileError)
     return list(files)
 
 

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +18,7 @@ from push_ident.errors import InputError
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.prediction import predict
 from push_ident.identification.prior import Prior
+from push_ident.identification.scoring import PushScore
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.nodes.cell_node import CellNode, Component, Health
@@ -108,7 +110,7 @@ class _Identification(Component):
         self._predicted: dict[str, float] = {}
 
         self._wake = threading.Condition()
-        self._finished: deque[list[PushRecord]] = deque()
+        self._finished: deque[Callable[[], None]] = deque()  # what to do with pushes that have ended
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
@@ -120,6 +122,7 @@ class _Identification(Component):
             on_object=self._on_object,
             on_shape=self._on_shape,
             on_pushes=self._on_pushes,
+            on_left_out=self._on_left_out,
             on_frame=self._on_frame,
         )
         self._counts = self._collector.counts
@@ -171,7 +174,12 @@ class _Identification(Component):
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         with self._wake:
-            self._finished.extend(pushes)
+            self._finished.extend(partial(self._finish, push) for push in pushes)
+            self._wake.notify()
+
+    def _on_left_out(self) -> None:
+        with self._wake:
+            self._finished.append(self._drop_updates)
             self._wake.notify()
 
     # ---- the worker
@@ -185,15 +193,23 @@ class _Identification(Component):
                 self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
                 if self._closing:
                     return
-                push = self._finished.popleft() if self._finished else None
+                ended = self._finished.popleft() if self._finished else None
                 frames: dict[str, float] = {}
-                if push is None:
+                if ended is None:
                     frames, self._frames = self._frames, {}
             with self._node.guard.watch("identify"):
-                if push is not None:
-                    self._finish(push)
+                if ended is not None:
+                    ended()
                 for object_id, received in frames.items():
                     self._update(object_id, received)
+
+    def _drop_updates(self) -> None:
+        """Go back to the finished pushes: the one under way is left out."""
+        for session in list(self._sessions.values()):
+            with self._solving:
+                had_any = session.drop_update()
+            if had_any:
+                self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
@@ -223,9 +239,18 @@ class _Identification(Component):
                 f"{1e3 * self._solve_time:.0f} ms; "
                 f"predicted to {1e3 * score.cell_error:.1f} mm, expected {1e3 * score.expected_cell_error:.1f} mm"
             )
+            self._say_unexplained(session, score)
             if self._settings["suggest_candidates"]:
                 object_id = record.object_id
                 self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
+
+    def _say_unexplained(self, session: ObjectSession, score: PushScore) -> None:
+        """Count and log a push that contradicts the model, or a model that contradicts its pushes."""
+        if score.explained:
+            return
+        self._counts["pushes not explained"] += 1
+        why = session.failure or "its poses contradict the model of the other pushes; look at its poses"
+        self._node.get_logger().warning(f"object {session.object_id}: push {session.n_pushes} is not explained: {why}")
 
     def _update(self, object_id: str, received: float) -> None:
         """Update a model with the frames of the push under way."""
@@ -297,7 +322,7 @@ class _Identification(Component):
 
     def _save_model(self, request: SaveModel.Request, response: SaveModel.Response) -> SaveModel.Response:
         session, path = self._chosen(request.object_id), file_to_write(request.path)
-        save_model(path, session.posterior, object_id=session.object_id, sources=session.sources)
+        save_model(path, session.posterior, object_id=session.object_id, sources=session.sources, status=session.status)
         response.success, response.message = True, f"object {session.object_id} written to {path}"
         return response
 
@@ -317,8 +342,9 @@ class _Identification(Component):
         values = self._collector.report()
         missing = self._collector.what_is_missing()
         pushes = {object_id: session.n_pushes for object_id, session in list(self._sessions.items())}
-        if missing:
-            level, text = DiagnosticStatus.WARN, missing
+        failed = [f"object {s.object_id}: {s.failure}" for s in list(self._sessions.values()) if s.failure]
+        if missing or failed:
+            level, text = DiagnosticStatus.WARN, missing or failed[0]
         elif not values.get("pusher samples"):
             level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
         else:

@@ -6,7 +6,6 @@ Without them a restarted perception traces an object anew, in another object fra
 from __future__ import annotations
 
 import json
-import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -14,9 +13,9 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from push_ident.errors import InputError, ModelFileError
+from push_ident.errors import InputError, ModelFileError, PushIdentError
+from push_ident.files import write_whole
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.files import write_whole
 from push_ident.identification.model_file import read_checked
 from push_ident.perception.pipeline import KnownObject
 from push_ident.perception.shape import TracedObject
@@ -85,7 +84,7 @@ class ObjectMemory:
             top_resolution=float(traced.top_resolution),
             area=float(known.area),
         )
-        write_whole(path, content.model_dump_json(), "a known object")
+        write_whole(path, content.model_dump_json(), "a known object", private=True, error=ModelFileError)
 
     def keep_pose(self, object_id: str, pose: Float64Array) -> None:
         """Write the latest pose of an object where it has moved; the file survives a kill, not a power cut."""
@@ -96,11 +95,8 @@ class ObjectMemory:
             return
         self._written[object_id] = np.array(pose)
         path = self._folder / f"{object_id}{_POSE_SUFFIX}"
-        # No fsync as in `write_whole`: a slow disk must not hold up the next frame.
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        with suppress(OSError):
-            part.write_text(json.dumps([float(value) for value in pose]), encoding="ascii")
-            part.replace(path)
+        with suppress(PushIdentError):  # not durable: a slow disk must not hold up the next frame
+            write_whole(path, json.dumps([float(value) for value in pose]), "the pose of an object", private=True, durable=False)
 
     def _pose(self, object_id: str, first: Float64Array) -> Float64Array:
         """The latest pose, that of the tracing where there is none."""

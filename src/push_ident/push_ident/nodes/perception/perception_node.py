@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,36 +12,38 @@ from typing import Any, Final
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 
-from push_ident.errors import InputError, ModelFileError, PerceptionError
+from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
+from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
+from push_ident.limits import LIMITS
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
-    TABLE_FRAME,
     cylinder_radius_from_msg,
+    joints_from_msg,
     occupancy_to_msg,
     planar_pose_to_msg,
     position_from_msg,
     shape_to_msgs,
-    stamp_from_msg,
     transform_to_msg,
 )
-from push_ident.nodes.parameters import Parameters
+from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.depth_input import DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.nodes.run import run_node
+from push_ident.nodes.stamps import StampCheck
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
 from push_ident.perception.robot_history import RobotHistory
@@ -67,25 +69,34 @@ class _Camera:
     pose: Float64Array | None = None
 
 
-class PerceptionNode(Node):
+class PerceptionNode(CellNode):
     """Converts, calls `Perception`, publishes; faults are counted and reported in /diagnostics."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("perception_node", **kwargs)
-        self._configured = Parameters(
-            self,
-            PARAMETERS,
-            further=lambda values: (row for name in names_of_further_cameras(values) for row in pose_rows(name)),
-            check=perception_settings,
-            on_change=self._on_parameters,
-        )
+        super().__init__("perception_node", PARAMETERS, further=_rows_of_further_cameras, check=perception_settings, **kwargs)
+
+    def make_component(self) -> Component:
+        """Cameras, and what masks the robot."""
+        return _Perception(self)
+
+
+def _rows_of_further_cameras(values: dict[str, Any]) -> Iterator[Parameter]:
+    for name in names_of_further_cameras(values):
+        yield from pose_rows(name)
+
+
+class _Perception(Component):
+    """Inputs and outputs of a configured node."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._node, self._configured = node, node.settings
+        self._stamps = StampCheck()
         self._perception: Perception | None = None
         self._memory = ObjectMemory(self._configured["state_directory"])
         self._calibrated: list[str] = []
         self._robot = RobotHistory(float(self._configured["tool_radius"]), float(self._configured["tool_length"]))
         self._counter: Counter[str] = Counter()
         self._last_error = ""
-        self._logged: dict[str, float] = {}
         self._last_observation: Observation | None = None
         self._notes: dict[str, str] = {}
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
@@ -95,61 +106,69 @@ class PerceptionNode(Node):
         self._last_stamp = -np.inf
 
         self._object_publishers: dict[str, tuple[Publisher, Publisher, Publisher]] = {}
-        self._camera_publisher = self.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
+        self._camera_publisher = self._node.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
         self._camera_published: Float64Array | None = None
-        self._occupancy_publisher = self.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
         self._add_cameras()
-        self.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
-        self.create_subscription(JointState, "joint_states", self._on_joints, qos_profile_sensor_data)
+        self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
+        self._node.create_subscription(JointState, "joint_states", self._on_joints, qos_profile_sensor_data)
         for kind, topic, callback in (
             (SolidPrimitive, "pusher/shape", self._on_tool_shape),
             (String, "robot_description", self._on_description),
         ):
-            name = self.resolve_topic_name(topic)
+            name = self._node.resolve_topic_name(topic)
             events = SubscriptionEventCallbacks(incompatible_qos=lambda info, name=name: self._on_incompatible(name, info))
-            self.create_subscription(kind, topic, callback, _LATCHED, event_callbacks=events)
-        self.create_timer(1.0, self._diagnose, clock=self._wall)
+            self._node.create_subscription(kind, topic, callback, _LATCHED, event_callbacks=events)
 
-    def _on_parameters(self, changed: dict[str, Any]) -> None:
+    def reconfigure(self, changed: dict[str, Any]) -> None:
+        """New limits and sizes, from the next frame on."""
         if self._perception is not None:
             self._perception.settings = perception_settings(self._configured.as_dict())
         self._robot.tool_radius = float(changed.get("tool_radius", self._robot.tool_radius))
         self._robot.tool_length = float(changed.get("tool_length", self._robot.tool_length))
 
+    def resume(self) -> None:
+        """Wait for images anew."""
+        self._started_at = self._diagnosed_at = self._wall.now()
+
     def _on_tool(self, msg: PoseStamped) -> None:
-        try:
-            self._robot.add_tool(*position_from_msg(msg))
-        except InputError as error:
-            self._refuse("tool_pose_refused", f"tool/pose: {error}")
+        with self._taking("tool_pose_refused", "tool/pose"):
+            stamp, position = position_from_msg(msg)
+            self._stamps.check("tool/pose", stamp)
+            self._robot.add_tool(stamp, position)
 
     def _on_tool_shape(self, msg: SolidPrimitive) -> None:
-        try:
+        with self._taking("tool_shape_refused", "pusher/shape"):
             self._robot.tool_radius = cylinder_radius_from_msg(msg)
             self._robot.tool_length = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
-        except InputError as error:
-            self._refuse("tool_shape_refused", f"pusher/shape: {error}")
 
     def _on_description(self, msg: String) -> None:
-        try:
+        with self._taking("description_refused", "robot_description"):
+            LIMITS.DESCRIPTION.check(len(msg.data), "Robot description")
             self._robot.arm_shape = ArmShape(msg.data, self._configured["link_radius"])
-        except InputError as error:
-            self._refuse("description_refused", f"{self.resolve_topic_name('robot_description')}: {error}")
 
     def _on_joints(self, msg: JointState) -> None:
+        with self._taking("joint_states_refused", "joint_states"):
+            stamp, position = joints_from_msg(msg)
+            self._stamps.check("joint_states", stamp)
+            self._robot.add_joints(stamp, list(position), np.array(list(position.values())))
+
+    @contextmanager
+    def _taking(self, kind: str, topic: str) -> Iterator[None]:
+        """Take in a message; one that cannot be used is refused."""
         try:
-            self._robot.add_joints(stamp_from_msg(msg.header.stamp), msg.name, np.array(msg.position, dtype=np.float64))
-        except InputError as error:
-            self._refuse("joint_states_refused", f"{self.resolve_topic_name('joint_states')}: {error}")
+            yield
+        except PushIdentError as error:
+            self._refuse(kind, self._node.resolve_topic_name(topic), str(error))
 
     def _on_incompatible(self, topic: str, info: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(info.last_policy_kind)
-        self._refuse("incompatible_qos", f"{topic}: a publisher offers an incompatible {policy}; it must be reliable and transient local")
+        self._refuse("incompatible_qos", topic, f"a publisher offers an incompatible {policy}; it must be reliable and transient local")
 
     def _add_cameras(self) -> None:
         values = self._configured.as_dict()
         mark = mark_of(values) if values["extrinsics"] == "calibrate" else None
-        tf = TfBuffer(self) if values["extrinsics"] == "tf" else None
+        tf = TfBuffer(self._node) if values["extrinsics"] == "tf" else None
 
         def extrinsics_of(name: str) -> Extrinsics:
             if mark is not None:
@@ -158,16 +177,17 @@ class PerceptionNode(Node):
 
         def input_of(name: str, on_frame: Callable[[DepthFrame, Time], None], refuse: Callable[[str, str], None]) -> DepthInput:
             return DepthInput(
-                self, f"{name}/" if name else "", max_skew=lambda: self._configured["max_skew"], on_frame=on_frame, refuse=refuse
+                self._node, f"{name}/" if name else "", max_skew=lambda: self._configured["max_skew"], on_frame=on_frame, refuse=refuse
             )
 
-        self._main = _Camera(extrinsics_of(""), input_of("", self._on_frame, self._refuse))
+        self._main = _Camera(extrinsics_of(""), input_of("", self._on_frame, self._refuse_frame))
         self._further = {
             name: _Camera(extrinsics_of(name), input_of(name, partial(self._on_further_frame, name), partial(self._leave_out, name)))
             for name in names_of_further_cameras(values)
         }
 
     def _on_frame(self, frame: DepthFrame, stamp: Time) -> None:
+        self._stamps.check(self._main.input.image_topic, frame.stamp)
         try:
             if self._perception is None and not self._begin(frame):
                 return
@@ -182,7 +202,7 @@ class PerceptionNode(Node):
                 frame, self._robot_at(frame.stamp), lambda objects: followed.extend(self._publish_poses(objects, stamp))
             )
         except PerceptionError as error:
-            self._refuse("frames_without_result", str(error))
+            self._refuse_frame("frames_without_result", str(error))
             return
         self._counter["frames"] += 1
         self._publish(observation, stamp, followed)
@@ -192,7 +212,7 @@ class PerceptionNode(Node):
         try:
             self._main.pose = self._main.extrinsics.find(frame)
         except PerceptionError as error:
-            self._refuse(self._main.extrinsics.refusal, str(error))
+            self._refuse_frame(self._main.extrinsics.refusal, str(error))
         self._notes["calibration"] = self._main.extrinsics.progress
         if self._main.pose is None:
             return False
@@ -207,11 +227,11 @@ class PerceptionNode(Node):
         try:
             objects = self._memory.load()
         except ModelFileError as error:
-            self._refuse("state_refused", str(error))
+            self._refuse("state_refused", "state_directory", str(error))
             return
         self._perception.remember(objects)
         if objects:
-            self.get_logger().info(f"Looks for {', '.join(objects)} of an earlier run.")
+            self._node.get_logger().info(f"Looks for {', '.join(objects)} of an earlier run.")
 
     def _keep(self, new: Iterable[str], poses: Iterable[ObservedObject]) -> None:
         """Keep shapes of new objects, and poses, for the next run."""
@@ -223,7 +243,7 @@ class PerceptionNode(Node):
                 if known.pose is not None:
                     self._memory.keep_pose(known.object_id, known.pose)
         except ModelFileError as error:
-            self._refuse("state_not_written", str(error))
+            self._refuse("state_not_written", "state_directory", str(error))
 
     def _on_further_frame(self, name: str, frame: DepthFrame, stamp: Time) -> None:
         camera = self._further[name]
@@ -244,7 +264,7 @@ class PerceptionNode(Node):
         """Report the fault of a further camera; perception continues without it."""
         self._counter[f"{name}_{kind}"] += 1
         self._notes[f"camera_{name}"] = why
-        self._log(f"{name}_{kind}", f"Camera {name}: {why}")
+        self._node.guard.refuse(f"camera {name}", why)
 
     def _report_calibration(self, name: str, camera: _Camera) -> None:
         """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
@@ -256,24 +276,24 @@ class PerceptionNode(Node):
             f"calibrated from {found.n_frames} frames: outline of the mark {found.outline_residual * 1e3:.2f} mm, "
             f"its height {found.height_error * 1e3:+.2f} mm, noise of the table {found.plane_noise * 1e3:.2f} mm"
         )
-        self.get_logger().info(f"Extrinsics {name} {note}. {' '.join(self._calibrated[-2:])}")
+        self._node.get_logger().info(f"Extrinsics {name} {note}. {' '.join(self._calibrated[-2:])}")
         if self._configured["calibration_file"]:
             # For every node that has these parameters: perception, recorder, simulated cell.
             text = "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in self._calibrated)
             try:
-                Path(self._configured["calibration_file"]).write_text(text, encoding="utf-8")
-            except OSError as error:
-                self._refuse("calibration_not_written", f"cannot write {self._configured['calibration_file']}: {error.strerror}")
+                write_whole(Path(self._configured["calibration_file"]), text, "the calibration")
+            except PushIdentError as error:
+                self._refuse("calibration_not_written", "calibration_file", str(error))
 
     def _robot_at(self, stamp: float) -> tuple[RobotPart, ...]:
         """Tool, hand and arm where they were at `stamp`; notes say what is missing or stale."""
         tool_age, joints_age = self._robot.tool_age(stamp), self._robot.joints_age(stamp)
         if tool_age is None:
-            self._notes["tool"] = f"nothing on {self.resolve_topic_name('tool/pose')}: the tool is not masked by its pose"
+            self._notes["tool"] = f"nothing on {self._node.resolve_topic_name('tool/pose')}: the tool is not masked by its pose"
         else:
             self._notes["tool"] = f"tool pose is {tool_age:.2f} s older than the image" if tool_age > _STALE else ""
         present = {"robot_description": self._robot.arm_shape is not None, "joint_states": joints_age is not None}
-        missing = [self.resolve_topic_name(topic) for topic, there in present.items() if not there]
+        missing = [self._node.resolve_topic_name(topic) for topic, there in present.items() if not there]
         if missing or joints_age is None:
             self._notes["arm"] = f"nothing on {' and '.join(missing)}: the links of the arm are not masked"
         else:
@@ -295,7 +315,7 @@ class PerceptionNode(Node):
 
     def _publish(self, observation: Observation, stamp: Time, followed: list[str]) -> None:
         for object_id, shape in observation.new_shapes.items():
-            self.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
+            self._node.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
             _, cells_publisher, outline_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
@@ -325,47 +345,46 @@ class PerceptionNode(Node):
     def _restart(self, stamp: float) -> None:
         """Time went back, as when a bag starts again: `Perception` forgets all objects, and so do the topics."""
         self._counter["restarts"] += 1
-        self.get_logger().warning(f"Time went back to {stamp:.3f} s; all objects are looked for anew.")
+        self._node.get_logger().warning(f"Time went back to {stamp:.3f} s; all objects are looked for anew.")
         self._forget_objects()
 
     def _publishers_of(self, object_id: str) -> tuple[Publisher, Publisher, Publisher]:
         if object_id not in self._object_publishers:
             self._object_publishers[object_id] = (
-                self.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", 10),
-                self.create_publisher(OccupancyGrid, f"objects/{object_id}/cells", _LATCHED),
-                self.create_publisher(PolygonStamped, f"objects/{object_id}/outline", _LATCHED),
+                self._node.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", 10),
+                self._node.create_publisher(OccupancyGrid, f"objects/{object_id}/cells", _LATCHED),
+                self._node.create_publisher(PolygonStamped, f"objects/{object_id}/outline", _LATCHED),
             )
         return self._object_publishers[object_id]
 
     def _forget_objects(self) -> None:
         for publishers in self._object_publishers.values():
             for publisher in publishers:
-                self.destroy_publisher(publisher)
+                self._node.destroy_publisher(publisher)
         self._object_publishers.clear()
 
-    def _refuse(self, kind: str, why: str) -> None:
+    def _refuse_frame(self, kind: str, why: str) -> None:
+        self._refuse(kind, self._main.input.image_topic, why)
+
+    def _refuse(self, kind: str, source: str, why: str) -> None:
         self._counter[kind] += 1
-        self._last_error = why
-        self._log(kind, why)
+        self._last_error = f"{source}: {why}"
+        self._node.guard.refuse(source, why)
 
-    def _log(self, kind: str, why: str) -> None:
-        """One line, each kind at intervals of at least some seconds; rclpy would throttle all kinds together."""
-        now = time.monotonic()
-        if now >= self._logged.get(kind, -np.inf) + _LOG_PERIOD:
-            self._logged[kind] = now
-            self.get_logger().warning(why)
-
-    def _diagnose(self) -> None:
+    def health(self) -> Health:
+        """How many frames give poses, and why none do."""
         now = self._wall.now()
         elapsed = (now - self._diagnosed_at).nanoseconds * 1e-9
         rate = (self._counter["frames"] - self._frames_diagnosed) / max(elapsed, 1e-3)
         silent = self._main.input.silence > _SILENT
         for name, camera in self._further.items():
             if camera.input.silence > _SILENT:
-                self._leave_out(name, "silent", self._silence_of(camera))
+                self._counter[f"{name}_silent"] += 1
+                self._notes[f"camera_{name}"] = self._silence_of(camera)
+                self._node.get_logger().warning(f"camera {name}: {self._silence_of(camera)}", throttle_duration_sec=_LOG_PERIOD)
         why = self._why_no_pose(silent, rate)
         if silent or rate == 0:
-            self._log("nothing", why)
+            self._node.get_logger().warning(why, throttle_duration_sec=_LOG_PERIOD)
         values: dict[str, Any] = {
             "rate_hz": f"{rate:.1f}",
             "images": self._main.input.n_images,
@@ -380,17 +399,13 @@ class PerceptionNode(Node):
             values |= {f"stage_{name}": count for name, count in self._last_observation.counts.items()}
             values |= {f"object_{known.object_id}": known.status.value for known in self._last_observation.objects}
         values |= {f"note_{name}": note for name, note in self._notes.items() if note}
-        status = DiagnosticStatus(name=f"{self.get_name()}: perception", hardware_id=TABLE_FRAME, message=why or "poses are published")
-        status.level = DiagnosticStatus.ERROR if silent or rate == 0 else DiagnosticStatus.WARN if why else DiagnosticStatus.OK
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_publisher.publish(msg)
+        level = DiagnosticStatus.ERROR if silent or rate == 0 else DiagnosticStatus.WARN if why else DiagnosticStatus.OK
         self._diagnosed_at, self._frames_diagnosed = now, self._counter["frames"]
+        return Health(level, why or "poses are published", values)
 
     def _why_no_pose(self, silent: bool, rate: float) -> str:
-        if self.get_parameter("use_sim_time").value and self.get_clock().now().nanoseconds == 0:
-            return f"use_sim_time is set but nothing comes on /clock ({self.count_publishers('/clock')} publishers)"
+        if self._node.get_parameter("use_sim_time").value and self._node.get_clock().now().nanoseconds == 0:
+            return f"use_sim_time is set but nothing comes on /clock ({self._node.count_publishers('/clock')} publishers)"
         if silent:
             return self._silence_of(self._main)
         waited = (self._wall.now() - self._started_at).nanoseconds * 1e-9
@@ -403,7 +418,7 @@ class PerceptionNode(Node):
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic
-        return f"no depth image on {topic} ({self.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
+        return f"no depth image on {topic} ({self._node.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
 
 
 def main() -> int:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -19,26 +22,72 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.nodes.convert import stamp_from_msg
+from push_ident.nodes.convert import stamp_from_msg, stamp_to_msg
+from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
-from push_ident.types import Float64Array
+from push_ident.pushing.state_check import StateCheck
+from push_ident.pushing.trajectory import JointTrajectory
 
-__all__ = ["ArmPort"]
+__all__ = ["ArmLink", "ArmPort"]
 
-_HOLD_WITHIN = 0.1
-"""Time the arm is given to come to a halt [s]."""
 _MARGIN = 0.03
 """[s] by which a silent arm is given up early, so that it is held within the timeout: three looks of the watch."""
 _GRACE = 0.03
 """[s] for states that have arrived but were not taken in yet."""
 _PATIENCE = 1.0
 """How long an arm at rest may stay silent before a push is refused [s]."""
+_STANDING = 0.02
+"""An arm whose joints are all slower stands [rad/s]."""
+_MAX_JOINTS = 256
+"""Names of joints that are remembered."""
+_FASTEST = 5.0
+"""No joint turns faster [rad/s]: the fastest of an iiwa 7 reaches 3.1; descriptions often have a limit that is none."""
+
+
+class ArmLink:
+    """`pushing.ports.MotionLink` to the controller of the arm. The joints have the names of the motion, whatever is described later."""
+
+    def __init__(self, publisher: Publisher, joint_names: tuple[str, ...]) -> None:
+        self._publisher, self._joint_names = publisher, list(joint_names)
+        self._lock = threading.Lock()
+        self._is_held = False
+
+    def move(self, piece: JointTrajectory, start: float | None) -> None:
+        """As `MotionLink`."""
+        msg = self._message(piece)
+        if start is not None:
+            msg.header.stamp = stamp_to_msg(start)
+        with self._lock:
+            if self._is_held:
+                raise PlanningError(PushCode.CANCELED, "the arm is held; it is not moved any more.")
+            self._publisher.publish(msg)
+
+    def hold(self, piece: JointTrajectory) -> None:
+        """As `MotionLink`. One point rather than an empty trajectory, which some controllers refuse and carry on."""
+        msg = self._message(piece)
+        with self._lock:
+            self._is_held = True
+            self._publisher.publish(msg)
+
+    def _message(self, piece: JointTrajectory) -> JointTrajectoryMsg:
+        # A stamp of zero: start on receipt, whatever the controller's clock.
+        msg = JointTrajectoryMsg(joint_names=self._joint_names)
+        msg.points = [
+            JointTrajectoryPoint(positions=array("d", q), velocities=array("d", v), time_from_start=_duration(t))
+            for t, q, v in zip(piece.time, piece.position, piece.velocity, strict=True)
+        ]
+        return msg
+
+
+def _duration(seconds: float) -> Duration:
+    nanoseconds = round(1e9 * float(seconds))
+    return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 class ArmPort:
-    """Subscribes to `robot_description` and `joint_states`, publishes `joint_trajectory`."""
+    """Subscribes to `robot_description` and `joint_states`, opens links to `joint_trajectory`."""
 
     def __init__(
         self,
@@ -59,13 +108,20 @@ class ArmPort:
         self._planner: ArmKinematics | None = None
         self._state: ArmState | None = None
         self._stamp = Time()
+        self._clock = ArmClock()
+        self._reported: set[str] = set()
+        self._is_standing = True
+        self._n_users = 0
+        self._offered = ""
+        self.description_fault = ""
+        """Why the latest description cannot be used; empty when it is used or kept for later."""
         self.n_received = 0
         self.n_dropped = 0
         self._publisher = node.create_publisher(JointTrajectoryMsg, "joint_trajectory", 10)
         if description_file:
             try:
                 with open(description_file, encoding="utf-8") as file:
-                    self._use_description(file.read())
+                    self._use(file.read())
             except OSError as error:
                 raise InputError(f"Parameter robot_description_file: {error}.") from None
         else:
@@ -128,49 +184,58 @@ class ArmPort:
             names.remove(own)
         return tuple(sorted(names))
 
-    def prepare(self, motion: ArmMotion) -> JointTrajectoryMsg:
-        """Message that starts a planned motion; filling it takes tens of milliseconds, so it is not left to the last moment."""
-        return self._message(motion.trajectory.time, motion.trajectory.position, motion.trajectory.velocity)
+    def stamp_now(self) -> float:
+        """What the clock of the arm's stamps shows now [s]. There is a state once `next_state` has returned."""
+        return self._clock.at(time.monotonic())
 
-    def send(self, command: JointTrajectoryMsg) -> ArmState:
-        """Start a prepared motion; the arm's latest state just before. There is one once `next_state` has returned."""
-        state = self.state
-        assert state is not None
-        self._publisher.publish(command)
-        return state
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Plans and motions speak of one arm: its description stays as it is in this context, and until the arm stands after it."""
+        self._n_users += 1
+        try:
+            yield
+        finally:
+            self._n_users -= 1
 
-    def hold(self, q: Float64Array) -> None:
-        """Replace whatever is being executed by standing still at `q` [rad].
+    def open(self, motion: ArmMotion) -> ArmLink:
+        """The only way to move the arm: pieces of `motion`, until it is held."""
+        return ArmLink(self._publisher, motion.joint_names)
 
-        One point rather than an empty trajectory, which some controllers refuse and carry on.
-        """
-        self._publisher.publish(self._message(np.array([_HOLD_WITHIN]), q[None, :], np.zeros((1, len(q)))))
-
-    def _message(self, times: Float64Array, position: Float64Array, velocity: Float64Array) -> JointTrajectoryMsg:
-        # The stamp stays zero: start on receipt, whatever the controller's clock.
-        msg = JointTrajectoryMsg(joint_names=list(self.planner.joint_names))
-        for t, q, v in zip(times, position, velocity, strict=True):
-            nanoseconds = round(1e9 * float(t))
-            msg.points.append(
-                JointTrajectoryPoint(
-                    positions=array("d", q),
-                    velocities=array("d", v),
-                    time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
-                )
-            )
-        return msg
+    # ---- description of the arm
 
     def _on_description(self, msg: String) -> None:
-        try:
-            self._use_description(msg.data)
-        except InputError as error:
-            self._node.get_logger().error(f"robot_description refused: {error}")
+        self._offered, self.description_fault = msg.data, ""
+        self._use_offered()
 
-    def _use_description(self, urdf_xml: str) -> None:
-        self._planner, self._kinematics = (ArmKinematics(urdf_xml, self._tip_frame, self._neutral) for _ in range(2))
+    def _use_offered(self) -> None:
+        """Use the latest description, unless the arm moves or may be moved with the one before; refuse one that does not fit the arm."""
+        if not self._offered or self.description_fault or self._n_users or not self._is_standing:
+            return
+        try:
+            self._use(self._offered)
+        except InputError as error:
+            self.description_fault = f"robot_description refused: {error}"
+            self._node.get_logger().error(self.description_fault)
+        else:
+            self._offered = ""
+
+    def _use(self, urdf_xml: str) -> None:
+        """Raises InputError when it is no description of this arm."""
+        planner, kinematics = (ArmKinematics(urdf_xml, self._tip_frame, self._neutral) for _ in range(2))
+        if self._reported and (unknown := [name for name in kinematics.joint_names if name not in self._reported]):
+            raise InputError(f"its joints {', '.join(unknown)} are not among those of joint_states: {', '.join(sorted(self._reported))}.")
+        self._planner, self._kinematics = planner, kinematics
+        speed = np.minimum(kinematics.velocity_limit, _FASTEST)
+        self._state_check = StateCheck(kinematics.position_lower, kinematics.position_upper, speed)
+
+    # ---- states of the arm
 
     def _on_joint_states(self, msg: JointState) -> None:
         received = time.monotonic()
+        if not self._reported.issuperset(msg.name) and len(self._reported) < _MAX_JOINTS:
+            self._reported.update(msg.name[:_MAX_JOINTS])
+            self.description_fault = ""  # a description that came before the states of its arm gets another chance
+        self._use_offered()
         if self._kinematics is None:
             return
         if self._state is not None and msg.header.stamp == self._stamp != Time():
@@ -187,7 +252,17 @@ class ArmPort:
             )
             return
         q = np.array([position[name] for name in self._kinematics.joint_names])
+        stamp = stamp_from_msg(msg.header.stamp)
+        try:
+            self._state_check.check(received, stamp, q)
+        except InputError:
+            self.n_dropped += 1
+            raise
+        if self._state is not None:
+            step = max(stamp - self._state.stamp, 1e-3)
+            self._is_standing = len(q) != len(self._state.q) or float(np.max(np.abs(q - self._state.q))) <= _STANDING * step
         self.n_received += 1
         self._stamp = msg.header.stamp
-        self._state = ArmState(stamp_from_msg(msg.header.stamp), q, self._kinematics.forward(q), received)
+        self._clock.observe(received, stamp)
+        self._state = ArmState(stamp, q, self._kinematics.forward(q), received)
         self._on_state(self._state, msg.header.stamp)

@@ -12,7 +12,6 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
-from push_ident.errors import InputError
 from push_ident.nodes.convert import force_from_msg
 
 __all__ = ["ForcePort"]
@@ -22,11 +21,9 @@ class ForcePort:
     """Subscribes to `pusher/wrench`, where there is one."""
 
     def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
-        self._node = node
         self._lock = threading.Lock()
         self._peak = 0.0
         self._received = -math.inf
-        self.n_dropped = 0
         node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, qos_profile_sensor_data, callback_group=callback_group)
 
     @property
@@ -41,12 +38,7 @@ class ForcePort:
         return peak
 
     def _on_wrench(self, msg: WrenchStamped) -> None:
-        try:
-            _, force = force_from_msg(msg)
-        except InputError as error:
-            self.n_dropped += 1
-            self._node.get_logger().warning(f"pusher/wrench dropped: {error}", throttle_duration_sec=5.0)
-            return
+        _, force = force_from_msg(msg)
         self._received = time.monotonic()
         with self._lock:
             self._peak = max(self._peak, float(np.linalg.norm(force)))

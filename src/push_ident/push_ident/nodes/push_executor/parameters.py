@@ -68,6 +68,12 @@ PARAMETERS: Final = (
     Parameter("rest", 0.6, "pause after the push, for frames of the object at rest [s]", 0.0, 10.0),
     Parameter("back_off", 0.015, "distance back from the object before the tool rises [m]", 0.002, 0.1),
     Parameter("arm_timeout", 0.1, "the arm is held this long after the last joint state, by wall time, at the latest [s]", 0.05, 2.0),
+    Parameter("motion_horizon", 0.08, "motion at speed that the arm is given ahead; without news it brakes then [s]", 0.04, 0.1),
+    Parameter(
+        "stamp_commands",
+        False,
+        "commands say when they start, for arms whose controller and joint_states have one clock, as in ros2_control; else on receipt",
+    ),
     Parameter("pose_timeout", 1.0, "oldest object pose, by time of receipt, that a push may start from [s]", 0.05, 60.0),
     Parameter("lost_timeout", 1.0, "an object whose last pose was received longer ago during a push is lost [s]", 0.05, 60.0),
     Parameter("force_limit", 60.0, "largest horizontal force on pusher/wrench; beyond, the arm is held [N]", 0.5, 1000.0),

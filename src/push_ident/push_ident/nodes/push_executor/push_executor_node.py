@@ -8,21 +8,19 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseStamped
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from shape_msgs.msg import SolidPrimitive
 from std_srvs.srv import Trigger
 
-from push_ident.errors import InputError, PlanningError
+from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
-from push_ident.nodes.parameters import Parameters
 from push_ident.nodes.push_executor.arm_lease import ArmLease
 from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
@@ -42,9 +40,7 @@ __all__ = ["PARAMETERS", "PushExecutorNode", "main"]
 _TOOL_PERIOD = 1.0 / 60.0
 """Shortest time between two messages of the tool's pose [s]."""
 _ANSWER = 0.3
-"""[s] given to the answer to a goal when the node stops."""
-_LAST_CALLBACKS = 0.1
-"""[s] given to callbacks under way when the node stops."""
+"""[s] given to the answer to a goal when the node is deactivated."""
 
 
 class _NodeClock:
@@ -77,49 +73,55 @@ class _GoalClient:
         self._goal.publish_feedback(ExecutePush.Feedback(phase=int(phase), progress=float(min(progress, 1.0))))
 
 
-class PushExecutorNode(Node):
-    """Serves `execute_push` and `close_hand`; publishes the path of the tool in `pusher/pose` and each push in `push_record`."""
+class PushExecutorNode(CellNode):
+    """Serves `execute_push` and `close_hand`; publishes the path of the tool in `pusher/pose` and each push in `push_record`.
+
+    Only an active node moves the arm: when it is deactivated, cleaned up or shut down during a push, it holds the arm first.
+    """
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("push_executor_node", **kwargs)
-        self._settings = Parameters(self, PARAMETERS)
+        super().__init__("push_executor_node", PARAMETERS, check=execution_settings, **kwargs)
+
+    def make_component(self) -> Component:
+        """The lease of the arm, the ports of the cell and the action."""
+        return _PushExecutor(self)
+
+
+class _PushExecutor(Component):
+    """Ports, action and execution of a configured node."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._node, self._settings = node, node.settings
         values = self._settings.as_dict()
-        execution_settings(values)  # refuse contradictions now rather than at the first goal
-        self._lease = ArmLease(self.context.get_domain_id(), self.resolve_topic_name("joint_trajectory"))
         self._tool_stamp = -np.inf
         self._last_error = ""
+        self._is_active = False
         self._answered = threading.Event()
         self._answered.set()
         self._n_received_before = 0
 
-        self._tool_pub = self.create_publisher(PoseStamped, "tool/pose", 10)
-        self._pusher_pub = self.create_publisher(PoseStamped, "pusher/pose", 10)
-        self._record_pub = self.create_publisher(PushRecord, "push_record", 10)
-        self._diagnostics_pub = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._tool_pub = node.create_publisher(PoseStamped, "tool/pose", 10)
+        self._pusher_pub = node.create_publisher(PoseStamped, "pusher/pose", 10)
+        self._record_pub = node.create_publisher(PushRecord, "push_record", 10)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._shape_pub = self.create_publisher(SolidPrimitive, "pusher/shape", latched)
+        self._shape_pub = node.create_publisher(SolidPrimitive, "pusher/shape", latched)
         self._shape_pub.publish(cylinder_to_msg(values["pusher_radius"], values["pusher_height"]))
 
         self._make_ports(values)
-        self.create_service(Trigger, "close_hand", self._on_close_hand, callback_group=MutuallyExclusiveCallbackGroup())
-        self._server = ActionServer(
-            self,
-            ExecutePush,
-            "execute_push",
-            self._execute,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-        )
+        node.create_service(Trigger, "close_hand", self._on_close_hand, callback_group=MutuallyExclusiveCallbackGroup())
+        node.create_action_server(ExecutePush, "execute_push", self._execute, failed=self._failed, callback_group=ReentrantCallbackGroup())
+        # Last: what fails after it would keep the lease.
+        self._lease = ArmLease(node.context.get_domain_id(), node.resolve_topic_name("joint_trajectory"))
 
     def _make_ports(self, values: dict[str, Any]) -> None:
-        supervised, housekeeping = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        self._cell_clock = _NodeClock(self)
-        self._force = ForcePort(self, supervised)
-        self._hand = make_hand(self, values["hand"], timeout=values["hand_timeout"], callback_group=housekeeping)
-        self._recording = RecordingPort(self, housekeeping)
-        self._objects = TrackedObjects(self, housekeeping)
+        node, supervised, housekeeping = self._node, MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        self._cell_clock = _NodeClock(node)
+        self._force = ForcePort(node, supervised)
+        self._hand = make_hand(node, values["hand"], timeout=values["hand_timeout"], callback_group=housekeeping)
+        self._recording = RecordingPort(node, housekeeping)
+        self._objects = TrackedObjects(node, housekeeping)
         self._arm = ArmPort(
-            self,
+            node,
             description_file=values["robot_description_file"],
             tip_frame=values["tip_frame"],
             neutral=values["neutral_posture"],
@@ -129,16 +131,22 @@ class PushExecutorNode(Node):
         self._execution = PushExecution(
             ExecutionPorts(self._arm, self._hand, self._force, self._recording, self._objects, self._cell_clock),
             on_push=lambda push: self._record_pub.publish(_record_to_msg(push)),
-            on_warning=self.get_logger().warning,
+            on_warning=node.get_logger().warning,
         )
-        self.create_timer(1.0, self._publish_diagnostics, callback_group=housekeeping, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def close(self) -> None:
+    def resume(self) -> None:
+        """Take goals."""
+        self._execution.start()
+        self._is_active = True
+
+    def pause(self) -> None:
         """Hold the arm if it moves; returns when no push is under way any more, after 1 s at most."""
+        self._is_active = False
         self._execution.stop(1.0)
         self._answered.wait(_ANSWER)
-        # Callbacks already in a thread of the executor must end before it goes: it does not wait for them itself.
-        time.sleep(_LAST_CALLBACKS)
+
+    def close(self) -> None:
+        """Give the arm free."""
         self._lease.release()
 
     # ---- requests
@@ -146,11 +154,8 @@ class PushExecutorNode(Node):
     def _execute(self, goal: ServerGoalHandle) -> ExecutePush.Result:
         self._answered.clear()
         try:
-            try:
-                settings = execution_settings(self._settings.as_dict())
-                outcome = self._execution.execute(_request_from_goal(goal.request), settings, _GoalClient(goal))
-            except InputError as error:
-                outcome = PushOutcome(error=PlanningError(PushCode.INVALID_GOAL, str(error)))
+            settings = execution_settings(self._settings.as_dict())
+            outcome = self._execution.execute(_request_from_goal(goal.request), settings, _GoalClient(goal))
             return self._answer(goal, outcome)
         finally:
             self._answered.set()
@@ -161,14 +166,21 @@ class PushExecutorNode(Node):
             goal.succeed()
             return result
         self._last_error = f"{PushCode(outcome.error.code).name}: {outcome.error}"
-        self.get_logger().error(f"execute_push: {self._last_error}")
+        self._node.get_logger().error(f"execute_push: {self._last_error}")
         if outcome.error.code == PushCode.CANCELED and goal.is_cancel_requested:
             goal.canceled()
         else:
             goal.abort()
         return result
 
+    def _failed(self, why: str) -> ExecutePush.Result:
+        code = PushCode.INVALID_GOAL if self._is_active else PushCode.BUSY
+        self._last_error = f"{code.name}: {why}"
+        return ExecutePush.Result(error_code=int(code), error_text=why)
+
     def _on_close_hand(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self._is_active:
+            raise InputError("The node is not active; activate it.")
         reason = self._execution.close_hand(self._settings["hand_close_timeout"])
         response.success, response.message = not reason, reason or "the hand is a closed fist"
         return response
@@ -186,18 +198,19 @@ class PushExecutorNode(Node):
         turn.x, turn.y, turn.z, turn.w = quaternion_of_pose(state.pose_tip_in_table)
         self._tool_pub.publish(msg)
 
-    def _publish_diagnostics(self) -> None:
+    def health(self) -> Health:
+        """Whether arm, hand, recorder and objects are there."""
         rate = self._arm.n_received - self._n_received_before
         self._n_received_before = self._arm.n_received
         silent = self._arm.silence > self._settings["arm_timeout"]
-        no_clock = bool(self.get_parameter("use_sim_time").value) and self._cell_clock.now() == 0.0
+        no_clock = bool(self._node.get_parameter("use_sim_time").value) and self._cell_clock.now() == 0.0
         hand, recording = self._hand.why_no_fist(), self._recording.fault
         reasons = [text for text, true in (("arm silent", silent), ("use_sim_time is set but /clock is silent", no_clock)) if true]
-        reasons += [text for text in (hand, recording) if text]
+        reasons += [text for text in (hand, recording, self._arm.description_fault) if text]
         level = DiagnosticStatus.OK
         if silent or hand or recording:
             level = DiagnosticStatus.ERROR
-        elif no_clock or not self._objects.ids:
+        elif no_clock or not self._objects.ids or self._arm.description_fault:
             level = DiagnosticStatus.WARN
         state = "no objects" if not self._objects.ids else "ready" if self._execution.is_idle else "pushing"
         values = {
@@ -208,11 +221,7 @@ class PushExecutorNode(Node):
             "largest force of the last motion [N]": f"{self._execution.peak_force:.1f}",
             "last error": self._last_error,
         }
-        status = DiagnosticStatus(name=f"{self.get_name()}: pushing", level=level, message="; ".join(reasons) or state, hardware_id="")
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_pub.publish(msg)
+        return Health(level, "; ".join(reasons) or state, values)
 
 
 def _request_from_goal(goal: ExecutePush.Goal) -> PushRequest:
@@ -264,5 +273,5 @@ def _point(push: PushPlan2D) -> Point:
 
 def main() -> int:
     """Run the node until a signal ends it; the exit code."""
-    # The watch over a moving arm keeps one thread, its cancellation and the joint states need their own.
-    return run_node(PushExecutorNode, n_threads=4)
+    # The watch over a moving arm keeps one thread; its cancellation, the joint states and a transition need their own.
+    return run_node(PushExecutorNode, n_threads=5)

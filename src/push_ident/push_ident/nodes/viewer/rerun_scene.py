@@ -7,13 +7,16 @@ the table can also be drawn into its picture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation, transform_points
+from push_ident.limits import plain_text
 from push_ident.nodes.viewer.rerun_server import RerunServer
 from push_ident.types import CameraIntrinsics, Float64Array
 
@@ -88,7 +91,9 @@ class RerunScene:
         self._stream.connect_grpc(address or None, default_blueprint=self._layout())
 
     def save(self, path: str) -> None:
-        """Write a file that a viewer opens later."""
+        """Write a file that a viewer opens later. Raises InputError where the name is a link: Rerun would follow it."""
+        if Path(path).is_symlink():
+            raise InputError(f"{plain_text(path)} is a link, expected a new file or one to replace.")
         self._stream.save(path, default_blueprint=self._layout())
 
     def close(self) -> None:

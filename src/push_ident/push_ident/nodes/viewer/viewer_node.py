@@ -10,13 +10,14 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMsg
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import transform_points
+from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
+from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
     depth_frame_from_msgs,
@@ -29,6 +30,7 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
+from push_ident.nodes.stamps import StampCheck
 from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import height_inside, points_in_table
@@ -60,24 +62,60 @@ _MAX_AGE: Final = 5.0
 """An object without a pose for this time is not drawn [s]."""
 _NO_TOP: Final = 0.0
 """Height at which objects are drawn until the camera has measured their upper side [m]."""
+_N_NODES: Final = 200
+"""Statuses of so many nodes are shown."""
 _JUMP_BACK: Final = 1.0
 """Stamps this much older than the latest mean that time was set back [s]."""
 
 
-class ViewerNode(Node):
-    """Subscribes and draws; it publishes nothing, and no other node depends on it."""
+class ViewerNode(CellNode):
+    """Subscribes and draws; it publishes nothing but its status, and no other node depends on it."""
 
-    def __init__(self) -> None:
-        super().__init__("viewer_node")
-        self._settings = Parameters(self, PARAMETERS)
-        try:
-            self._scene = RerunScene()
-        except ImportError as error:
-            raise InputError(f"Rerun is not installed ({error}); run `pip install -r requirements/viewer.txt`.") from None
-        self._start()
+    def __init__(self, **kwargs: Any) -> None:
+        self._shown: tuple[RerunScene, str] | None = None
+        super().__init__("viewer_node", PARAMETERS, **kwargs)
+
+    def make_component(self) -> Component:
+        """What is shown, in one viewer for the life of the process: Rerun cannot end its servers."""
+        if self._shown is None:
+            self._shown = _started_scene(self.settings)
+            self.get_logger().info(f"shown in {self._shown[1]}")
+        return _Viewer(self, *self._shown)
+
+    def close(self) -> None:
+        """Write what is still buffered."""
+        super().close()
+        if self._shown is not None:
+            self._shown[0].close()
+
+
+def _started_scene(values: Parameters) -> tuple[RerunScene, str]:
+    """A scene that goes where the parameters want it, and where that is."""
+    try:
+        scene = RerunScene()
+    except ImportError as error:
+        raise InputError(f"Rerun is not installed ({error}); run `pip install -r requirements/viewer.txt`.") from None
+    output, file, address = values["output"], values["file"], values["address"]
+    if output == "file":
+        if not file.endswith(".rrd"):
+            raise InputError(f"`file` is {file!r}, expected a path that ends with .rrd.")
+        scene.save(file)
+        return scene, file
+    if output == "window":
+        scene.connect(address)
+        return scene, address or "the viewer on this machine; start it with `rerun`"
+    return scene, scene.serve(**{name: values[name] for name in ("bind", "grpc_port", "web_port", "memory")})
+
+
+class _Viewer(Component):
+    """Subscriptions and scene of a configured node."""
+
+    def __init__(self, node: CellNode, scene: RerunScene, where: str) -> None:
+        self._node, self._settings, self._scene, self._where = node, node.settings, scene, where
+        self._stamps = StampCheck()
         group = MutuallyExclusiveCallbackGroup()
-        self._objects = TrackedObjects(self, group)
-        self._topics = ObjectTopics(self, self._on_new_object)
+        self._objects = TrackedObjects(node, group)
+        self._topics = ObjectTopics(node, self._on_new_object)
         self._info: CameraInfo | None = None
         self._camera: Float64Array | None = None
         self._camera_shown: tuple[Any, ...] = ()
@@ -89,35 +127,20 @@ class ViewerNode(Node):
         self._drawn: dict[str, float] = {}
         self._now, self._shift = 0.0, 0.0
 
-        self.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
-        self.create_subscription(PoseStamped, "depth/camera_pose", self._on_camera, _LATCHED)
-        self.create_subscription(
+        self._node.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
+        self._node.create_subscription(PoseStamped, "depth/camera_pose", self._on_camera, _LATCHED)
+        self._node.create_subscription(
             Image, "depth/image_rect", self._on_image, QoSProfile(depth=1, reliability=qos_profile_sensor_data.reliability)
         )
-        self.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
-        self.create_subscription(PoseStamped, "pusher/pose", self._on_tool, qos_profile_sensor_data)
-        self.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        self.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
+        self._node.create_subscription(PoseStamped, "pusher/pose", self._on_tool, qos_profile_sensor_data)
+        self._node.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self._node.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def close(self) -> None:
-        """Write what is still buffered."""
-        self._scene.close()
-
-    def _start(self) -> None:
-        values = self._settings
-        output = values["output"]
-        if output == "file":
-            if not values["file"].endswith(".rrd"):
-                raise InputError(f"`file` is {values['file']!r}, expected a path that ends with .rrd.")
-            self._scene.save(values["file"])
-            where = values["file"]
-        elif output == "window":
-            self._scene.connect(values["address"])
-            where = values["address"] or "the viewer on this machine; start it with `rerun`"
-        else:
-            where = self._scene.serve(**{name: values[name] for name in ("bind", "grpc_port", "web_port", "memory")})
-        self.get_logger().info(f"shown in {where}")
+    def health(self) -> Health:
+        """Where it is shown."""
+        return Health(DiagnosticStatus.OK, f"shown in {self._where}", {"objects": ", ".join(self._objects.ids)})
 
     # ---- time
 
@@ -142,25 +165,19 @@ class ViewerNode(Node):
         self._info = msg
 
     def _on_camera(self, msg: PoseStamped) -> None:
-        try:
-            self._camera = transform_from_msg(msg)
-        except InputError as error:
-            self._warn(f"depth/camera_pose: {error}")
+        self._camera = transform_from_msg(msg)
 
     def _on_image(self, msg: Image) -> None:
         stamp = stamp_from_msg(msg.header.stamp)
+        self._stamps.check("depth/image_rect", stamp)
         self._at(stamp)
         if self._info is None or self._camera is None or not self._due("image", self._settings["image_rate"]):
             return
-        try:
-            frame = depth_frame_from_msgs(msg, self._info, max_skew=None)
-            shown = (frame.intrinsics, self._camera.tobytes())
-            if shown != self._camera_shown:
-                self._camera_shown = shown
-                self._scene.camera(intrinsics_from_msg(self._info), self._camera)
-        except PushIdentError as error:
-            self._warn(f"depth/image_rect: {error}")
-            return
+        frame = depth_frame_from_msgs(msg, self._info, max_skew=None)
+        shown = (frame.intrinsics, self._camera.tobytes())
+        if shown != self._camera_shown:
+            self._camera_shown = shown
+            self._scene.camera(intrinsics_from_msg(self._info), self._camera)
         self._scene.depth(frame.depth)
         self._find_tops(frame)
 
@@ -179,20 +196,14 @@ class ViewerNode(Node):
                 self._tops[object_id] = top
 
     def _on_tool(self, msg: PoseStamped) -> None:
-        try:
-            stamp, position = position_from_msg(msg)
-        except InputError as error:
-            self._warn(f"tool pose: {error}")
-            return
+        stamp, position = position_from_msg(msg)
+        self._stamps.check("tool", stamp)
         self._at(stamp)
         if self._due("tool", self._settings["pose_rate"]):
             self._scene.tool(position, self._radius)
 
     def _on_tool_shape(self, msg: SolidPrimitive) -> None:
-        try:
-            self._radius = cylinder_radius_from_msg(msg)
-        except InputError as error:
-            self._warn(f"pusher/shape: {error}")
+        self._radius = cylinder_radius_from_msg(msg)
 
     # ---- objects
 
@@ -203,8 +214,8 @@ class ViewerNode(Node):
             (PushPrediction, "next_push_prediction", self._on_next_prediction),
             (PushScore, "push_score", self._on_score),
         ):
-            self.create_subscription(kind, f"objects/{object_id}/{topic}", callback, _LATCHED)
-        self.create_subscription(PathMsg, f"objects/{object_id}/next_push", lambda msg: self._on_next_push(object_id, msg), _LATCHED)
+            self._node.create_subscription(kind, f"objects/{object_id}/{topic}", callback, _LATCHED)
+        self._node.create_subscription(PathMsg, f"objects/{object_id}/next_push", lambda msg: self._on_next_push(object_id, msg), _LATCHED)
 
     def _draw_objects(self) -> None:
         for object_id in self._objects.ids:
@@ -218,8 +229,13 @@ class ViewerNode(Node):
                 self._scene.observed(object_id, latest.shape.outline, latest.pose, self._tops.get(object_id, _NO_TOP))
 
     def _on_map(self, msg: MassFrictionMap) -> None:
+        check_object_id(msg.object_id)
+        LIMITS.CELLS.check(len(msg.x), "Map")
         cells = np.column_stack([msg.x, msg.y])
         centre = np.array([msg.centre_of_friction.x, msg.centre_of_friction.y])
+        check_coordinates(np.vstack([cells, centre]), "Map")
+        if not (len(cells) == len(msg.mass_friction) == len(msg.mass_friction_std)):
+            raise InputError(f"Map has {len(cells)} cells, but {len(msg.mass_friction)} values; expected one for each.")
         self._scene.map(msg.object_id, CellMap(cells, msg.cell_size, np.array(msg.mass_friction), np.array(msg.mass_friction_std), centre))
         words = self._words.setdefault(msg.object_id, {})
         words["pushes"] = f"{msg.n_pushes}, {msg.status_text}"
@@ -238,12 +254,15 @@ class ViewerNode(Node):
 
     def _on_prediction(self, msg: PushPrediction) -> None:
         outline = self._outline(msg.object_id)
+        LIMITS.POINTS.check(len(msg.poses), "Prediction")
         if outline is not None:
             poses = np.array([planar_pose_of(pose.pose) for pose in msg.poses]).reshape(-1, 3)
             self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, _NO_TOP))
 
     def _on_next_push(self, object_id: str, msg: PathMsg) -> None:
+        LIMITS.POINTS.check(len(msg.poses), "Next push")
         path = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
+        check_coordinates(path, "Next push")
         self._scene.next_push(object_id, path, self._tops.get(object_id, _NO_TOP))
 
     def _on_next_prediction(self, msg: PushPrediction) -> None:
@@ -254,7 +273,7 @@ class ViewerNode(Node):
 
     def _on_score(self, msg: PushScore) -> None:
         self._scene.score(msg.cell_error, msg.expected_cell_error, msg.uniform_cell_error)
-        words = self._words.setdefault(msg.object_id, {})
+        words = self._words.setdefault(check_object_id(msg.object_id), {})
         mean, uniform = 1e3 * msg.mean_cell_error, 1e3 * msg.mean_uniform_cell_error
         words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (uniform model {uniform:.1f} mm)"
         words["within the 90 % region"] = f"{msg.share_within_90:.0%}"
@@ -265,8 +284,10 @@ class ViewerNode(Node):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         changed = False
         for status in msg.status:
-            name = status.name.rsplit("/", 1)[-1]
-            text = status.message if status.level != DiagnosticStatus.OK else ""
+            name = plain_text(status.name.rsplit("/", 1)[-1])
+            text = plain_text(status.message) if status.level != DiagnosticStatus.OK else ""
+            if name not in self._warnings and len(self._warnings) >= _N_NODES:
+                raise InputError(f"Statuses of more than {_N_NODES} nodes; that of {name} is not shown.")
             changed |= self._warnings.get(name, "") != text
             self._warnings[name] = text
         if changed:
@@ -280,9 +301,6 @@ class ViewerNode(Node):
         if warnings:
             parts += ["## Warnings", *warnings]
         self._scene.words("\n".join(parts))
-
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=5.0)
 
 
 def main() -> int:

@@ -17,7 +17,6 @@ from push_ident_msgs.action import ExecutePush
 from push_ident_sim.cell.robot import JOINT_NAMES, robot_description
 from push_ident_sim.faults.fault import Fault, Trial
 from push_ident_sim.faults.harness.cell import ARM_CELL
-from push_ident_sim.faults.harness.monitor import until
 from push_ident_sim.faults.harness.proxy import changed, drop
 
 __all__ = ["FAULTS"]
@@ -188,7 +187,7 @@ def _description_changed(trial: Trial) -> None:
     cell.end(sent)
     cell.monitor.publish("robot_description", String(data=robot_description()))
     trial.lost = "the push under way"
-    until(lambda: cell.push().error_code == 0, 60.0, "no push after the right description came back")
+    cell.whole_push()
 
 
 def _interrupted(trial: Trial) -> None:

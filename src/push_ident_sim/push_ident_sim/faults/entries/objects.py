@@ -39,7 +39,7 @@ def _missed(trial: Trial) -> None:
     trial.wait(0.5)
     goal = cell.goal(-1)
     # In the frame of the table: given in that of the object, the executor would first bring it back from the edge.
-    goal.frame_id, goal.contact_point = "table", Point(x=0.0, y=_ASIDE - 0.05)
+    goal.frame_id, goal.contact_point = "table", Point(x=-0.08, y=_ASIDE - 0.02)
     result = cell.push(goal)
     trial.expect(result.error_code == PushCode.NO_CONTACT, f"the push ended with {result.error_code} {result.error_text}")
     trial.wait(1.5)

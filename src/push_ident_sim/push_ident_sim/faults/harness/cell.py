@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from geometry_msgs.msg import Point
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue, SetParametersResult
@@ -22,7 +22,7 @@ from push_ident_msgs.srv import SaveModel
 from push_ident_sim.faults.harness.monitor import Goal, Monitor, until
 from push_ident_sim.faults.harness.process import Process
 from push_ident_sim.faults.harness.proxy import Proxy, source_of
-from push_ident_sim.faults.harness.topics import OBJECT
+from push_ident_sim.faults.harness.topics import OBJECT, SEEN, TOPICS, qos_of
 from push_ident_sim.studies.common.live_nodes import own_domain
 
 __all__ = ["ARM_CELL", "CAMERA_CELL", "Cell", "CellPlan", "live_cell"]
@@ -31,6 +31,8 @@ _STARTUP: Final = 60.0
 """Longest wait for a cell that can plan a push [s]."""
 _ANSWER: Final = 3.0
 """Longest wait for the plan of a push [s]; after that it is requested again."""
+_TRIES: Final = 3
+"""A push that fails before its fault is injected is requested so many times."""
 _PUSH: Final = 60.0
 """Longest push [s]."""
 _MOVING: Final = 0.05
@@ -59,10 +61,11 @@ class CellPlan:
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
+OBJECT_POSE: Final = f"objects/{OBJECT}/pose"
 ARM_CELL: Final = CellPlan(
     "arm",
     ("sim_cell_node", "push_executor_node", "identification_node"),
-    ("joint_states", "pusher/wrench", "/clock", "robot_description", f"objects/{OBJECT}/pose", "push_record", "pusher/pose"),
+    ("joint_states", "pusher/wrench", "/clock", "robot_description", OBJECT_POSE, "push_record", "pusher/pose"),
     {"sim_cell_node": {"camera_rate": 0.0, "truth_as_perception": True}, "push_executor_node": _EXECUTOR},
 )
 """Poses come from the simulated world, without a camera."""
@@ -93,6 +96,7 @@ class Cell:
         self.proxy = Proxy(self.monitor.node, plan.through)
         self.proxy.watch("joint_states", self.monitor.on_state)
         self.processes: dict[str, Process] = {}
+        self._watched: dict[str, list[tuple[float, Any]]] = {}
         for command in self._commands():
             self.add(command)
 
@@ -120,6 +124,20 @@ class Cell:
         """Stop a process that was added."""
         self.processes.pop(name).interrupt()
 
+    def watch(self, topic: str) -> list[tuple[float, Any]]:
+        """Messages of a topic of `TOPICS` from now on, each with its time of receipt [s]; the list grows."""
+        if topic not in self._watched:
+            kept = self._watched[topic] = []
+            self.monitor.node.create_subscription(
+                TOPICS[topic].kind, topic, lambda msg: kept.append((time.monotonic(), msg)), qos_of(topic)
+            )
+        del self._watched[topic][:]
+        return self._watched[topic]
+
+    def watch_poses(self) -> list[tuple[float, Any]]:
+        """The same of the poses of the first object that the camera sees."""
+        return self.watch(f"objects/{SEEN}/pose")
+
     # ---- pushes
 
     def goal(self, side: int = 1, *, distance: float = 0.05, speed: float = 0.15) -> ExecutePush.Goal:
@@ -137,24 +155,36 @@ class Cell:
     def begin(self, goal: ExecutePush.Goal | None = None, *, phase: int = ExecutePush.Feedback.PHASE_PUSH, after: float = 0.1) -> Goal:
         """Request a push and return `after` seconds of motion in `phase`; in that of the push, of the motion after the tool has settled.
 
+        A push that ends before, as on a machine that stalls, is requested again.
+
         Raises:
-            PushIdentError: It ends before.
+            PushIdentError: It ended before each time.
         """
-        sent = self.monitor.send(goal or self.goal())
+        for left in reversed(range(_TRIES)):
+            sent = self.monitor.send(goal or self.goal())
+            if self._reaches(sent, phase):
+                time.sleep(after)
+                return sent
+            if left == 0:
+                raise PushIdentError(f"the push ended before phase {phase}: {self.end(sent).error_text or 'no error'}")
+            self.reset_object()
+        raise AssertionError
+
+    def _reaches(self, sent: Goal, phase: int) -> bool:
+        """Wait until the arm moves in `phase`; False where the push ended before."""
         settled = phase != ExecutePush.Feedback.PHASE_PUSH
 
         def reached() -> bool:
             nonlocal settled
             if sent.result is not None:
-                raise PushIdentError(f"the push ended before phase {phase}: {sent.result.error_text or 'no error'}")
+                return True
             if not sent.phases or sent.phases[-1][1] != phase:
                 return False
             settled = settled or not self.is_moving(_STILL)
             return settled and self.is_moving()
 
         until(reached, _PUSH, f"no arm that moves in phase {phase}")
-        time.sleep(after)
-        return sent
+        return sent.result is None
 
     def end(self, sent: Goal, patience: float = _PUSH) -> ExecutePush.Result:
         """Result of a push."""
@@ -166,6 +196,19 @@ class Cell:
     def push(self, goal: ExecutePush.Goal | None = None) -> ExecutePush.Result:
         """One whole push."""
         return self.end(self.monitor.send(goal or self.goal()))
+
+    def whole_push(self, goal: ExecutePush.Goal | None = None) -> None:
+        """A push that is made to its end, at the latest at the third time. Raises PushIdentError where it is not."""
+        for _ in range(_TRIES):
+            result = self.push(goal)
+            if result.error_code == 0:
+                return
+            self.reset_object()
+        raise PushIdentError(f"no push was made to its end: {result.error_text}")
+
+    def reset_object(self) -> None:
+        """Put the object back to the middle; where the arm is beside it, it stays: the next push goes up first."""
+        self.monitor.call(Trigger, "sim_cell_node/reset", Trigger.Request())
 
     def is_moving(self, speed: float = _MOVING) -> bool:
         """Whether a joint turns faster than `speed` [rad/s], by the latest joint state."""
@@ -184,13 +227,19 @@ class Cell:
         self.monitor.withdraw()
         for process in self.processes.values():
             process.start()
-        self.await_executor()
-        # Where the arm was held beside the object, it stays where it is: the next push goes up first.
-        self.monitor.call(Trigger, "sim_cell_node/reset", Trigger.Request())
+        self.await_ready()
+        self.reset_object()
+
+    def await_ready(self) -> None:
+        """Until the executor can plan a push; in a cell without one, until the arm reports."""
+        if "push_executor_node" in self.plan.nodes:
+            self.await_executor()
+        else:
+            until(lambda: self.monitor.last_state > 0.0, _STARTUP, "no joint states came")
 
     def await_executor(self) -> None:
         """Until the executor can plan a push."""
-        goal = self.goal() if self.plan.name == "arm" else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
+        goal = self.goal() if OBJECT_POSE in self.plan.through else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
         goal.dry_run = True
         deadline, says = time.monotonic() + _STARTUP, ""
         while time.monotonic() < deadline:
@@ -242,7 +291,7 @@ def live_cell(plan: CellPlan, folder: Path) -> Iterator[Cell]:
     domain = int(os.environ.get("ROS_DOMAIN_ID") or own_domain())
     cell = Cell(plan, folder, domain)
     try:
-        cell.await_executor()
+        cell.await_ready()
         yield cell
     finally:
         cell.close()

@@ -32,6 +32,8 @@ __all__ = ["ArmSample", "Goal", "Monitor", "Reported", "until"]
 _LOOK: Final = 0.05
 """Period at which the thread of the monitor checks whether it should end [s]."""
 _POLL: Final = 0.005
+_ANSWER: Final = 2.5
+"""Longest wait for the answer of a service before it is asked again [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +174,19 @@ class Monitor:
         return sent
 
     def call(self, kind: type, name: str, request: Any, patience: float = 10.0) -> Any:
-        """Answer of a service."""
+        """Answer of a service that may be asked again: a server that was killed is known to the graph for some seconds."""
         client = self.node.create_client(kind, name)
+        deadline = time.monotonic() + patience
         try:
-            until(client.service_is_ready, patience, f"{name} was not served")
-            future = self._ask(lambda: client.call_async(request), patience)
-            until(future.done, patience, f"{name} did not answer")
-            return future.result()
+            while True:
+                until(client.service_is_ready, max(0.1, deadline - time.monotonic()), f"{name} was not served")
+                future = self._ask(lambda: client.call_async(request), patience)
+                try:
+                    until(future.done, min(_ANSWER, patience), f"{name} did not answer")
+                    return future.result()
+                except PushIdentError:
+                    if time.monotonic() > deadline:
+                        raise
         finally:
             self.node.destroy_client(client)
 

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Final
 
 from push_ident.cli.supervisor import NodeCommand
+from push_ident.files import open_log
+from push_ident.nodes.lifetime import stop_signals_blocked
+from push_ident_sim.faults.harness.priority import as_urgent_as_this_one
 
 __all__ = ["TRACEBACK", "Process"]
 
@@ -58,10 +61,13 @@ class Process:
         if self.runs:
             return
         environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self._environment
-        with self.log.open("ab") as file:
+        # As the supervisor starts it.
+        quiet = stop_signals_blocked() if self.command.is_node else contextlib.nullcontext()
+        with open_log(self.log) as file, quiet:
             self._popen = subprocess.Popen(
                 self.command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
             )
+        as_urgent_as_this_one(self._popen.pid)
 
     def signal(self, number: signal.Signals) -> float:
         """Send a signal to the process alone; the time [s]."""

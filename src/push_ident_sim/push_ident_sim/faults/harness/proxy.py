@@ -1,6 +1,6 @@
 """A proxy between the publisher of a topic and all its subscribers: it drops, delays, reorders, duplicates and changes messages.
 
-The publisher is remapped to `source/<topic>`; the proxy publishes `<topic>`. Messages pass as bytes and are decoded only to be changed.
+The publisher is remapped to `<topic>_source`; the proxy publishes `<topic>`. Messages pass as bytes and are decoded only to be changed.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def changed(topic: str, change: Callable[[Any], Any]) -> Rule:
 
 
 def source_of(topic: str) -> str:
-    """Where the publisher of a topic that passes the proxy is remapped to. Under no `objects/`, where trackers look for topics."""
-    return f"/source{topic}" if topic.startswith("/") else f"source/{topic.replace('objects/', 'object_')}"
+    """Where the publisher of a topic that passes the proxy is remapped to: a name that neither trackers nor recorders look for."""
+    return ("/" if topic.startswith("/") else "") + topic.strip("/").replace("/", "_") + "_source"
 
 
 @dataclass(slots=True)

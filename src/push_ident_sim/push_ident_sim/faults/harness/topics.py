@@ -17,10 +17,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushRecord
 
-__all__ = ["OBJECT", "TOPICS", "Topic", "qos_of"]
+__all__ = ["OBJECT", "SEEN", "TOPICS", "Topic", "qos_of"]
 
 OBJECT: Final = "truth"
 """Id of the object whose poses come from the simulated cell."""
+SEEN: Final = "o1"
+"""Id of the first object that perception sees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "depth/camera_info": Topic(CameraInfo, best_effort=True),
     "workspace/occupancy": Topic(OccupancyGrid, latched=True),
     f"objects/{OBJECT}/pose": Topic(PoseWithCovarianceStamped),
+    f"objects/{SEEN}/pose": Topic(PoseWithCovarianceStamped),
     f"objects/{OBJECT}/cells": Topic(OccupancyGrid, latched=True),
     f"objects/{OBJECT}/outline": Topic(PolygonStamped, latched=True),
     f"objects/{OBJECT}/mass_friction_map": Topic(MassFrictionMap, latched=True),

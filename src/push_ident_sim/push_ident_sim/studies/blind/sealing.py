@@ -12,6 +12,7 @@ from typing import Final
 import push_ident
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident_sim.code_digest import code_digest
 from push_ident_sim.recordings.recording import seal
 from push_ident_sim.studies.blind.cases import draw_truth, phase_of
@@ -65,8 +66,7 @@ def seal_cases(cases: Sequence[Case], folder: Path) -> Json:
             if before.get(f"{what}_sha256") != sealed[f"{what}_sha256"]:
                 raise InputError(f"These cases were scored with another {what} ({path}); take other seeds from 1000 on for this one.")
         return before
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(sealed, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(sealed, indent=1) + "\n", "the sealed cases")
     return sealed
 
 

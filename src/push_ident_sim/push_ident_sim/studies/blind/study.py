@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.files import finite
+from push_ident.files import finite
 from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario

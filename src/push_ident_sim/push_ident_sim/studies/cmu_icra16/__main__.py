@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.bags.importers import ImportReport, import_cmu_icra16
+from push_ident.files import write_whole
 from push_ident.identification.identify import identify
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import cell_error, held_out_errors
@@ -79,7 +80,9 @@ def main() -> None:
         rows[n] = dict(zip(("uniform_m", "scalar_m", "identified_m", "known_supports_m"), mean.tolist(), strict=True))
         print(f"{n:>10} " + " ".join(f"{1e3 * e:>10.2f}" for e in mean))
     if arguments.json:
-        arguments.json.write_text(json.dumps({"seed": arguments.seed, "splits": arguments.splits, "errors": rows}, indent=1) + "\n")
+        write_whole(
+            arguments.json, json.dumps({"seed": arguments.seed, "splits": arguments.splits, "errors": rows}, indent=1) + "\n", "the results"
+        )
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.files import replaced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,11 +100,8 @@ def draw_cells(ax: Axes, centres: NDArray[np.float64], size: float, values: Sequ
 
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG that is the same each time; raises InputError where it cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110, metadata={"Software": None})
-    except OSError as error:
-        raise InputError(f"Cannot write the picture {path}: {error.strerror}; choose a folder with write permission.") from None
+    with replaced(path, "the picture", error=InputError) as file:
+        figure.savefig(file, dpi=110, metadata={"Software": None})
 
 
 def millimetres(metres: float | None, digits: int = 2) -> str:

@@ -24,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
+from push_ident.files import open_log
 from push_ident_msgs.msg import MassFrictionMap
 
 __all__ = [
@@ -61,7 +62,7 @@ class NodeProcess:
     def __init__(self, command: NodeCommand, log: Path, domain: int) -> None:
         self.name, self._log = command.name, log
         environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"}
-        with log.open("ab") as file:
+        with open_log(log) as file:
             self._popen = subprocess.Popen(
                 command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
             )

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident_sim.studies.common.base import Json, Study
 from push_ident_sim.studies.common.benchmark import Benchmark
 from push_ident_sim.studies.common.drawing import markdown_table
@@ -87,10 +88,7 @@ def _write(page: Path, head: list[str], found: Sequence[tuple[Study, Json]], ori
         written += [folder / name for name in pictures]
         images = [f"![{caption}]({folder.name}/{name})\n\n{caption}" for name, caption in pictures.items()]
         parts.append("\n\n".join([f"## {study.title}", study.question, study.tables(run["summary"]), *images, origin(run)]) + "\n")
-    try:
-        page.write_text("\n".join(parts), encoding="utf-8")
-    except OSError as error:
-        raise PushIdentError(f"Cannot write {page}: {error.strerror}; choose a folder with write permission.") from None
+    write_whole(page, "\n".join(parts), "the page")
     return written
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import sys
 import time
@@ -17,7 +16,8 @@ import numpy as np
 
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
-from push_ident.identification.model_file import load_model
+from push_ident.errors import PushIdentError
+from push_ident.identification.state_file import load_state
 from push_ident.nodes.client import CellClient, CellTimeout
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import DiagnoseGap, ExecutePush
@@ -32,16 +32,21 @@ from push_ident_sim.studies.endurance.witness import Witness, tracebacks
 
 __all__ = ["STUDY"]
 
-_CALM, _AGAIN, _DISTURBED = "undisturbed", "undisturbed, other pushes", "disturbed"
+_CALM, _AGAIN, _DISTURBED = "undisturbed", "again", "disturbed"
 _NODES: Final = ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node")
 _CALM_SHARE: Final = 0.25
 """Duration of an undisturbed run, relative to the disturbed one."""
+_DOMAIN: Final = 30
+"""First ROS domain, that of the first variant: they may run beside each other."""
 _SETTLING: Final = 60.0
 """Without faults at the end [s]."""
 _SILENCE: Final = 20.0
 """Without feedback for so long a push is given up: its executor may have been killed [s]."""
 _PAUSE: Final = 0.5
 """After a push that was refused [s]."""
+_POLL: Final = 0.02
+_SETTLED: Final = 15.0
+"""At the end, for the last push to be learned [s]."""
 _DIAGNOSIS: Final = 600.0
 """Between two diagnoses [s]."""
 _LINE: Final = 60.0
@@ -65,7 +70,7 @@ class _Run:
         self._diagnoses: Counter[str] = Counter()
 
     def run(self) -> Json:
-        domain = 30 + random.Random(self._seed).randrange(10)
+        domain = _DOMAIN + STUDY.variants.index(self._case.variant)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         shutil.rmtree(self._folder, ignore_errors=True)
         state = self._folder / "state"
@@ -83,11 +88,15 @@ class _Run:
             with CellClient(check=self._tend) as client:
                 object_id = client.wait_for_object(120.0)
                 with Witness(domain, object_id) as witness:
+                    ended = ""
                     try:
                         self._push_on(client, object_id)
+                        self._pause(_SETTLED)
+                    except PushIdentError as error:
+                        ended = str(error)  # a node that died for good: what was measured until then counts
                     finally:
                         self._chaos.release()
-                    return self._account(client, witness, object_id, state)
+                    return self._account(witness, state / f"{object_id}.state.json") | {"ended_early": ended}
 
     def _tend(self) -> None:
         """Called while the client waits: restarts, faults, measurements."""
@@ -111,10 +120,16 @@ class _Run:
             outcome = self._outcome(client, goal)
             self._outcomes[outcome] += 1
             if outcome != PushCode.NONE.name:
-                _pause(client)
+                self._pause()
             if time.monotonic() - self._diagnosed > _DIAGNOSIS:
                 self._diagnosed = time.monotonic()
                 self._diagnoses[self._verdict(client, object_id)] += 1
+
+    def _pause(self, seconds: float = _PAUSE) -> None:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self._tend()
+            time.sleep(_POLL)
 
     def _outcome(self, client: CellClient, goal: ExecutePush.Goal) -> str:
         try:
@@ -129,46 +144,38 @@ class _Run:
             return _UNANSWERED
         return str(result.report.verdict) if result.success else "refused"
 
-    def _account(self, client: CellClient, witness: Witness, object_id: str, state: Path) -> Json:
-        settled = client.wait_until_settled(object_id, quiet=4.0, timeout=60.0)
-        model = (self._folder / "model.json").resolve()
-        client.save_model(object_id, str(model))
+    def _account(self, witness: Witness, state: Path) -> Json:
         return {
             "minutes": (time.monotonic() - self._began) / 60.0,
-            "load": os.getloadavg()[1],
-            "learned": int(settled.n_pushes),
+            "load": os.getloadavg()[2],
+            "learned": len(load_state(state).pushes),
             "outcomes": dict(self._outcomes),
             "diagnoses": dict(self._diagnoses),
             "faults": self._chaos.faults,
             "deaths": [death.how for death in self._nodes.deaths],
-            "learned_unfinished": witness.learned_unfinished(state / f"{object_id}.state.json"),
+            "learned_unfinished": witness.learned_unfinished(state),
             "tracebacks": tracebacks(self._folder / "log"),
             "seen": witness.account(),
             "samples": self._meters.samples,
-            "model": str(model),
+            "state": str(state.resolve()),
         }
-
-
-def _pause(client: CellClient) -> None:
-    until = time.monotonic() + _PAUSE
-    client.wait(lambda: time.monotonic() > until, 2 * _PAUSE, "the pause did not end")
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     minutes = settings.minutes * (1.0 if case.variant == _DISTURBED else _CALM_SHARE)
-    folder = settings.truth_folder.parent / "endurance" / case.key.replace(", ", "-").replace(" ", "-")
+    folder = settings.truth_folder.parent / "endurance" / case.key
     values = _Run(case, minutes, folder).run()
-    _, posterior = load_model(Path(values["model"]))
+    posterior = load_state(Path(values["state"])).state.posterior
     _, held_out, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, _EXACT)
     return values | {"held_out_m": errors_on(posterior, held_out)}
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
     by_variant = {result.case.variant: result.values for result in results}
-    posteriors = {variant: load_model(Path(values["model"]))[1] for variant, values in by_variant.items()}
+    posteriors = {variant: load_state(Path(values["state"])).state.posterior for variant, values in by_variant.items()}
     runs = {}
     for variant, values in by_variant.items():
-        kept = {key: value for key, value in values.items() if key not in ("samples", "model")}
+        kept = {key: value for key, value in values.items() if key not in ("samples", "state")}
         grows = {node: {q: growth(own, q) for q in QUANTITIES} for node, own in values["samples"].items()}
         runs[variant] = {**kept, "growth": grows, "samples": {node: _thinned(own) for node, own in values["samples"].items()}}
     maps = {
@@ -191,6 +198,7 @@ def _tables(summary: Json) -> str:
         [name, *(str(of(run)) for run in runs.values())]
         for name, of in (
             ("duration [min]", lambda r: f"{r['minutes']:.0f}"),
+            ("mean load of the machine, 2 cores", lambda r: f"{r['load']:.0f}"),
             ("faults", lambda r: len(r["faults"])),
             ("nodes killed", lambda r: sum(f["fault"] == "killed" for f in r["faults"])),
             ("nodes started again", lambda r: len(r["deaths"])),

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from push_ident.files import write_whole
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.identification.next_push import Criterion, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
@@ -144,7 +145,9 @@ def main() -> None:
     print(f"ranking 200 candidates: {ranking:.2f} s")
     if arguments.json:
         settings = {k: v for k, v in vars(arguments).items() if k != "json"}
-        arguments.json.write_text(json.dumps({"settings": settings, "errors": rows, "ranking_s": ranking}, indent=1) + "\n")
+        write_whole(
+            arguments.json, json.dumps({"settings": settings, "errors": rows, "ranking_s": ranking}, indent=1) + "\n", "the results"
+        )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -33,7 +33,7 @@ from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 from push_ident_sim.cell.robot import HOME, robot_description
 
-__all__ = ["Heard", "LiveCell", "SentGoal", "live_cell"]
+__all__ = ["Heard", "LiveCell", "Processes", "SentGoal", "live_cell", "observed"]
 
 FloatArray = NDArray[np.float64]
 
@@ -75,10 +75,18 @@ class SentGoal:
         return bool(self.future.done())
 
 
-class LiveCell:
-    """Sends goals to the executor and records all messages. Made by `live_cell`."""
+class Processes(Protocol):
+    """The processes of a cell."""
 
-    def __init__(self, supervisor: Supervisor, context: Context, executor: SingleThreadedExecutor) -> None:
+    def check(self) -> None:
+        """Raise PushIdentError when one of them has ended."""
+        ...
+
+
+class LiveCell:
+    """Sends goals to the executor and records all messages. Made by `observed`."""
+
+    def __init__(self, supervisor: Processes, context: Context, executor: SingleThreadedExecutor) -> None:
         self._supervisor = supervisor
         self._executor = executor
         self.node = Node("observer", context=context)
@@ -198,36 +206,40 @@ def live_cell(cell: dict[str, object], executor: dict[str, object], *, relay: bo
             NodeCommand(c.name, (*c.argv, "-r", f"joint_states:={_RELAYED}")) if c.name == "push_executor_node" else c for c in chosen
         ]
     chosen.append(NodeCommand("sim_hand_node", (sys.executable, "-m", "push_ident_sim", "sim_hand_node")))
-    context = Context()
-    context.init(domain_id=domain)
-    spinner = SingleThreadedExecutor(context=context)
-
-    stop = threading.Event()
     # Ctrl-C ends a worker silently; here it has to stop its processes first.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def spin() -> None:
-        # Not `spin`: to end that from another thread, its executor would have to be destroyed while it runs.
-        while not stop.is_set():
-            spinner.spin_once(timeout_sec=_LOOK)
-
     try:
-        with Supervisor(chosen) as supervisor:
-            bench = LiveCell(supervisor, context, spinner)
-            thread = threading.Thread(target=spin, daemon=True)
-            thread.start()
-            try:
-                bench.await_executor()
-                yield bench
-            finally:
-                stop.set()
-                thread.join(timeout=2.0)
-                spinner.shutdown(timeout_sec=0.5)
-                bench.node.destroy_node()
-                context.try_shutdown()
+        with Supervisor(chosen) as supervisor, observed(supervisor, domain) as bench:
+            bench.await_executor()
+            yield bench
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, before)
         signal.raise_signal(signal.SIGINT)
         raise
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def observed(processes: Processes, domain: int) -> Iterator[LiveCell]:
+    """An observer of a cell of these processes, which spins in a thread of its own."""
+    context = Context()
+    context.init(domain_id=domain)
+    spinner, stop = SingleThreadedExecutor(context=context), threading.Event()
+
+    def spin() -> None:
+        # Not `spin`: to end that from another thread, its executor would have to be destroyed while it runs.
+        while not stop.is_set():
+            spinner.spin_once(timeout_sec=_LOOK)
+
+    bench = LiveCell(processes, context, spinner)
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
+        yield bench
+    finally:
+        stop.set()
+        thread.join(timeout=2.0)
+        spinner.shutdown(timeout_sec=0.5)
+        bench.node.destroy_node()
+        context.try_shutdown()

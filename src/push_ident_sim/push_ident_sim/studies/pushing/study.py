@@ -10,12 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.nodes.convert import stamp_from_msg
 from push_ident.nodes.push_executor.parameters import PARAMETERS
+from push_ident.pushing.pacing import SPLICE
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
@@ -38,6 +39,8 @@ _MAX_LAG: Final = 0.5
 """Largest delay of the arm behind its commands [s]."""
 _STANDS: Final = 0.01
 """Speed below which a joint is at rest [rad/s]."""
+_PAUSE: Final = 1.0
+"""Longest time between two pieces of one motion [s]."""
 _NO_MORE: Final = 0.4
 """Time after a hold without any command [s]."""
 _SETTLED: Final = 0.2
@@ -79,7 +82,7 @@ def _make_push(bench: LiveCell, seed: int) -> list[Json]:
     result = bench.result(bench.send(goal))
     n_expected = (result.push_id > 0) + (result.recentre_push_id > 0)
     bench.wait(lambda: len(heard.records) >= n_expected, 5.0, "the record of a push did not come")
-    motions = [(received, msg) for received, msg in heard.commands if len(msg.points) > 1]
+    motions = joined(heard.commands)
     if not heard.records:
         return [{"code": int(result.error_code), "text": result.error_text, "purpose": int(PushRecord.PURPOSE_REQUESTED), "made": False}]
     ends = [received for received, _ in motions[1:]] + [np.inf]
@@ -87,6 +90,46 @@ def _make_push(bench: LiveCell, seed: int) -> list[Json]:
         measure(bench.kinematics, heard, record, received, command, end)
         for record, (received, command), end in zip(heard.records, motions, ends, strict=False)
     ]
+
+
+def joined(commands: Sequence[tuple[float, JointTrajectory]]) -> list[tuple[float, JointTrajectory]]:
+    """The motions that pieces of them add up to: receipt of the first piece [s], and what was commanded, its time from then.
+
+    Each piece counts until the next one takes over; a hold, which is one point, or a pause ends a motion.
+    """
+    motions: list[list[tuple[float, JointTrajectory]]] = []
+    is_over = True
+    for received, msg in commands:
+        if len(msg.points) == 1:
+            is_over = True
+            continue
+        if is_over or received - motions[-1][-1][0] > _PAUSE:
+            motions.append([])
+        is_over = False
+        motions[-1].append((received, msg))
+    return [(pieces[0][0], _join(pieces)) for pieces in motions]
+
+
+def _join(pieces: Sequence[tuple[float, JointTrajectory]]) -> JointTrajectory:
+    first, msg = pieces[0]
+    whole = JointTrajectory(joint_names=msg.joint_names)
+    start = _start(first, msg)
+    nexts = [_start(received, piece) for received, piece in pieces[1:]] + [np.inf]
+    for (received, piece), following in zip(pieces, nexts, strict=True):
+        for point in piece.points:
+            ahead = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            if _start(received, piece) + ahead < following + SPLICE - 1e-6:
+                moment = _start(received, piece) + ahead - start
+                seconds, rest = divmod(moment, 1.0)
+                joined_point = JointTrajectoryPoint(positions=point.positions, velocities=point.velocities)
+                joined_point.time_from_start.sec, joined_point.time_from_start.nanosec = int(seconds), int(1e9 * rest)
+                whole.points.append(joined_point)
+    return whole
+
+
+def _start(received: float, piece: JointTrajectory) -> float:
+    """Of a piece [s], by its stamp or, without one, its receipt."""
+    return stamp_from_msg(piece.header.stamp) or received
 
 
 def measure(kinematics: ArmKinematics, heard: Heard, record: PushRecord, received: float, command: JointTrajectory, end: float) -> Json:
@@ -186,7 +229,9 @@ def _make_stop(bench: LiveCell, kind: str, seed: int, delay: float) -> Json:
     bench.pause(_NO_MORE)
     bench.relaying = True
     bench.pause(_SETTLED)
-    holds = heard.commands[n_before:]
+    later = heard.commands[n_before:]
+    first = next((i for i, (_, msg) in enumerate(later) if len(msg.points) == 1), len(later))
+    holds = later[first:]
     if result.error_code != expected or not holds or holds[0][0] < event:
         return {"kind": kind, "spurious": True, "code": int(result.error_code), "text": result.error_text}
     held = holds[0][0]

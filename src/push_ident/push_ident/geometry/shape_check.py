@@ -1,0 +1,112 @@
+"""Whether what is given as the shape of an object, or of a pusher, can be one.
+
+A shape from outside has two descriptions, cells and outline, which must agree to the resolution of the cells. So an outline in another
+unit, scaled, mirrored or displaced is refused where it is read, before a fit learns from contacts that never happened.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.geometry.outline import signed_distance
+from push_ident.limits import LIMITS
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["check_pusher_radius", "check_shape", "crossing_edges"]
+
+_LEAST_EXTENT: Final = 2e-3
+"""Of an object [m]: a camera that locates objects to a millimetre sees no smaller one; metres taken for millimetres make 0.06 mm of 60."""
+_CROSSING: Final = 1e-6
+"""Depth from which edges cross [m]: outlines are sent in single precision, which rounds by 6e-8 m at 1 m."""
+_CELLS_OUTSIDE: Final = 1.0
+"""Distance of a cell's centre outside the outline [cells]: a cell that touches the outline with a corner has it 0.7 cells outside. Largest
+of 16 recordings: 0 (real triangles, tracked and simulated objects)."""
+_OUTLINE_BEYOND: Final = 3.0
+"""Distance of the outline from the nearest centre of a cell [cells]: the tip of a wedge of 20 degrees is 2.8 away from the first centre
+that is inside. Largest of 16 recordings: 1.6, the tip of a triangle."""
+
+_MOST_POINTS: Final = 1_000
+"""Points of one edge that are looked at, however small the cells are."""
+
+
+def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
+    """The same shape, if it can be one of an object.
+
+    Args:
+        shape: as it was given.
+        remedy: where to look, for the text of an error.
+
+    Raises:
+        InputError: the size is none of an object that an arm pushes, the outline crosses itself, or cells and outline do not agree.
+    """
+    remedy = remedy or "Give cells and outline of the same object, in the object frame, in metres."
+    extent = float(np.max(np.ptp(shape.outline, axis=0)))
+    LIMITS.EXTENT.check(extent, "Outline", remedy=remedy)
+    if extent < _LEAST_EXTENT:
+        raise InputError(f"The outline is {extent:.2g} m wide, expected at least {_LEAST_EXTENT:g} m. {remedy}")
+    if (crossing := crossing_edges(shape.outline)) is not None:
+        first, second = crossing
+        raise InputError(
+            f"The outline crosses itself: its edges {first} and {second} of {len(shape.outline)} intersect. Give its vertices in order."
+        )
+    centres, size = shape.cells.centres, shape.cells.size
+    outside = float(np.max(signed_distance(centres, shape.outline)))
+    if outside > _CELLS_OUTSIDE * size:
+        raise InputError(f"Cells lie up to {outside:.3g} m outside the outline, expected at most a cell of {size:.3g} m. {remedy}")
+    beyond = _distance_to_cells(shape, _OUTLINE_BEYOND * size)
+    if beyond > _OUTLINE_BEYOND * size:
+        most = f"{_OUTLINE_BEYOND:g} cells of {size:.3g} m"
+        raise InputError(f"The outline lies {beyond:.3g} m away from the cells, expected at most {most}. {remedy}")
+    return shape
+
+
+def check_pusher_radius(radius: float) -> float:
+    """The same radius [m]; raises InputError where it is none of a pusher. 0 is a point."""
+    if not radius >= 0:
+        raise InputError(f"The radius of the pusher is {radius:g} m, expected a length >= 0 in metres.")
+    LIMITS.PUSHER_RADIUS.check(radius, "Pusher", remedy="Give it in metres.")
+    return radius
+
+
+def crossing_edges(outline: Float64Array) -> tuple[int, int] | None:
+    """Numbers of two edges that cross, of a polygon of shape (n_vertices, 2) [m]; None where there are none. Edge i starts at vertex i."""
+    start, end = outline, np.roll(outline, -1, axis=0)
+    along = end - start
+    length = np.maximum(np.linalg.norm(along, axis=1), 1e-300)
+    for i in range(len(outline) - 2):
+        others = slice(i + 2, len(outline) - (i == 0))  # neighbours share a vertex
+        # Signed distances of the ends of each edge from the line of the other one.
+        from_this = [_cross(along[i], points[others] - start[i]) / length[i] for points in (start, end)]
+        from_others = [_cross(along[others], point - start[others]) / length[others] for point in (start[i], end[i])]
+        crosses = np.ones(len(start[others]), dtype=bool)
+        for a, b in (from_this, from_others):
+            crosses &= (a * b < 0) & (np.minimum(np.abs(a), np.abs(b)) > _CROSSING)
+        if np.any(crosses):
+            return i, i + 2 + int(np.argmax(crosses))
+    return None
+
+
+def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _distance_to_cells(shape: ObjectShape, allowed: float) -> float:
+    """Largest distance of a point of the outline from the nearest centre of a cell [m], to within half a cell.
+
+    It stops at the first edge that is further away than `allowed`, so that the work is bounded by the cells and not by what the outline
+    claims.
+    """
+    start = shape.outline
+    along = np.roll(start, -1, axis=0) - start
+    worst = 0.0
+    for a, edge in zip(start, along, strict=True):
+        n = min(int(np.linalg.norm(edge) / (0.5 * shape.cells.size)) + 1, _MOST_POINTS)
+        points = a + np.arange(n)[:, None] / n * edge
+        distance2 = np.min(np.sum((points[:, None] - shape.cells.centres) ** 2, axis=2), axis=1)
+        worst = max(worst, float(np.sqrt(np.max(distance2))))
+        if worst > allowed:
+            break
+    return worst

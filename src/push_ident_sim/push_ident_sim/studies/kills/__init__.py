@@ -1,0 +1,1 @@
+"""Experiment: nodes of the live cell killed in the middle of pushes."""

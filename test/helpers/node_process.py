@@ -1,0 +1,126 @@
+"""Every node of the suite as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from helpers.bags import write_push
+from push_ident.bags.writer import BagWriter
+
+__all__ = ["NodeProcess", "Talker", "node_commands"]
+
+
+def node_commands(folder: Path) -> dict[str, tuple[str, dict[str, object]]]:
+    """Module and parameters of every node, such that it runs for long without others; `folder` is for its files."""
+    bag = folder / "played"
+    with BagWriter(bag) as writer:
+        write_push(writer, 10.0)
+    return {
+        "perception_node": ("push_ident.nodes", {}),
+        "push_executor_node": ("push_ident.nodes", {}),
+        "identification_node": ("push_ident.nodes", {}),
+        "gap_diagnosis_node": ("push_ident.nodes", {}),
+        "bag_player_node": ("push_ident.nodes", {"bag": str(bag), "rate": 0.001, "wait": 0.0}),
+        "bag_recorder_node": ("push_ident.nodes", {"bag": str(folder / "recorded"), "min_free_mib": 1}),
+        "viewer_node": ("push_ident.nodes", {"output": "file", "file": str(folder / "shown.rrd")}),
+        "sim_cell_node": ("push_ident_sim", {"camera_rate": 0.0}),
+        "sim_hand_node": ("push_ident_sim", {}),
+    }
+
+
+class NodeProcess:
+    """A node; its output goes to a file."""
+
+    def __init__(self, name: str, module: str, parameters: Mapping[str, object], domain: int, folder: Path) -> None:
+        self.name, self._log = name, folder / f"{name}.log"
+        arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+        with self._log.open("w") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, name, "--ros-args", *arguments],
+                env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+
+    @property
+    def runs(self) -> bool:
+        """Whether the process has not ended."""
+        return self._process.poll() is None
+
+    @property
+    def output(self) -> str:
+        """All it has printed."""
+        return self._log.read_text(errors="replace")
+
+    def stop(self) -> int:
+        """Interrupt it; its exit code."""
+        if self.runs:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            return self._process.wait(5.0)
+        finally:
+            self._process.kill()
+
+
+class Talker:
+    """Publishes, asks and listens to the status of the only node of a domain. A context manager."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = Node("talker", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._publishers: dict[str, Any] = {}
+        self._reports: list[DiagnosticStatus] = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda msg: self._reports.extend(msg.status), 10)
+
+    def __enter__(self) -> Talker:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def publish(self, kind: type, topic: str, message: object) -> None:
+        """Send one message; latched, so that one that listens later has it."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self.node.create_publisher(
+                kind, topic, QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            )
+        self._publishers[topic].publish(message)
+
+    def values(self) -> dict[str, str]:
+        """Of the latest status."""
+        return {value.key: value.value for report in self._reports[-1:] for value in report.values}
+
+    def until(self, condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None, timeout: float = 60.0) -> None:
+        """Spin until `condition` is true, calling `meanwhile` again and again."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f"timed out; the node says {self._reports[-1:]}"
+            meanwhile()
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def ask(self, client: Any, request: object) -> Any:
+        """The answer of a service."""
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done, timeout=10.0)
+        return future.result()

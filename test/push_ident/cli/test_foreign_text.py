@@ -1,0 +1,139 @@
+"""Names and texts from outside stay text: in the terminal, in pages, in figures."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from typer.testing import CliRunner
+
+from helpers.nasty import CONTROL, NASTY, NASTY_ID, Page
+from helpers.paths import ROOT
+from push_ident.bags.records import write_records
+from push_ident.cli.main import app, main
+from push_ident.cli.output import Description, PlainConsole, warn
+from push_ident.cli.supervisor import NodeCommand, Supervisor
+from push_ident.fleet import FleetOptions, write_index
+from push_ident.fleet.job import identify_bag
+from push_ident.limits import plain_text, printable
+from push_ident.offline.loading import load_pushes
+from push_ident.pages.page import figure_text, svg
+
+TILT = ROOT / "test" / "system" / "baseline" / "bags" / "tilt"
+
+
+def check_terminal(said: str) -> None:
+    assert not CONTROL & set(said), sorted(CONTROL & set(said))
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("text", NASTY, ids=lambda t: ascii(t)[:30])
+def test_console_shows_text_and_nothing_else(text: str) -> None:
+    out = io.StringIO()
+    console = PlainConsole(file=out, width=400)
+    table = Table(title=text)
+    table.add_column(text)
+    table.add_row(text)
+    console.print(text, soft_wrap=True)
+    console.print(table)
+    with Progress(Description(), console=console) as progress:
+        progress.add_task(text)
+    said = out.getvalue()
+    check_terminal(said)
+    assert printable(text)[:50] in said
+
+
+@pytest.mark.parametrize("text", NASTY, ids=lambda t: ascii(t)[:30])
+def test_warnings_show_text_and_nothing_else(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    warn(text)
+    check_terminal(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("text", NASTY[:-2], ids=lambda t: ascii(t)[:30])
+@pytest.mark.parametrize("command", [["identify"], ["diagnose"], ["replay"], ["export", "--format", "sdf"], ["predict", "m.json"]])
+def test_a_file_of_that_name_is_refused_in_plain_text(
+    command: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = text.replace("\0", "").replace("/", "_")
+    (tmp_path / name).write_bytes(b"\x89MCAP0\r\n" + bytes(50))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["push-ident", *command, f"./{name}"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    assert ended.value.code == 1
+    check_terminal(said.err + said.out)
+
+
+def test_lines_of_nodes_reach_the_terminal_as_plain_text(tmp_path: Path) -> None:
+    script = "import sys; sys.stdout.reconfigure(errors='surrogatepass'); print(" + repr([t[:300] for t in NASTY]) + "[int(sys.argv[1])])"
+    commands = [NodeCommand(f"n{i}", (sys.executable, "-S", "-c", script, str(i)), may_end=True) for i in range(len(NASTY))]
+    out = io.StringIO()
+    Supervisor(commands, console=Console(file=out, width=500, force_terminal=False)).run()
+    check_terminal(out.getvalue())
+    assert "[bold red]x[/bold red]" in out.getvalue()
+
+
+@pytest.mark.parametrize("text", NASTY, ids=lambda t: ascii(t)[:30])
+def test_figures_hold_text_and_no_formula(text: str) -> None:
+    figure = Figure()
+    figure.subplots().set_title(figure_text(text))
+    element = svg(figure)
+    page = Page(element)
+    page.check()
+    assert plain_text(text)[:20] in page.text
+    figure.savefig(io.BytesIO(), format="png")
+
+
+@pytest.fixture(scope="module")
+def nasty_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("nasty") / "[b]$x$ \x1b[31m<i>"
+    records = load_pushes([TILT]).records[:3]
+    write_records(path, [replace(record, object_id=NASTY_ID) for record in records])
+    return path
+
+
+def test_an_object_of_that_name_goes_through_the_commands_and_their_pages(nasty_bag: Path, tmp_path: Path) -> None:
+    out = tmp_path / "[b]$x$ \x1b[31m<i>"
+    model = str(out / "model.json")
+    for arguments in (
+        ["identify", str(nasty_bag), "--out", str(out), "--train", "0,1"],
+        ["predict", model, str(nasty_bag)],
+        *(["export", model, "--format", name, "--out", str(out / f"model.{name}")] for name in ("sdf", "urdf", "mjcf")),
+    ):
+        result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        check_terminal(result.output)
+        assert "[b]" in result.output
+    outcome = identify_bag(nasty_bag, FleetOptions(held_out=3)) | {"model_file": "models/[b]\"' onclick=alert(1).json"}
+    write_index(tmp_path / "index.html", [outcome, {**outcome, "state": "failed", "error": " ".join(t[:300] for t in NASTY)}])
+    for page in (out / "report.html", tmp_path / "index.html"):
+        html = page.read_text(encoding="utf-8")
+        found = Page(html)
+        found.check()
+        assert "<img src=x onerror=alert(1)>" in found.text and "{{ 7 * 7 }}" in found.text
+        assert not CONTROL & set(html)
+        check_in_browser(page, tmp_path)
+
+
+def check_in_browser(page: Path, scratch: Path) -> None:
+    """Where Chromium is installed: the page loads, and nothing in it runs."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        return
+    copy = scratch / "page.html"
+    probe = "<script>window.alert = () => document.documentElement.setAttribute('data-ran', 'yes')</script>"
+    copy.write_text(page.read_text(encoding="utf-8").replace("<head>", "<head>" + probe, 1), encoding="utf-8")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={scratch / 'profile'}", "--virtual-time-budget=2000"]
+    done = subprocess.run([browser, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=60, check=False)
+    assert "<main>" in done.stdout, done.stderr
+    assert "data-ran" not in done.stdout.replace(probe, "")

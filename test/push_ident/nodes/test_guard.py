@@ -1,0 +1,343 @@
+"""No message of any content ends a node: it is refused, counted and named."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rcl_interfaces.srv import SetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from helpers.domains import own_domain
+from helpers.executor_cell import BOX, CONTACT, Cell, send, start_node, summary, wait_for
+from helpers.node_process import NodeProcess, Talker, node_commands
+from push_ident.errors import InputError
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.nodes.bag_player_node import BagPlayerNode
+from push_ident.nodes.bag_recorder_node import BagRecorderNode
+from push_ident.nodes.cell_node import CellNode, Component, Health
+from push_ident.nodes.convert import (
+    joints_from_msg,
+    planar_pose_from_msg,
+    planar_pose_to_msg,
+    shape_from_msgs,
+    shape_to_msgs,
+    stamp_from_msg,
+)
+from push_ident.nodes.executors import make_executor
+from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
+from push_ident.nodes.guard import Guard
+from push_ident.nodes.identification.identification_node import IdentificationNode
+from push_ident.nodes.perception.perception_node import PerceptionNode
+from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
+from push_ident.nodes.stamps import StampCheck
+from push_ident.nodes.viewer.viewer_node import ViewerNode
+from push_ident.types import ObjectShape
+from push_ident_msgs.msg import PushRecord
+from push_ident_msgs.srv import SaveModel
+from push_ident_sim.cell.sim_cell_node import SimCellNode
+from push_ident_sim.cell.sim_hand_node import SimHandNode
+
+
+def guard() -> Guard:
+    return Guard(lambda: logging.getLogger("guard"))
+
+
+# ---- the guard itself
+
+
+def test_whatever_a_callback_raises_is_counted_and_named(caplog: pytest.LogCaptureFixture) -> None:
+    own = guard()
+
+    def callback(message: object) -> None:
+        raise InputError("a cell of 0 m") if message == 1 else ZeroDivisionError("of what?")
+
+    guarded = own.callback("/objects/o1/cells", callback)
+    with caplog.at_level(logging.INFO):
+        guarded(1)
+        guarded(2)
+    assert own.values() == {"refused": "2", "last refusal": "/objects/o1/cells: ZeroDivisionError: of what?"}
+    assert [record.getMessage() for record in caplog.records] == ["refused: /objects/o1/cells: a cell of 0 m"], "one line a topic at a time"
+    assert "Traceback" not in caplog.text
+
+
+def test_foreign_text_is_repeated_in_one_short_line() -> None:
+    own = guard()
+    own.refuse("topic", "\x1b[31mred\n" + "a" * 10_000)
+    last = own.values()["last refusal"]
+    assert len(last) < 500 and last.isprintable()
+
+
+def test_sources_without_end_are_counted_together() -> None:
+    own = guard()
+    for number in range(1000):
+        own.refuse(f"/objects/o{number}/pose", "no")
+    assert own.refused == 1000
+
+
+def test_a_service_that_fails_answers_with_the_reason() -> None:
+    own = guard()
+
+    def callback(request: object, response: object) -> object:
+        raise KeyError("o1")
+
+    answer = own.service("/save_model", callback)(Trigger.Request(), Trigger.Response())
+    assert not answer.success and answer.message == "KeyError: 'o1'"
+    request = SetParameters.Request(parameters=[rclpy.parameter.Parameter("a").to_parameter_msg()] * 2)
+    results = own.service("/set_parameters", callback)(request, SetParameters.Response()).results
+    assert [result.successful for result in results] == [False, False]
+
+
+# ---- one wrong stamp
+
+
+def test_one_huge_stamp_is_refused_and_the_stream_goes_on() -> None:
+    check = StampCheck()
+    check.check("pose", 100.0)
+    with pytest.raises(InputError, match="from those of other messages"):
+        check.check("pose", 1e9)
+    check.check("pose", 100.03)
+    with pytest.raises(InputError):
+        check.check("pose", 0.0)
+    check.check("pose", 100.06)
+    check.check("pusher", 98.0)
+
+
+def test_messages_that_agree_on_another_time_are_believed() -> None:
+    check = StampCheck()
+    check.check("pose", 1000.0)
+    check.check("pusher", 1000.0)
+    for stamp in (5.0, 5.03):
+        with pytest.raises(InputError):
+            check.check("pose", stamp)
+    check.check("pose", 5.06)
+    check.check("pusher", 1000.1)  # what was still waiting from before
+    check.check("pusher", 5.0)
+
+
+# ---- conversion
+
+
+def pose() -> PoseWithCovarianceStamped:
+    return planar_pose_to_msg(Time(sec=5), [0.1, 0.2, 0.3], np.eye(3) * 1e-6)
+
+
+def wrong_poses() -> dict[str, PoseWithCovarianceStamped]:
+    found: dict[str, PoseWithCovarianceStamped] = {}
+
+    def add(name: str, change: Any) -> None:
+        message = found[name] = pose()
+        change(message)
+
+    def set_covariance(value: float, *entries: int) -> Any:
+        def change(message: PoseWithCovarianceStamped) -> None:
+            for entry in entries:
+                message.pose.covariance[entry] = value
+
+        return change
+
+    add("NaN in the covariance", set_covariance(np.nan, 0))
+    add("NaN beside the diagonal", set_covariance(np.nan, 1))
+    add("infinite covariance", set_covariance(np.inf, 7))
+    add("not symmetric", set_covariance(1e-7, 1))
+    add("not positive definite", set_covariance(-1.0, 35))
+    add("huge covariance", set_covariance(1e300, 0, 7, 35))
+    add("no covariance", set_covariance(0.0, *range(36)))
+    add("NaN", lambda m: setattr(m.pose.pose.position, "x", np.nan))
+    add("far", lambda m: setattr(m.pose.pose.position, "y", 1e300))
+    add("zero quaternion", lambda m: setattr(m.pose.pose, "orientation", type(m.pose.pose.orientation)(w=0.0)))
+    add("huge quaternion", lambda m: setattr(m.pose.pose.orientation, "x", 1e308))
+    add("negative stamp", lambda m: setattr(m.header.stamp, "sec", -1))
+    add("too many nanoseconds", lambda m: setattr(m.header.stamp, "nanosec", 2**32 - 1))
+    add("wrong frame", lambda m: setattr(m.header, "frame_id", "[/x]\x00" * 1000))
+    return found
+
+
+@pytest.mark.parametrize("name", wrong_poses())
+def test_poses_that_cannot_be_are_refused(name: str) -> None:
+    with pytest.raises(InputError) as caught:
+        planar_pose_from_msg(wrong_poses()[name])
+    assert len(str(caught.value)) < 1000
+
+
+def test_grids_are_refused_by_what_they_claim() -> None:
+    grid = OccupancyGrid()
+    grid.info.width = grid.info.height = 2**31
+    with pytest.raises(InputError, match="expected at most"):
+        shape_from_msgs(grid)
+    grid.info.width = grid.info.height = 100
+    grid.info.resolution, grid.info.origin.orientation.w = 0.01, 1.0
+    grid.data = [100] * 10_000
+    with pytest.raises(InputError, match="number of cells of one object is 10,000"):
+        shape_from_msgs(grid)
+
+
+def test_joint_states_and_stamps_are_checked() -> None:
+    assert joints_from_msg(JointState(name=["a"], position=[0.5])) == (0.0, {"a": 0.5})
+    for wrong in ({"name": ["a"], "position": []}, {"name": ["a", "a"], "position": [0.0, 0.0]}, {"name": ["a"], "position": [np.nan]}):
+        with pytest.raises(InputError):
+            joints_from_msg(JointState(**wrong))
+    with pytest.raises(InputError, match="10\\^9"):
+        stamp_from_msg(Time(sec=0, nanosec=10**9))
+
+
+# ---- nodes
+
+
+class Picky(CellNode):
+    """Raises on every message."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("picky", (), context=context)
+
+    def make_component(self) -> Component:
+        return _Picky(self)
+
+
+class _Picky(Component):
+    def __init__(self, node: CellNode) -> None:
+        self.n_heard = 0
+        node.create_subscription(PoseStamped, "pose", self.hear, 10)
+
+    def hear(self, message: PoseStamped) -> None:
+        self.n_heard += 1
+        raise IndexError("out of range")
+
+    def health(self) -> Health:
+        return Health(DiagnosticStatus.OK, "")
+
+
+def test_messages_with_damaged_bytes_do_not_keep_the_next_one_away() -> None:
+    context = Context()
+    rclpy.init(context=context, domain_id=own_domain())
+    sender, node = Node("sender", context=context), Picky(context)
+    executor = make_executor(1, context=context)
+    executor.add_node(node)
+    publisher = sender.create_publisher(PoseStamped, "pose", 10)
+    try:
+        for _ in range(500):
+            if publisher.get_subscription_count():
+                break
+            executor.spin_once(timeout_sec=0.02)
+        for data in (b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + b"\xff" * 40, b""):
+            publisher.publish(data)
+        publisher.publish(PoseStamped())
+        for _ in range(100):
+            executor.spin_once(timeout_sec=0.02)
+            if node.component.n_heard:
+                break
+        assert node.component.n_heard == 1
+        assert "/pose" in node.guard.values()["last refusal"] and "IndexError" in node.guard.values()["last refusal"]
+    finally:
+        node.close()
+        executor.shutdown()
+        node.destroy_node()
+        sender.destroy_node()
+        context.try_shutdown()
+
+
+def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:
+    kinds = {
+        "perception_node": PerceptionNode,
+        "push_executor_node": PushExecutorNode,
+        "identification_node": IdentificationNode,
+        "gap_diagnosis_node": GapDiagnosisNode,
+        "bag_player_node": BagPlayerNode,
+        "bag_recorder_node": BagRecorderNode,
+        "viewer_node": ViewerNode,
+        "sim_cell_node": SimCellNode,
+        "sim_hand_node": SimHandNode,
+    }
+    context = Context()
+    rclpy.init(context=context, domain_id=own_domain())
+    commands = node_commands(tmp_path)
+    assert set(commands) == set(kinds)
+    for name, (_, parameters) in commands.items():
+        arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
+        node = kinds[name](context=context, cli_args=["--ros-args", *arguments])
+        try:
+            assert len(list(node.subscriptions)) + len(list(node.services)) + len(list(node.timers)) > 10
+            assert node.raw_callbacks() == []
+        finally:
+            node.close()
+            node.destroy_node()
+    context.try_shutdown()
+
+
+# ---- live
+
+
+@pytest.mark.alone
+def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(tmp_path: Path) -> None:
+    domain = own_domain()
+    process = NodeProcess("identification_node", "push_ident.nodes", {}, domain, tmp_path)
+    try:
+        with Talker(domain) as talker:
+            talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", pose())
+            save = talker.node.create_client(SaveModel, "save_model")
+            cells, outline = shape_to_msgs(ObjectShape(cells_in_outline(BOX, 0.01), BOX), "o1", Time())
+            talker.publish(OccupancyGrid, "objects/o1/cells", cells)
+            talker.publish(PolygonStamped, "objects/o1/outline", outline)
+            talker.until(
+                lambda: talker.values().get("shapes"), lambda: talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", pose())
+            )
+            for wrong in wrong_poses().values():
+                talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", wrong)
+            talker.publish(PushRecord, "push_record", PushRecord(end=Time(sec=-1)))
+            talker.publish(JointState, "joint_states", JointState())
+            talker.until(lambda: int(talker.values().get("refused", 0)) > len(wrong_poses()))
+            assert int(talker.values()["poses refused"]) >= len(wrong_poses())
+            for path in ("", " ", "/", "/gone/model.json", "\x00", "a" * 5000):
+                answer = talker.ask(save, SaveModel.Request(object_id="o1", path=path))
+                assert not answer.success and answer.message, path
+            assert talker.ask(save, SaveModel.Request(object_id="o1", path=str(tmp_path / "model.json"))).success
+        assert process.stop() == 0
+    finally:
+        process.stop()
+    assert "Traceback" not in process.output
+
+
+@pytest.mark.alone
+def test_a_wrong_pose_in_the_middle_of_a_push_ends_neither_the_push_nor_the_executor() -> None:
+    domain = own_domain()
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    cell = Cell(context)
+    spinner = SingleThreadedExecutor(context=context)
+    spinner.add_node(cell)
+    thread = threading.Thread(target=spinner.spin, daemon=True)
+    thread.start()
+    process = start_node(domain)
+    try:
+        wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
+        call = send(cell, **CONTACT)
+        wait_for(lambda: cell.pusher)
+        wrong = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+        wait_for(lambda: wrong.get_subscription_count() > 0)
+        for message in wrong_poses().values():
+            wrong.publish(message)
+        assert call.end().error_code == 0
+        wait_for(lambda: "last refusal: /objects/box/pose" in summary(cell.diagnostics[-1]))
+        assert process.poll() is None
+    finally:
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=10.0)
+        spinner.shutdown()
+        thread.join(2.0)
+        cell.destroy_node()
+        context.try_shutdown()
+    assert process.returncode == 0 and "Traceback" not in output, output

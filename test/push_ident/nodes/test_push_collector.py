@@ -1,0 +1,130 @@
+"""Which pushes identification_node, a real process, takes from the topics of a cell."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from shape_msgs.msg import SolidPrimitive
+
+from helpers.domains import own_domain
+from helpers.executor_cell import wait_for
+from helpers.objects import hammer, random_records
+from push_ident.nodes.convert import cylinder_to_msg, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg
+from push_ident.types import PushRecord
+from push_ident_msgs.msg import MassFrictionMap
+from push_ident_msgs.msg import PushRecord as PushRecordMsg
+
+TRAIN = random_records(hammer(3), 3, 3)
+pytestmark = pytest.mark.alone
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+PATIENCE = 14.0
+"""Longer than a record is waited for, by the stamps [s]."""
+
+
+class Cell(Node):
+    """Plays pushes, each at a time of its own."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("cell", context=context)
+        cells, outline = shape_to_msgs(TRAIN[0].shape, "o1", stamp_to_msg(1.0))
+        for kind, topic, msg in (
+            (OccupancyGrid, "objects/o1/cells", cells),
+            (PolygonStamped, "objects/o1/outline", outline),
+            (SolidPrimitive, "pusher/shape", cylinder_to_msg(TRAIN[0].pusher.radius, 0.08)),
+        ):
+            self.create_publisher(kind, topic, LATCHED).publish(msg)
+        self.poses = self.create_publisher(PoseWithCovarianceStamped, "objects/o1/pose", 100)
+        self.pusher = self.create_publisher(PoseStamped, "pusher/pose", 100)
+        self.n_pushes: list[int] = []
+        self.values: dict[str, str] = {}
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.create_subscription(MassFrictionMap, "objects/o1/mass_friction_map", lambda m: self.n_pushes.append(int(m.n_pushes)), LATCHED)
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            if "identification" in status.name:
+                self.values = {value.key: value.value for value in status.values}
+
+    def play(self, push: PushRecord, start: float, records: Publisher | None = None) -> None:
+        """A push from `start` [s] of the stamps, ten times as fast, and the object at rest after it; its record, if it gets one."""
+        shift, rest = start - push.poses.time[0], push.poses.time[-1] + np.arange(0.05, PATIENCE, 0.05)
+        poses = zip([*push.poses.time, *rest], [*push.poses.pose, *[push.poses.pose[-1]] * len(rest)], strict=True)
+        covariance = push.poses.covariance[0]
+        messages = [(t, self.poses, planar_pose_to_msg(stamp_to_msg(t + shift), pose, covariance)) for t, pose in poses]
+        tool = zip(push.pusher.time, push.pusher.position, strict=True)
+        messages += [(t, self.pusher, position_to_msg(stamp_to_msg(t + shift), [*xy, 0.01])) for t, xy in tool]
+        if records is not None:
+            first, last = push.pusher.time[[0, -1]] + shift
+            record = PushRecordMsg(push_id=1, object_id="o1", start=stamp_to_msg(first), stop=stamp_to_msg(last), end=stamp_to_msg(last))
+            record.header.stamp, record.header.frame_id = record.end, "table"
+            messages.append((last - shift + 0.3, records, record))
+        before = start - shift
+        for t, publisher, msg in sorted(messages, key=lambda message: message[0]):
+            time.sleep(max(t - before, 0.0) / 10)
+            before = t
+            publisher.publish(msg)
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    domain = own_domain()
+    context = Context()
+    context.init(domain_id=domain)
+    cell, executor = Cell(context), SingleThreadedExecutor(context=context)
+    executor.add_node(cell)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "push_ident.nodes", "identification_node", "--ros-args", "-p", "suggest_candidates:=0"],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        wait_for(lambda: cell.poses.get_subscription_count() and cell.pusher.get_subscription_count() and cell.values, 60.0)
+        yield cell
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            output, _ = process.communicate(timeout=10.0)
+        finally:
+            process.kill()
+        executor.shutdown()
+        thread.join(2.0)
+        cell.destroy_node()
+        context.try_shutdown()
+    assert "Traceback" not in output
+
+
+def test_push_without_an_end_record_is_not_learned_where_an_executor_is(cell: Cell) -> None:
+    cell.play(TRAIN[0], 10.0)
+    wait_for(lambda: cell.n_pushes and cell.n_pushes[-1] == 1 and cell.values.get("pushes") == "1")
+
+    records = cell.create_publisher(PushRecordMsg, "push_record", 10)
+    time.sleep(1.0)
+    cell.play(TRAIN[1], 40.0)
+    wait_for(lambda: cell.values.get("pushes without an end record, left out") == "1")
+    assert cell.values["pushes"] == "1" and "the executor ended in the middle" in cell.values["last error"]
+    # What was estimated during that push is given up, too.
+    wait_for(lambda: cell.n_pushes[-1] == 1)
+
+    cell.play(TRAIN[2], 70.0, records)
+    wait_for(lambda: cell.values.get("pushes") == "2")

@@ -1,0 +1,181 @@
+"""Files are written whole, through no link, under no name that can be guessed, and private where they belong to one user."""
+
+from __future__ import annotations
+
+import ast
+import errno
+import os
+import stat
+import threading
+from pathlib import Path
+
+import pytest
+
+from helpers.paths import SOURCE
+from push_ident.errors import InputError, PushIdentError
+from push_ident.files import make_folder, open_log, open_new, read_regular, replaced, write_whole
+
+NASTY_NAMES = ["", ".", "..", "a\0b", "x" * 300, "\ud800", "folder/"]
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.fixture(autouse=True)
+def usual_umask() -> None:
+    os.umask(0o022)
+
+
+def test_a_private_file_and_its_new_folders_are_for_the_user_only(tmp_path: Path) -> None:
+    file = tmp_path / "state" / "objects" / "o1.json"
+    write_whole(file, "{}", "the state", private=True)
+    assert mode(file) == 0o600
+    assert mode(file.parent) == mode(file.parent.parent) == 0o700
+    file.chmod(0o644)
+    write_whole(file, "{}", "the state", private=True)
+    assert mode(file) == 0o600
+
+
+def test_a_result_keeps_the_umask(tmp_path: Path) -> None:
+    file = tmp_path / "out" / "result.json"
+    write_whole(file, "{}", "the result")
+    assert (mode(file), mode(file.parent)) == (0o644, 0o755)
+
+
+def test_a_link_is_replaced_and_what_it_points_to_is_left_alone(tmp_path: Path) -> None:
+    victim, link = tmp_path / "victim", tmp_path / "result.json"
+    victim.write_text("mine")
+    link.symlink_to(victim)
+    write_whole(link, "new", "the result")
+    assert victim.read_text() == "mine"
+    assert not link.is_symlink() and link.read_text() == "new"
+
+
+@pytest.mark.parametrize("open_it", [open_new, open_log])
+def test_files_that_grow_are_not_opened_through_a_link(tmp_path: Path, open_it: object) -> None:
+    victim, link = tmp_path / "victim", tmp_path / "log"
+    victim.write_text("mine")
+    link.symlink_to(victim)
+    with pytest.raises(OSError):
+        open_it(link)  # type: ignore[operator]
+    assert victim.read_text() == "mine"
+
+
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "model.json"
+    write_whole(file, "old", "the model")
+
+    def fail() -> None:
+        with replaced(file, "the model") as part:
+            part.write(b"half of the new")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(PushIdentError, match=r"Cannot write the model to .*: No space left on device; free some space\."):
+        fail()
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_the_temporary_name_differs_each_time_and_is_not_reused(tmp_path: Path) -> None:
+    names = set()
+    for _ in range(3):
+        with replaced(tmp_path / "a", "the file") as part:
+            names.add(part.name if isinstance(part.name, str) else next(p.name for p in tmp_path.iterdir() if p.name != "a"))
+    assert len(names) == 3
+
+
+def test_writers_at_the_same_time_leave_one_whole_file(tmp_path: Path) -> None:
+    file = tmp_path / "state.json"
+    texts = [letter * 200_000 for letter in "abcdef"]
+    threads = [threading.Thread(target=write_whole, args=(file, text, "the state")) for text in texts]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert file.read_text() in texts
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("name", NASTY_NAMES)
+def test_a_name_that_no_file_can_have_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    path = Path(name) if name in ("", ".") else tmp_path / name
+    if name == "folder/":
+        path.mkdir()
+    with pytest.raises(InputError) as refused:
+        write_whole(path, "text", "the result", error=InputError)
+    assert "\n" not in str(refused.value) and "\0" not in str(refused.value)
+
+
+def test_pipes_devices_and_huge_files_are_not_read(tmp_path: Path) -> None:
+    pipe, large = tmp_path / "pipe", tmp_path / "large"
+    os.mkfifo(pipe)
+    large.write_bytes(b"x" * 101)
+    for path in (pipe, Path("/dev/zero"), tmp_path, large):
+        with pytest.raises(OSError):
+            read_regular(path, 100)
+    assert read_regular(large, 101) == b"x" * 101
+
+
+def test_a_file_in_the_way_of_a_private_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("")
+    with pytest.raises(OSError):
+        make_folder(tmp_path / "state", private=True)
+
+
+# ---- the sources
+
+WRITERS = {
+    "push_ident/files.py": "the one writer",
+    "push_ident/bags/storage/folder_storage.py": "unpacks a compressed bag into a folder of its own with a random name",
+    "push_ident/physics/kernel.py": "the stamp of numba's cache, beside the sources",
+    "push_ident_sim/cell/world.py": "a description for Bullet, in a folder of its own with a random name",
+    "push_ident_sim/studies/engine/study.py": "/proc",
+}
+FORBIDDEN = ("pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "jsonpickle")
+
+
+def calls() -> list[tuple[str, ast.Call]]:
+    found = []
+    for package in ("push_ident", "push_ident_sim"):
+        for path in sorted((SOURCE / package / package).rglob("*.py")):
+            name = str(path.relative_to(SOURCE)).split("/", 1)[1]
+            found += [(name, node) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    return found
+
+
+def constant_arguments(call: ast.Call) -> list[object]:
+    return [a.value for a in (*call.args, *(k.value for k in call.keywords if k.arg == "mode")) if isinstance(a, ast.Constant)]
+
+
+def test_only_one_module_writes_files() -> None:
+    found = set()
+    for name, call in calls():
+        function = ast.unparse(call.func).rpartition(".")[2]
+        opens = function == "open" and any(isinstance(m, str) and len(m) < 4 and set(m) & set("wax+") for m in constant_arguments(call))
+        injected = name.startswith("push_ident_sim/faults/")  # broken files are what it is for
+        if (function in ("write_text", "write_bytes") or opens) and not injected:
+            found.add(name)
+    assert found == set(WRITERS) - {"push_ident/files.py"}, (
+        "write with `write_whole`, `replaced`, `open_new` or `open_log` of push_ident.files"
+    )
+
+
+def test_nothing_is_read_that_can_run_code() -> None:
+    for path in sorted(SOURCE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            found = {n.split(".")[0] for n in names} & set(FORBIDDEN)
+            assert not found or (found == {"pickle"} and "faults" in path.parts), path  # which hands a poisoned one to the nodes
+    for name, call in calls():
+        function = ast.unparse(call.func)
+        keywords = {k.arg: ast.unparse(k.value) for k in call.keywords}
+        assert function not in ("eval", "exec", "compile", "os.system", "os.popen", "torch.load", "tempfile.mktemp", "mktemp"), name
+        assert not function.startswith("pickle.") or function == "pickle.dumps", name
+        safe = "Safe" in "".join((*map(ast.unparse, call.args[1:2]), keywords.get("Loader", "")))
+        assert function not in ("yaml.unsafe_load", "yaml.full_load") and (function != "yaml.load" or safe), name
+        assert keywords.get("allow_pickle", "False") == "False", name
+        assert keywords.get("shell", "False") == "False", name
+        if function in ("np.load", "numpy.load"):
+            assert keywords.get("allow_pickle") == "False", name
