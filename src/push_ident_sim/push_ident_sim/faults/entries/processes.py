@@ -40,6 +40,7 @@ _BUSY: Final = 1.0
 """Granted where several processes load at once on few cores [s]."""
 _UP_END: Final = 4.0
 """The same of `push-ident up`, which ends its nodes first [s]."""
+_OF_A_MAP: Final = ("mass", "friction", "mass_friction", "mass_friction_std")
 _N_TRANSITIONS: Final = 30
 _CGROUP: Final = Path("/sys/fs/cgroup/memory/push_ident_faults")
 _SPARE: Final = 2
@@ -49,21 +50,19 @@ _SPARE: Final = 2
 def _identification_killed(trial: Trial) -> None:
     cell = trial.cell
     cell.whole_push()
-    until(lambda: learned_pushes(cell) == trial.learned + 1, 15.0, "the push before the fault was not learned")
-    trial.wait(1.0)
-    before = cell.monitor.maps[-1][1]
+    until(lambda: (learned_pushes(cell) or 0) > trial.learned, 15.0, "the push before the fault was not learned")
     sent = cell.begin(cell.goal(-1))
     cell.processes[_IDENTIFICATION].kill()
     trial.wait(0.2)  # for maps that were under way
     since = time.monotonic()
     result = cell.end(sent)
     trial.expect(result.error_code == 0, f"the push under way ended with {result.error_code} {result.error_text}")
+    before = [msg for received, msg in cell.monitor.maps if received < since]
     cell.processes[_IDENTIFICATION].start()
     until(lambda: cell.monitor.maps[-1][0] > since, 20.0, "no map came after the restart")
     after = next(msg for received, msg in cell.monitor.maps if received > since)
-    same = all(np.array_equal(getattr(before, name), getattr(after, name)) for name in ("mass", "friction", "mass_friction_std"))
-    largest = float(np.max(np.abs(np.array(before.mass_friction) / np.array(after.mass_friction) - 1.0)))
-    trial.expect(same, f"the map after the restart differs by up to {largest:.1e}: {before.n_pushes} and {after.n_pushes} pushes")
+    equal = [all(np.array_equal(getattr(msg, name), getattr(after, name)) for name in _OF_A_MAP) for msg in before]
+    trial.expect(any(equal), "the map after the restart is none of those before")
     trial.note = f"{learned_pushes(cell)} pushes in the model, its map equal to the last bit"
     trial.lost = "the push under way (of identification only)"
 
@@ -254,7 +253,7 @@ def _memory_taken(trial: Trial) -> None:
         raise Impossible(f"a limit of memory needs a writable {_CGROUP.parent}: {error.strerror}") from None
     process = cell.processes[_IDENTIFICATION]
     cell.whole_push()
-    until(lambda: learned_pushes(cell) == trial.learned + 1, 15.0, "the push before the fault was not learned")
+    until(lambda: (learned_pushes(cell) or 0) > trial.learned, 15.0, "the push before the fault was not learned")
     sent = cell.begin(cell.goal(-1))
     (_CGROUP / "cgroup.procs").write_text(str(process.pid))
     (_CGROUP / "memory.limit_in_bytes").write_text(f"{_SPARE}M")
