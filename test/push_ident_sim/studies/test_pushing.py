@@ -120,6 +120,6 @@ def test_pieces_of_a_motion_add_up_to_what_was_planned(plan: ArmPlan) -> None:
     ((first, whole),) = pushing.joined(commands)
     assert first == START
     time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in whole.points])
-    assert np.all(np.diff(time) > 0) and time[-1] == pytest.approx(plan.duration, abs=1e-6)
+    assert np.all(np.diff(time) > 0) and time[-1] == pytest.approx(plan.duration, abs=0.01)
     planned = np.array([plan.trajectory.at(t) for t in time])
     assert np.array([p.positions for p in whole.points]) == pytest.approx(planned, abs=1e-3)

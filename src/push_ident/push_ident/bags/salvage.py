@@ -21,6 +21,8 @@ __all__ = ["SalvageReport", "count_recoverable", "salvage"]
 
 _CHEAP: Final = 2**28
 """Largest file that is read only to count the recoverable messages [bytes]."""
+_COUNTED: Final = 200_000
+"""Largest number of records that are read only to count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,22 +77,27 @@ class _Records:
     def _intact(self, content: bytes, expansion: Expansion) -> Iterator[tuple[int, bytes | memoryview]]:
         try:
             data = memoryview(records.chunk_content(content))
-            for _ in records.chunk_records(data):
+            for _ in records.chunk_records(data, Expansion("a chunk", expansion.file_size)):
                 pass
         except Exception:
             # Decompressor and parser may raise any exception on damaged bytes; the whole chunk is lost.
             self.damaged_chunks += 1
             return
         expansion.add(len(data))
-        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data))
+        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data, expansion))
 
 
 def count_recoverable(path: Path) -> int | None:
-    """Number of messages that `salvage` would recover from an .mcap file; None for a file too large to be read for that."""
+    """Number of messages that `salvage` would recover from an .mcap file; None for one too large to be read for that."""
     try:
         if path.stat().st_size > _CHEAP:
             return None
-        return sum(operation == records.MESSAGE for operation, _ in _Records(path))
+        count = 0
+        for number, (operation, _) in enumerate(_Records(path)):
+            count += operation == records.MESSAGE
+            if number > _COUNTED:
+                return None
+        return count
     except (OSError, BagError):
         return 0
 
@@ -111,12 +118,8 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     found = _Records(source)
     with BagWriter(out) as writer:
         for operation, content in found:
-            if operation == records.SCHEMA:
-                key, schema = records.schema_of(content)
-                schemas[key] = schema
-            elif operation == records.CHANNEL:
-                key, channel = records.channel_of(content)
-                channels[key] = channel
+            if operation in (records.SCHEMA, records.CHANNEL):
+                _declare(operation, content, schemas, channels)
             elif operation == records.MESSAGE:
                 number, log_time, data = records.message_of(content)
                 if (known := channels.get(number)) is None or known.schema_id not in schemas:
@@ -131,6 +134,20 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     if not counts:
         raise BagError(f"{path}: no message was found intact and with its type; {out} was left empty.")
     return SalvageReport(out, dict(sorted(counts.items())), found.damaged_chunks, undecodable, found.end)
+
+
+def _declare(operation: int, content: bytes | memoryview, schemas: dict[int, records.Schema], channels: dict[int, records.Channel]) -> None:
+    """Take a schema or channel record; of a damaged one, the messages are lost."""
+    try:
+        if operation == records.SCHEMA:
+            key, schema = records.schema_of(content)
+            schemas[key] = schema
+        else:
+            key, channel = records.channel_of(content)
+            channels[key] = channel
+    except BagError:
+        return
+    LIMITS.TOPICS.check(len(channels), "the file", error=BagError, remedy="It is damaged.")
 
 
 def _decodes(topic: str, msgtype: str, data: memoryview) -> bool:

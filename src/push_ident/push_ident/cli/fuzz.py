@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import JsonOption, console, warn, write_json
 from push_ident.errors import InputError, PushIdentError
+from push_ident.limits import plain_text
 
 __all__ = ["fuzz_command"]
 
@@ -18,7 +19,7 @@ _OUT = Path("out/fuzz")
 
 
 def fuzz_command(
-    minutes: Annotated[float, typer.Option(min=0.1, help="For all nodes together; 12 are some 100 000 messages on two cores.")] = 12.0,
+    minutes: Annotated[float, typer.Option(min=0.1, help="In all; half of it each for messages and bags.")] = 24.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the mutations.")] = 0,
     only: Annotated[str, typer.Option(metavar="KIND", help="messages or bags. Default: both.", show_default=False)] = "",
     node: Annotated[
@@ -32,20 +33,35 @@ def fuzz_command(
     json: JsonOption = None,
     page: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the page of the results.", show_default=False)] = None,
 ) -> None:
-    """Send mutated messages to every subscription and service of every node; they must live, answer and still do their work."""
+    """Mutated messages for every node, which must live, answer and still work; mutated bags for every command that reads one."""
     if only and only not in _KINDS:
         raise InputError(f"--only is {only!r}, expected one of {', '.join(_KINDS)}.")
-    run = sim_module("push_ident_sim.fuzz.run")
-    settings = run.Settings(minutes=minutes, seed=seed, nodes=run.nodes_of(tuple(node or ())), out=out, cases=cases)
-    content = run.fuzz_messages(settings, lambda line: console.print(line, highlight=False, markup=False, soft_wrap=True))
+    kinds = (only,) if only else _KINDS
+    content: dict[str, Any] = {"seed": seed}
+    if "messages" in kinds:
+        run = sim_module("push_ident_sim.fuzz.run")
+        settings = run.Settings(minutes=minutes / len(kinds), seed=seed, nodes=run.nodes_of(tuple(node or ())), out=out, cases=cases)
+        content |= run.fuzz_messages(settings, _show)
+        _show(f"{content['mutated']} mutated messages in {content['minutes']} minutes, seed {seed}")
+    if "bags" in kinds:
+        summary = sim_module("push_ident_sim.fuzz.bags").fuzz_bags(
+            minutes=minutes / len(kinds), seed=seed, cases=cases and cases / "bags", on_progress=_show
+        )
+        content["bags"] = {"mutants": summary.mutants, "findings": [finding.to_json() for finding in summary.findings]}
+        _show(f"{summary.mutants} mutated bags, seed {seed}")
     if json is not None:
         write_json(json, content)
-        console.print(f"written: {json}", highlight=False, soft_wrap=True)
-    if page is not None:
+        _show(f"written: {json}")
+    if page is not None and "messages" in kinds:
         sim_module("push_ident_sim.fuzz.page").write_page(page, content)
-        console.print(f"written: {page}", highlight=False, soft_wrap=True)
-    console.print(f"{content['mutated']} mutated messages in {content['minutes']} minutes, seed {seed}", highlight=False)
-    for finding in content["findings"]:
-        warn(f"{finding['node']}: {finding['text']} ({finding['file']})")
-    if content["findings"]:
-        raise PushIdentError(f"{len(content['findings'])} failures of nodes; `push-ident fuzz --cases DIR` tries them again.")
+        _show(f"written: {page}")
+    failures = [f"{finding['node']}: {finding['text']} ({finding['file']})" for finding in content.get("findings", ())]
+    failures += [f"{finding['command']}: {finding['failure']}" for finding in content.get("bags", {}).get("findings", ())]
+    for failure in failures:
+        warn(plain_text(failure))
+    if failures:
+        raise PushIdentError(f"{len(failures)} failures; `push-ident fuzz --cases DIR` stores them and tries them again.")
+
+
+def _show(line: str) -> None:
+    console.print(line, highlight=False, markup=False, soft_wrap=True)

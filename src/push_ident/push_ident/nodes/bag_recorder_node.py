@@ -17,6 +17,7 @@ from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.geometry.se3 import pose_of_quaternion
+from push_ident.nodes.arrivals import Arrivals
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.recording_port import RECORDING_QOS, RECORDING_TOPIC
@@ -26,6 +27,10 @@ __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
 _CHECK_PERIOD: Final = 0.5
 """Time between two checks of the free disk [s]."""
+_MESSAGES: Final = 1000
+"""Messages of a topic that may wait for the disk: 1 s at 1 kHz."""
+_IMAGES: Final = 60
+"""Depth images that may wait for the disk: 2 s at 30 Hz, 37 MB at 640 x 480."""
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
@@ -71,6 +76,7 @@ class _BagRecorder(Component):
         self._writer = BagWriter(path)
         self._writer.__enter__()
         self._counts: Counter[str] = Counter()
+        self._arrivals: dict[str, Arrivals] = {}
         self._failed = ""
         self._recording = node.create_publisher(DiagnosticStatus, RECORDING_TOPIC, RECORDING_QOS)
         node.create_timer(_CHECK_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -129,15 +135,21 @@ class _BagRecorder(Component):
                 info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in self._node.get_publishers_info_by_topic(topic)
             )
             qos = QoSProfile(
-                depth=1000,
+                depth=_IMAGES if found.role is Role.DEPTH else _MESSAGES,
                 reliability=ReliabilityPolicy.BEST_AVAILABLE,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
             self._counts[topic] = 0
             if found.role is Role.PUSH_RECORD:  # without a record of it, a push that was broken off must not count as one
                 self._writer.declare(topic, found.role.msgtype)
+            self._arrivals[topic] = self._node.arrivals_of(topic)
             self._node.create_subscription(
-                message, topic, lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data), qos, raw=True
+                message,
+                topic,
+                lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data),
+                qos,
+                raw=True,
+                arrivals=self._arrivals[topic],
             )
 
     def _write(self, topic: str, msgtype: str, data: bytes) -> None:
@@ -157,7 +169,13 @@ class _BagRecorder(Component):
         """What was written, or why nothing is."""
         level = DiagnosticStatus.ERROR if self._failed else DiagnosticStatus.OK if self._counts else DiagnosticStatus.WARN
         text = self._failed or (f"{self._counts.total()} messages" if self._counts else "no topic of the bag contract is published")
-        return Health(level, text, {topic: count for topic, count in sorted(self._counts.items())})
+        values: dict[str, object] = dict(sorted(self._counts.items()))
+        lost = {topic: arrivals.n_lost for topic, arrivals in self._arrivals.items() if arrivals.n_lost}
+        if lost:
+            # The bag has gaps from now on, so this stays.
+            level = max(level, DiagnosticStatus.WARN)
+            text += f"; {sum(lost.values())} were lost: the disk is slower than the topics"
+        return Health(level, text, values | {f"{topic} lost": number for topic, number in sorted(lost.items())})
 
     def _status(self) -> DiagnosticStatus:
         health, name = self.health(), self._node.get_fully_qualified_name()

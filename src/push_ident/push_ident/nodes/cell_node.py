@@ -22,6 +22,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
+from push_ident.nodes.arrivals import Arrivals
 from push_ident.nodes.guard import Guard, is_guarded, refusal
 from push_ident.nodes.parameters import Parameter, Parameters
 
@@ -288,8 +289,13 @@ class CellNode(LifecycleNode, ABC):
 
     # ---- entities
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **kwargs: Any) -> Any:
-        """As of rclpy, guarded. An inactive node drops the messages, unless their topic is latched: those come only once."""
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, *, arrivals: Arrivals | None = None, **kwargs: Any
+    ) -> Any:
+        """As of rclpy, guarded. An inactive node drops the messages, unless their topic is latched: those come only once.
+
+        With `arrivals`, what the queue of the subscription loses is counted.
+        """
         gate, source = self._gate, self.resolve_topic_name(topic)
         is_latched = isinstance(qos_profile, QoSProfile) and qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
@@ -305,7 +311,13 @@ class CellNode(LifecycleNode, ABC):
         for name, event in vars(events).items() if events is not None else ():
             if callable(event):
                 setattr(events, name, self.guard.callback(source, event))
-        return super().create_subscription(msg_type, topic, self.guard.callback(source, gated), qos_profile, **kwargs)
+        guarded = self.guard.callback(source, gated) if arrivals is None else self.guard.noted(source, gated, arrivals.note)
+        return super().create_subscription(msg_type, topic, guarded, qos_profile, **kwargs)
+
+    def arrivals_of(self, topic: str) -> Arrivals:
+        """A count of what a subscription to this topic loses, for `create_subscription`."""
+        name = self.resolve_topic_name(topic)
+        return Arrivals(lambda: self.count_publishers(name))
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **kwargs: Any) -> Any:
         """As of rclpy, guarded: every request is answered, also by a node that is not active."""

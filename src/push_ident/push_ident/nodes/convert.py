@@ -407,7 +407,9 @@ def _check_covariance(covariance: Float64Array) -> None:
 
 def _check_frame(got: str, expected: str) -> None:
     if got != expected:
-        raise InputError(f"Message is in frame {plain_text(got)!r}, expected {expected!r}; transform it first or remap the topic.")
+        raise InputError(
+            f"Message is in frame {plain_text(got)!r}, expected {plain_text(expected)!r}; transform it first or remap the topic."
+        )
 
 
 def _set_yaw(orientation: Any, yaw: float) -> None:

@@ -95,6 +95,17 @@ class Guard:
 
         return self._marked(guarded, source)
 
+    def noted(self, source: str, work: Callable[[Any], T], note: Callable[[Any], None]) -> Callable[[Any, Any], T | None]:
+        """The same for a subscription whose callback gets message and info: `note` gets the info, `work` the message."""
+
+        def guarded(message: Any, info: Any) -> T | None:
+            with self.watch(source):
+                note(info)
+                return work(message)
+            return None
+
+        return self._marked(guarded, source)
+
     def service(self, source: str, work: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """`work`, the callback of a service, such that every request gets an answer: a refusal has success = false and the reason."""
 

@@ -17,6 +17,7 @@ from shape_msgs.msg import SolidPrimitive
 
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import transform_points
+from push_ident.nodes.arrivals import Arrivals
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
@@ -36,6 +37,7 @@ __all__ = ["PushCollector"]
 
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
+# The middleware bounds what waits: 5000 messages of a topic in Fast DDS; from then on messages are lost, which is counted.
 _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _SILENCE: Final = 2.0
 """Wall time without a message after which a push counts as finished [s]: the source has stopped."""
@@ -93,10 +95,11 @@ class PushCollector:
         self._run = 1
         self._began = self._received = time.monotonic()
         self._flushed = True
-        node.create_subscription(PoseStamped, "pusher/pose", self._on_pusher, _ALL)
+        self._arrivals: dict[str, Arrivals] = {}
+        self._subscribe(PoseStamped, "pusher/pose", self._on_pusher)
         node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
-        node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, _ALL)
-        node.create_subscription(PushRecordMsg, "push_record", self._on_push_record, _ALL)
+        self._subscribe(WrenchStamped, "pusher/wrench", self._on_wrench)
+        self._subscribe(PushRecordMsg, "push_record", self._on_push_record)
         # On the wall clock: it must run when simulated time stands still.
         node.create_timer(_PERIOD, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._topics = ObjectTopics(node, self._on_new_object)
@@ -147,6 +150,18 @@ class PushCollector:
                 "last error": self.last_error or "none",
             }
 
+    def overload(self) -> tuple[str, dict[str, Any]]:
+        """What was lost since the last call because messages come faster than they are processed (empty: nothing), and values."""
+        lost: list[str] = []
+        total, worst = 0, 0.0
+        for topic, arrivals in list(self._arrivals.items()):
+            missing, taken, delay = arrivals.since_last()
+            worst, total = max(worst, delay), total + arrivals.n_lost
+            if missing:
+                lost.append(f"{missing} of {missing + taken} messages of {topic}")
+        text = f"{', '.join(lost)} were lost: they come faster than they are processed" if lost else ""
+        return text, {"messages lost": total, "message delay, worst [s]": f"{worst:.3f}"}
+
     def refuse(self, what: str, source: str, why: str) -> None:
         """Count and log something from a topic or thread `source` that cannot be used; `what` it would have been, in the plural."""
         self.counts[f"{what} refused"] += 1
@@ -160,6 +175,10 @@ class PushCollector:
         self._on_left_out()
 
     # ---- messages
+
+    def _subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+        self._arrivals[topic] = self._node.arrivals_of(topic)
+        self._node.create_subscription(kind, topic, callback, _ALL, arrivals=self._arrivals[topic])
 
     @contextmanager
     def _taking(self, what: str, topic: str) -> Iterator[None]:
@@ -175,7 +194,7 @@ class PushCollector:
         self._on_object(object_id)
         node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape_msg(object_id, cells=m), _LATCHED)
         node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape_msg(object_id, outline=m), _LATCHED)
-        node.create_subscription(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m), _ALL)
+        self._subscribe(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m))
         node.get_logger().info(f"object {object_id} found")
 
     def _on_shape_msg(self, object_id: str, *, cells: OccupancyGrid | None = None, outline: PolygonStamped | None = None) -> None:

@@ -489,7 +489,7 @@ def _truth_json(thing: SimObject, seed: int) -> str:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT."""
-    return run_node(SimCellNode, args=args)
+    return run_node(SimCellNode, args=args, yields=False)
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ class _SimHand(Component):
 
 def main() -> int:
     """Run the node until SIGINT."""
-    return run_node(SimHandNode)
+    return run_node(SimHandNode, yields=False)
 
 
 if __name__ == "__main__":

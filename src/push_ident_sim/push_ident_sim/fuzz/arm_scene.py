@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus
 from push_ident_sim.cell.robot import HOME, robot_description
-from push_ident_sim.fuzz.bench import NodeFailure
+from push_ident_sim.fuzz.bench import NodeFailure, granted
 from push_ident_sim.fuzz.scenes import Scene
 from push_ident_sim.fuzz.traffic import Arm
 
@@ -30,13 +31,11 @@ _SPEED: Final = 2.0
 _MORE: Final = 1.3
 """Commanded speeds may be above the limit by this factor: between two points a cubic is faster than the straight line."""
 _JUMP: Final = 0.5
-"""Largest distance of a command from where the arm is, beside what it could move in the time given [rad]: at 2 rad/s a quarter of a second
-in which a busy machine brings no message."""
+"""Largest distance of a command from where the arm is, beside what it could move in the time given and while this process did not run
+[rad]."""
 _PERIOD: Final = 0.02
-_ATTEMPTS: Final = 3
-"""For a valid push: the object may have to be seen again first."""
-_BUSY: Final = 90.0
-"""Longest wait for pushes that mutated goals have started [s]."""
+_PATIENCE: Final = 90.0
+"""For a valid push to be made [s], as granted: pushes of mutated goals end first, and an arm that gets its motion late stops by itself."""
 _FIST: Final = HandStatus(g_act=1, g_mod=0, g_gto=1, g_imc=3, g_sta=2, g_flt=0, g_pra=255)
 
 
@@ -51,9 +50,12 @@ class Executor(Scene):
         "rest": 0.4,
         "home_posture": list(_PARKED),
         "workspace": [-0.1, 0.2, -0.25, 0.25],
-        "arm_timeout": 0.5,
-        "tracking_lag": 0.5,
-        "lost_timeout": 2.0,
+        # The arm is played by the process that makes the mutations, on a machine that may be busy: none of these is what is tried here.
+        "arm_timeout": 2.0,
+        "tracking_lag": 1.0,
+        "tracking_tolerance": 0.1,
+        "motion_horizon": 0.1,
+        "lost_timeout": 8.0,
         "hand": "simulated",
         "hand_timeout": 5.0,
     }
@@ -62,6 +64,7 @@ class Executor(Scene):
         """Arm, hand, force sensor and the object, on timers."""
         self.arm = Arm(_PARKED)
         self._checked = self._ticks = 0
+        self._ticked, self._stalls = time.monotonic(), deque([0.0], maxlen=200)
         self._goal: Any = None
         self._began = 0.0
         shape = ObjectShape(cells_in_outline(Arm.BOX, 0.01), Arm.BOX)
@@ -80,6 +83,9 @@ class Executor(Scene):
         self.bench.node.create_timer(_PERIOD, self._tick)
 
     def _tick(self) -> None:
+        now, before = time.monotonic(), self._ticked
+        self._ticked = now
+        self._stalls.append(now - before)
         self.arm.step()
         self._ticks += 1
         stamp = self.bench.node.get_clock().now().to_msg()
@@ -123,7 +129,7 @@ class Executor(Scene):
 
     def work(self) -> None:
         """A push is made as planned; another push that a mutated goal started may have to end first."""
-        deadline, left = time.monotonic() + _BUSY, _ATTEMPTS
+        deadline = time.monotonic() + granted(_PATIENCE)
         while True:
             self.bench.wait(lambda: self._goal is None or self._goal.done(), 20.0)
             self.arm.box[:] = 0.0, 0.02, 0.3
@@ -135,24 +141,25 @@ class Executor(Scene):
             self.check()
             if result.error_code == 0:
                 return
-            busy = result.error_code == ExecutePush.Result.BUSY
-            left -= not busy
-            self.require(left > 0 and time.monotonic() < deadline, f"a valid push fails, {result.error_code}: {result.error_text}")
+            self.require(time.monotonic() < deadline, f"no valid push is made, the last: {result.error_code}: {result.error_text}")
             self.bench.spin(1.0)
 
     def check(self) -> None:
         """No command beyond the limits of the arm, none that jumps."""
         new, self._checked = self.arm.commands[self._checked :], len(self.arm.commands)
         for _, q, msg in new:
-            if fault := command_fault(q, msg, self.arm):
+            if fault := command_fault(q, msg, self.arm, stall=max(self._stalls)):
                 raise NodeFailure("motion", fault)
         if len(self.arm.commands) > 1000:
             del self.arm.commands[:-100]
             self._checked = len(self.arm.commands)
 
 
-def command_fault(q: Float64Array, msg: JointTrajectory, arm: Arm) -> str:
-    """What is wrong with a command to an arm that stands at `q` [rad]; empty when nothing is."""
+def command_fault(q: Float64Array, msg: JointTrajectory, arm: Arm, *, stall: float) -> str:
+    """What is wrong with a command to an arm that stands at `q` [rad]; empty when nothing is.
+
+    `stall`: longest time for which the arm was not moved, because this process did not run [s].
+    """
     if sorted(msg.joint_names) != sorted(arm.names):
         return f"command for joints {list(msg.joint_names)}"
     order = [list(msg.joint_names).index(name) for name in arm.names]
@@ -169,7 +176,7 @@ def command_fault(q: Float64Array, msg: JointTrajectory, arm: Arm) -> str:
     if np.any(steps <= 0.0):
         return "command whose times do not increase"
     jump = float(np.abs(positions[0] - q).max())
-    if jump > _JUMP + _SPEED * _MORE * float(times[0]):
+    if jump > _JUMP + _SPEED * _MORE * (float(times[0]) + stall):
         return f"command that starts {jump:.3f} rad from the arm, at {times[0]:.3f} s"
     if len(steps) and (speed := float((np.abs(np.diff(positions, axis=0)) / steps[:, None]).max())) > _SPEED * _MORE:
         return f"command with {speed:.2f} rad/s, allowed {_SPEED} rad/s"

@@ -23,8 +23,8 @@ __all__ = ["FUZZED", "Settings", "fuzz_messages", "nodes_of"]
 FUZZED: Final = (*NODES, *SIM_NODES)
 """Every executable of both packages."""
 _JOBS: Final = 2
-_MINIMISE: Final = 240.0
-"""Longest search for the messages that cause a failure [s]."""
+_MINIMISE: Final = (60.0, 120.0)
+"""A search for the messages that cause a failure has the time left for the node, but at least and at most this [s]."""
 _RESTARTS: Final = 6
 """A node that failed so often is left alone."""
 _PROGRESS: Final = "progress.json"
@@ -41,7 +41,11 @@ class Settings:
     out: Path = Path("out/fuzz")
     cases: Path | None = None
     """Folder of minimised failures; they are written there, and those that are there are sent first."""
+    messages: int | None = None
+    """Mutated messages for each node, where that ends before the time."""
     jobs: int = _JOBS
+    domains: tuple[int, ...] = ()
+    """ROS domains, one a job; none: ROS_DOMAIN_ID and the next, or some of their own."""
 
 
 def fuzz_messages(settings: Settings, on_progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
@@ -51,17 +55,21 @@ def fuzz_messages(settings: Settings, on_progress: Callable[[str], None] = lambd
     shutil.rmtree(settings.out, ignore_errors=True)
     results, findings = [], []
     with ProcessPoolExecutor(settings.jobs, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
-        waiting = {pool.submit(_fuzz_node, node, settings, share, i): node for i, node in enumerate(settings.nodes)}
-        while waiting:
-            done = [future for future in waiting if future.done()]
+        left, free = list(settings.nodes), list(range(settings.jobs))
+        running: dict[Future[Any], tuple[str, int]] = {}
+        while left or running:
+            while left and free:
+                node, slot = left.pop(0), free.pop(0)
+                running[pool.submit(_fuzz_node, node, settings, share, slot)] = (node, slot)
+            done = [future for future in running if future.done()]
             for future in done:
-                waiting.pop(future)
+                free.append(running.pop(future)[1])
                 content = future.result()
                 results.append(content["result"])
                 findings += content["findings"]
                 on_progress(_line(content["result"], finished=True))
-            if waiting and not done:
-                _wait(waiting, settings, on_progress)
+            if not done:
+                _wait([node for node, _ in running.values()], settings, on_progress)
     return {
         "seed": settings.seed,
         "minutes": round((time.monotonic() - began) / 60.0, 2),
@@ -72,9 +80,9 @@ def fuzz_messages(settings: Settings, on_progress: Callable[[str], None] = lambd
     }
 
 
-def _wait(waiting: dict[Future[Any], str], settings: Settings, on_progress: Callable[[str], None]) -> None:
-    time.sleep(2.0)
-    for node in waiting.values():
+def _wait(nodes: Sequence[str], settings: Settings, on_progress: Callable[[str], None]) -> None:
+    time.sleep(0.5)
+    for node in nodes:
         path = settings.out / node / _PROGRESS
         if path.exists():
             on_progress(_line(json.loads(path.read_text(encoding="utf-8")), finished=False))
@@ -89,14 +97,15 @@ def _line(result: dict[str, Any], *, finished: bool) -> str:
     )
 
 
-def _fuzz_node(node: str, settings: Settings, seconds: float, number: int) -> dict[str, Any]:
+def _fuzz_node(node: str, settings: Settings, seconds: float, slot: int) -> dict[str, Any]:
     """Result and findings of one node; runs in a process of its own."""
     # Imported here: the parent process needs no ROS.
     from push_ident_sim.fuzz.cases import read_cases, write_case
     from push_ident_sim.fuzz.minimise import minimise
     from push_ident_sim.fuzz.session import NodeResult, Session, merged
 
-    domain = (int(os.environ.get("ROS_DOMAIN_ID", "0")) or os.getpid() % 50 + 1) + number % settings.jobs
+    own = int(os.environ.get("ROS_DOMAIN_ID", "0")) or os.getppid() % 50 + 1
+    domain = settings.domains[slot] if settings.domains else own + slot
     folder = (settings.out / node).absolute()
     first = read_cases(settings.cases).get(node, []) if settings.cases is not None else []
     until, results, findings = time.monotonic() + seconds, list[NodeResult](), list[dict[str, Any]]()
@@ -107,12 +116,13 @@ def _fuzz_node(node: str, settings: Settings, seconds: float, number: int) -> di
     for run in range(_RESTARTS):
         session = Session(node, folder / f"run{run}", domain, settings.seed + 1000 * run)
         folder.mkdir(parents=True, exist_ok=True)
-        finding = session.run(until=until, first=first, on_progress=progress)
+        finding = session.run(until=until, n_messages=settings.messages, first=first, on_progress=progress)
         results.append(session.result)
         first = []
         if finding is None:
             break
-        messages = minimise(finding, folder / f"minimise{run}", domain, seconds=_MINIMISE)
+        patience = min(max(until - time.monotonic(), _MINIMISE[0]), _MINIMISE[1])
+        messages = minimise(finding, folder / f"minimise{run}", domain, seconds=patience)
         path = (settings.cases or settings.out) / f"{node}_{finding.kind.replace(' ', '_')}_{settings.seed}_{run}.json"
         write_case(path, finding, messages or finding.messages[-100:])
         findings.append({"node": node, "kind": finding.kind, "text": finding.text, "messages": len(messages), "file": str(path)})

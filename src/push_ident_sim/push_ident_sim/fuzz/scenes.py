@@ -32,7 +32,7 @@ from push_ident.types import PoseTrack, PusherPath, PushRecord
 from push_ident_msgs.msg import HandCommand, HandStatus
 from push_ident_msgs.srv import PredictPush
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, robot_description
-from push_ident_sim.fuzz.bench import Bench, NodeFailure
+from push_ident_sim.fuzz.bench import Bench, NodeFailure, granted
 from push_ident_sim.fuzz.traffic import KINDS, OBJECT, RADIUS, depth_messages, length_of, push_messages, shape_messages
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
@@ -41,7 +41,7 @@ from push_ident_sim.studies.common.seeing import CAMERA_POSE
 __all__ = ["SCENES", "Scene"]
 
 _PATIENCE: Final = 15.0
-"""For a node to do its work, on a busy machine [s]."""
+"""For a node to do its work [s], as granted."""
 _RECENT: Final = 4
 """Latest valid messages of each topic that mutations start from."""
 _LATCHED_TOPICS: Final = frozenset({"/pusher/shape", f"/objects/{OBJECT}/cells", f"/objects/{OBJECT}/outline"})
@@ -308,7 +308,7 @@ class Perceived(Scene):
         """Poses come out of valid frames."""
         self._stamp += 5.0
         self.require(self.bench.await_report(lambda values: True), "no diagnostics within 5 s")
-        before, deadline = int(self.bench.diagnostics.get("poses", "0")), time.monotonic() + _PATIENCE
+        before, deadline = int(self.bench.diagnostics.get("poses", "0")), time.monotonic() + granted(_PATIENCE)
         while int(self.bench.diagnostics.get("poses", "0")) <= before:
             self.require(time.monotonic() < deadline, "valid frames give no pose")
             self._frame()
@@ -333,7 +333,7 @@ class Hand(Scene):
 
     def work(self) -> None:
         """It closes."""
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + granted(_PATIENCE)
         while not (self._state.g_pra == 200 and self._state.g_imc == 3):
             self.require(time.monotonic() < deadline, "the hand does not close")
             self.send("/Robotiq3FGripper/OutputRegisters", HandCommand(r_act=1, r_gto=1, r_pra=200, r_spa=255))
@@ -369,7 +369,7 @@ class Cell(Scene):
     def work(self) -> None:
         """It arrives."""
         goal = next(self._goals)
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + granted(_PATIENCE)
         while abs(self._q[0] - goal) > 0.02:
             self.require(time.monotonic() < deadline, f"joint 1 is at {self._q[0]:.3f}, sent to {goal}")
             self.send("/joint_trajectory", self._command(goal))

@@ -16,7 +16,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.serialization import serialize_message
 
 from push_ident_sim.fuzz.arm_scene import Executor
-from push_ident_sim.fuzz.bench import Bench, Interfaces, NodeFailure, Sent
+from push_ident_sim.fuzz.bench import HANG, Bench, Interfaces, NodeFailure, Sent, granted
 from push_ident_sim.fuzz.mutate_message import mutate_bytes, mutate_message
 from push_ident_sim.fuzz.scenes import SCENES, Scene
 
@@ -30,6 +30,8 @@ _BYTES: Final = 0.15
 """Share of messages whose serialised bytes are mutated instead of their fields."""
 _REPLAYED: Final = 0.05
 """Share of messages that were valid once: duplicates."""
+_BETWEEN: Final = 0.02
+"""Time between two messages that are sent again [s]."""
 _WORK_EVERY: Final = 400
 """Mutated messages between two pieces of work that the node must do."""
 _MORE_MEMORY: Final = 400.0
@@ -148,6 +150,10 @@ class Session:
     def replay(self, bench: Bench, scene: Scene, messages: list[Sent]) -> None:
         """Send what was sent before, then let the node work. Raises NodeFailure."""
         for sent in messages:
+            if not sent.valid:
+                # As it was found: in the middle of a push.
+                scene.step()
+                bench.spin(_BETWEEN)
             if sent.is_request:
                 bench.replay_request(sent)
             else:
@@ -245,14 +251,17 @@ def _activate(bench: Bench) -> None:
     name, steps = f"{bench.name}/change_state", {State.PRIMARY_STATE_UNCONFIGURED: "configure", State.PRIMARY_STATE_INACTIVE: "activate"}
     if name not in bench.interfaces().services:
         return
-    for _ in range(2 * len(steps)):
+    deadline = time.monotonic() + granted(HANG)
+    while True:
         state = bench.call(f"{bench.name}/get_state", GetState, GetState.Request()).current_state
         if state.id == State.PRIMARY_STATE_ACTIVE:
             return
-        if state.id not in steps:
-            raise NodeFailure("no work", f"state is {state.label}, which no request led to")
-        bench.call(name, ChangeState, ChangeState.Request(transition=Transition(label=steps[state.id])))
-    raise NodeFailure("no work", f"cannot be activated: {bench.diagnostics.get('message')}")
+        if time.monotonic() > deadline:
+            raise NodeFailure("no work", f"stays in state {state.label}; {bench.diagnostics.get('message')}")
+        if state.id in steps:
+            bench.call(name, ChangeState, ChangeState.Request(transition=Transition(label=steps[state.id])))
+        else:
+            bench.spin(0.1)  # a transition is under way
 
 
 def _parameters_of(bench: Bench) -> list[Parameter]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import IO, Final
 
 from push_ident.bags.storage.chunks import Chunk, decompressed
-from push_ident.bags.storage.storage import RecordedTopic, check_name
+from push_ident.bags.storage.storage import Expansion, RecordedTopic, check_name
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 
@@ -52,6 +52,8 @@ _MESSAGE: Final = struct.Struct("<HIQQ")
 """Topic, sequence number, log time, publish time."""
 _CHUNK: Final = struct.Struct("<QQQI")
 """Earliest and latest log time, uncompressed size, check sum."""
+_COUNTED: Final = 1000
+"""Records after which their number is looked at."""
 
 
 @dataclass(slots=True)
@@ -74,12 +76,19 @@ class Fields:
 
     def text(self) -> str:
         """String with its length before it."""
-        return self.take(self.number(4)).decode("utf-8")
+        return _decoded(self.take(self.number(4)))
 
     def counts(self, key: int, value: int) -> dict[int, int]:
         """Map from integers to integers, of so many bytes each."""
         inner = Fields(self.take(self.number(4)))
         return {inner.number(key): inner.number(value) for _ in range(len(inner.data) // (key + value))}
+
+
+def _decoded(raw: bytes) -> str:
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        raise BagError(f"a name or text has bytes that are no UTF-8: {raw[:20]!r}; the file is damaged.") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +135,7 @@ def schema_of(content: bytes | memoryview) -> tuple[int, Schema]:
     identifier, name, encoding = fields.number(2), check_name(fields.text(), "a message type"), fields.text()
     size = fields.number(4)
     LIMITS.SCHEMA.check(size, name, error=BagError)
-    return identifier, Schema(name, encoding, fields.take(size).decode("utf-8"))
+    return identifier, Schema(name, encoding, _decoded(fields.take(size)))
 
 
 def channel_of(content: bytes | memoryview) -> tuple[int, Channel]:
@@ -178,10 +187,16 @@ def chunk_content(content: bytes) -> bytes | memoryview:
     return data
 
 
-def chunk_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Operation code, start and end of the content of every record in an uncompressed chunk. Raises BagError where they do not fit."""
-    at, end, unpack = 0, len(data), _LENGTH.unpack_from
+def chunk_records(data: bytes | memoryview, expansion: Expansion) -> Iterator[tuple[int, int, int]]:
+    """Operation code, start and end of the content of every record in an uncompressed chunk.
+
+    Raises BagError where they do not fit, or `expansion` counts more records than the file can have.
+    """
+    at, end, unpack, number = 0, len(data), _LENGTH.unpack_from, 0
     while at < end:
+        number += 1
+        if number % _COUNTED == 0:
+            expansion.count(_COUNTED)
         if at + _LENGTH.size > end:
             raise BagError("a chunk ends in the middle of a record; the file is damaged.")
         operation, size = unpack(data, at)
@@ -190,6 +205,7 @@ def chunk_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
             raise BagError(f"a record in a chunk claims {size} bytes where the chunk has {end - at}; the file is damaged.")
         yield operation, at, at + size
         at += size
+    expansion.count(number % _COUNTED)
 
 
 def message_of(content: bytes | memoryview) -> tuple[int, int, memoryview]:
@@ -205,10 +221,10 @@ def publish_time_of(content: bytes | memoryview) -> int:
     return int(_MESSAGE.unpack_from(content)[3])
 
 
-def chunk_messages(data: bytes | memoryview) -> Iterator[tuple[int, int, int, int]]:
+def chunk_messages(data: bytes | memoryview, expansion: Expansion) -> Iterator[tuple[int, int, int, int]]:
     """Topic, log time, start and end of every message in an uncompressed chunk."""
     unpack, header = _MESSAGE.unpack_from, _MESSAGE.size
-    for operation, start, end in chunk_records(data):
+    for operation, start, end in chunk_records(data, expansion):
         if operation == MESSAGE:
             if end - start < header:
                 raise BagError("a message record is shorter than its header; the file is damaged.")

@@ -52,8 +52,9 @@ class McapStorage:
             contents = (content for operation, content in self._records() if operation == records.MESSAGE)
             yield from (message for message in map(records.message_of, contents) if message[0] in wanted)
             return
+        expansion = Expansion("its chunks", self._size)
         chosen = (chunk for chunk in self._chunks if chunk.channels is None or chunk.channels & wanted)
-        yield from in_order(chosen, lambda chunk: self._messages_of(self._read_chunk(chunk), wanted))
+        yield from in_order(chosen, lambda chunk: self._messages_of(self._read_chunk(chunk), wanted, expansion))
 
     def _open(self) -> None:
         self._file.seek(0)
@@ -128,9 +129,9 @@ class McapStorage:
             raise BagError(f"the index lists a chunk at byte {chunk.offset}, where there is another; the file is damaged.")
         return content
 
-    def _messages_of(self, content: bytes, wanted: Collection[int]) -> Iterator[RawMessage]:
+    def _messages_of(self, content: bytes, wanted: Collection[int], expansion: Expansion) -> Iterator[RawMessage]:
         data = records.chunk_content(content)
-        yield from messages_of_chunk(records.chunk_messages(data), data, wanted)
+        yield from messages_of_chunk(records.chunk_messages(data, expansion), data, wanted)
 
     def _records(self) -> Iterator[tuple[int, bytes | memoryview]]:
         """Operation code and content of all records before the summary, those in chunks included, in the order of the file."""
@@ -145,5 +146,5 @@ class McapStorage:
                 continue
             data = memoryview(records.chunk_content(content))
             expansion.add(len(data))
-            for inner, start, end in records.chunk_records(data):
+            for inner, start, end in records.chunk_records(data, expansion):
                 yield inner, data[start:end]

@@ -55,6 +55,7 @@ class Rosbag1Storage:
     def messages(self, wanted: Collection[int]) -> Iterator[RawMessage]:
         """Messages of these topics, in order of log time."""
         wanted = frozenset(wanted)
+        self._records = Expansion("its chunks", self._size)
         chunks = [Chunk(self._starts.get(offset, 0), chunk[0], offset) for offset, chunk in self._chunks.items()]
         return in_order(chunks, lambda chunk: self._messages_of(chunk.offset, wanted))
 
@@ -123,15 +124,16 @@ class Rosbag1Storage:
     def _messages_of(self, offset: int, wanted: Collection[int]) -> Iterator[RawMessage]:
         size, compression, start, length = self._chunks[offset]
         data = decompressed(self._data(start, start + length), compression, size)
-        yield from messages_of_chunk(_chunk_messages(data), data, wanted)
+        yield from messages_of_chunk(_chunk_messages(data, self._records), data, wanted)
 
 
-def _chunk_messages(data: bytes | memoryview) -> Iterator[tuple[int, int, int, int]]:
+def _chunk_messages(data: bytes | memoryview, expansion: Expansion) -> Iterator[tuple[int, int, int, int]]:
     """Connection, log time, start and end of every message in an uncompressed chunk."""
     view, at = memoryview(data), 0
     while at < len(view):
         header, start, end = _inner_record(view, at)
         at = end
+        expansion.count(1)
         if header.get(b"op") == bytes([_MESSAGE]):
             yield _number(header, b"conn"), _nanoseconds(header.get(b"time", b"")), start, end
 

@@ -7,7 +7,7 @@ import stat
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO, Final, Protocol
 
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
@@ -16,8 +16,12 @@ __all__ = ["Expansion", "RawMessage", "RecordedTopic", "Storage", "check_name", 
 
 RawMessage = tuple[int, int, bytes | memoryview]
 """Identifier of its topic in this storage, log time [ns], serialised message."""
-_FREE_EXPANSION = 1_000_000_000
+_FREE_EXPANSION: Final = 1_000_000_000
 """Uncompressed content that any file may have [bytes]."""
+_FREE_RECORDS: Final = 1_000_000
+"""Number of records that any file may have."""
+_RECORD: Final = 40
+"""Size of a message in a compressed file that is not smaller in the mean [bytes]; a pose takes 50."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,7 @@ class Expansion:
     file_size: int
     """[bytes]"""
     total: int = field(default=0, init=False)
+    records: int = field(default=0, init=False)
 
     def add(self, size: int) -> None:
         """Count so many bytes; raises BagError where they are more than an honest file of this size can have."""
@@ -67,6 +72,13 @@ class Expansion:
                 f"{self.what}: {LIMITS.EXPANSION.meaning} over {self.total / 1e9:.2g} GB in a file of {self.file_size / 1e6:.3g} MB, "
                 f"expected at most {LIMITS.EXPANSION.value} {LIMITS.EXPANSION.unit}. Record without compression, or split the bag."
             )
+
+    def count(self, records: int) -> None:
+        """Count so many records of chunks, each of which costs time however short it is; raises BagError for too many."""
+        self.records += records
+        most = _FREE_RECORDS + self.file_size // _RECORD
+        if self.records > most:
+            raise BagError(f"{self.what}: over {self.records:,} records in a file of {self.file_size:,} bytes, expected at most {most:,}.")
 
 
 def open_regular(path: Path) -> IO[bytes]:

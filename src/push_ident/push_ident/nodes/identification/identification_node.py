@@ -339,8 +339,9 @@ class _Identification(Component):
 
     def health(self) -> Health:
         """What arrives, how long a solve takes, and how well pushes were predicted."""
-        values = self._collector.report()
-        missing = self._collector.what_is_missing()
+        overload, load = self._collector.overload()
+        values = self._collector.report() | load
+        missing = self._collector.what_is_missing() or overload
         pushes = {object_id: session.n_pushes for object_id, session in list(self._sessions.items())}
         failed = [f"object {s.object_id}: {s.failure}" for s in list(self._sessions.values()) if s.failure]
         if missing or failed:

@@ -52,7 +52,9 @@ class DepthInput:
         """With their stamps [s]."""
         self._unpaired: Image | None = None
         node.create_subscription(CameraInfo, f"{prefix}depth/camera_info", self._on_info, qos_profile_sensor_data)
-        node.create_subscription(Image, f"{prefix}depth/image_rect", self._on_image, qos_profile_sensor_data)
+        self.arrivals = node.arrivals_of(f"{prefix}depth/image_rect")
+        """What was lost because this node is slower than the camera."""
+        node.create_subscription(Image, f"{prefix}depth/image_rect", self._on_image, qos_profile_sensor_data, arrivals=self.arrivals)
 
     @property
     def silence(self) -> float:

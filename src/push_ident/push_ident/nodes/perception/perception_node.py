@@ -399,6 +399,11 @@ class _Perception(Component):
             values |= {f"stage_{name}": count for name, count in self._last_observation.counts.items()}
             values |= {f"object_{known.object_id}": known.status.value for known in self._last_observation.objects}
         values |= {f"note_{name}": note for name, note in self._notes.items() if note}
+        lost, taken, delay = self._main.input.arrivals.since_last()
+        values |= {"images_lost": self._main.input.arrivals.n_lost, "image_delay_ms": f"{1e3 * delay:.1f} worst"}
+        if lost and not (silent or rate == 0):
+            shed = f"{lost} of {lost + taken} images were left out in {elapsed:.1f} s: the camera is faster than perception"
+            why = f"{why}; {shed}" if why else shed
         level = DiagnosticStatus.ERROR if silent or rate == 0 else DiagnosticStatus.WARN if why else DiagnosticStatus.OK
         self._diagnosed_at, self._frames_diagnosed = now, self._counter["frames"]
         return Health(level, why or "poses are published", values)

@@ -25,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.files import open_log
+from push_ident.nodes.lifetime import LIFELINE
 from push_ident_msgs.msg import MassFrictionMap
 
 __all__ = [
@@ -61,11 +62,20 @@ class NodeProcess:
 
     def __init__(self, command: NodeCommand, log: Path, domain: int) -> None:
         self.name, self._log = command.name, log
-        environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"}
+        # The pipe ends with this process, and the node with the pipe.
+        watched, self._lifeline = os.pipe()
+        environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1", LIFELINE: str(watched)}
         with open_log(log) as file:
             self._popen = subprocess.Popen(
-                command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+                command.argv,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                pass_fds=(watched,),
+                start_new_session=True,
             )
+        os.close(watched)
 
     @property
     def pid(self) -> int:
@@ -93,6 +103,9 @@ class NodeProcess:
         if self.runs:
             os.killpg(self.pid, signal.SIGKILL)
         self._popen.wait()
+        if self._lifeline >= 0:
+            os.close(self._lifeline)
+            self._lifeline = -1
 
     def interrupt(self, patience: float = 5.0) -> tuple[int, float]:
         """Ctrl-C: exit code and time to the end [s]; killed after `patience` [s]."""
