@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from push_ident.nodes.lifetime import end_with_parent
+
 __all__ = ["describe_machine", "single_threads"]
 
 _SINGLE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -39,8 +41,12 @@ def single_threads(jobs: int = 1, *, fresh: bool = False) -> Iterator[ProcessPoo
 
 
 def _prepare() -> None:
-    """Ctrl-C ends a worker at once and silently. Bullet does not print either, which would break the progress bar of the command."""
+    """Ctrl-C, or the end of the command, ends a worker at once and silently.
+
+    Bullet does not print either, which would break the progress bar of the command.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_with_parent()
     nowhere, errors = os.open(os.devnull, os.O_WRONLY), os.dup(2)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)

@@ -115,6 +115,24 @@ def test_supervisor_killed_while_its_nodes_start_leaves_no_process(tmp_path: Pat
         wait_until(lambda: not any(is_alive(pid) for pid in family), lambda: 2.0 + 4.0 * stalls.worst)
 
 
+def test_killed_command_leaves_no_worker_of_a_study() -> None:
+    program = (
+        "import os, time\n"
+        "from push_ident_sim.workers import single_threads\n"
+        "if __name__ == '__main__':\n"
+        "    with single_threads() as pool:\n"
+        "        print(pool.submit(os.getpid).result(), flush=True)\n"
+        "        pool.submit(time.sleep, 60).result()\n"
+    )
+    command = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert command.stdout is not None
+    worker = next(int(line) for line in command.stdout if line.strip().isdigit())
+    with Stalls() as stalls:
+        command.kill()
+        command.wait()
+        wait_until(lambda: not is_alive(worker), lambda: 2.0 + 4.0 * stalls.worst)
+
+
 def test_stopped_supervisor_changes_nothing(tmp_path: Path) -> None:
     supervisor = start_supervisor({"one": node(tmp_path, "one")})
     process = written(tmp_path / "one.pid")
