@@ -40,7 +40,7 @@ def faults_command(
 
     folder = out or Path(tempfile.mkdtemp(prefix="push_ident_faults_"))
     results = sim_module("push_ident_sim.faults.run").run_faults(chosen * repeat, folder, show)
-    content = report.result_json(results, time.monotonic() - began)
+    content = report.result_json(results)
     console.print(
         f"{content['passed']} held, {content['failed']} did not, {content['skipped']} could not be injected; "
         f"{content['time_s']:.0f} s; logs in {folder}",

@@ -18,8 +18,8 @@ __all__ = ["result_json", "write_page", "write_results"]
 _HEAD: Final = """# Faults
 
 Made by `make faults` (`push-ident faults --json {json}`). Each row is one fault, injected from outside into live nodes in processes of
-their own: by signals, by a proxy between the nodes, by the file system. The arm is simulated; its time to stop is read from its joint
-states. {date}
+their own: by signals, by a proxy between the nodes, by the file system. A fault that is tried again alone (`--only`) replaces its row.
+The arm is simulated; its time to stop is read from its joint states. {date}
 
 **Time to hold**: from the fault to the standing arm, by the arm's own clock. Allowed are the time that the suite is given to notice the
 fault, 100 ms, the braking from the joint speed at the fault at {braking:g} rad/s², two joint states (20 ms), and what this machine made
@@ -31,15 +31,18 @@ every process that should run still does.
 """
 
 
-def result_json(results: Sequence[FaultResult], seconds: float) -> dict[str, Any]:
+def result_json(results: Sequence[FaultResult]) -> dict[str, Any]:
     """All results as JSON: times in seconds."""
+    return _summary([_row(result) for result in results])
+
+
+def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    count = {word: sum(row["result"] == word for row in rows) for word in ("passed", "failed", "skipped")}
     return {
         "machine": {"processor": _processor(), "cores": os.cpu_count(), "python": platform.python_version(), "load": os.getloadavg()[0]},
-        "time_s": round(seconds, 1),
-        "passed": sum(result.passed for result in results),
-        "failed": sum(bool(result.failures) for result in results),
-        "skipped": sum(bool(result.impossible) for result in results),
-        "faults": [_row(result) for result in results],
+        "time_s": round(sum(row["seconds"] for row in rows), 1),
+        **count,
+        "faults": rows,
     }
 
 
@@ -62,8 +65,14 @@ def _row(result: FaultResult) -> dict[str, Any]:
 
 
 def write_results(path: Path, content: dict[str, Any]) -> list[Path]:
-    """Write the JSON, and the page beside it. Raises PushIdentError where they cannot be written."""
-    write_json(path, content)
+    """Write the JSON, and the page beside it; rows of an existing file whose faults were not tried now stay.
+
+    Raises PushIdentError where they cannot be written.
+    """
+    rows = {row["number"]: row for row in read_json(path)["faults"]} if path.is_file() else {}
+    # Of a fault that was tried several times, a failure counts.
+    rows |= {row["number"]: row for row in sorted(content["faults"], key=lambda row: bool(row["result"] == "failed"))}
+    write_json(path, _summary([rows[number] for number in sorted(rows)]))
     return [path, write_page(path)]
 
 

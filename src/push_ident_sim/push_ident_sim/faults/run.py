@@ -64,7 +64,7 @@ def _run_all(faults: Sequence[Fault], folder: Path, done: Callable[[FaultResult]
         chosen = [fault for fault in faults if fault.cell == plan]
         if plan is None:
             for fault in chosen:
-                done(try_fault(fault, None, folder / fault.name))
+                done(try_fault(fault, None, folder))
         else:
             _run_in_cells(plan, chosen, folder, done)
 

@@ -57,7 +57,11 @@ def _lost_in_push(trial: Trial, rule: Any) -> None:
     cell.proxy.set(_POSE, rule)
     result = cell.end(sent)
     trial.expect(result.error_code == PushCode.OBJECT_LOST, f"the push ended with {result.error_code} {result.error_text}")
-    trial.expect(any(r.error_code == PushCode.OBJECT_LOST for _, r in cell.monitor.records), "no push_record reports it")
+
+    def is_reported() -> bool:
+        return any(record.error_code == PushCode.OBJECT_LOST for _, record in cell.monitor.records)
+
+    trial.expect_soon(is_reported, 2.0, "no push_record reports it")
     trial.wait(0.5)
     trial.expect(not cell.is_moving(), "the arm still moves")
     trial.note, trial.lost = result.error_text, "the push under way"

@@ -8,17 +8,24 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Final
 
 from push_ident.cli.supervisor import NodeCommand
 from push_ident.files import open_log
-from push_ident.nodes.lifetime import stop_signals_blocked
+from push_ident.nodes.lifetime import LIFELINE, stop_signals_blocked
 from push_ident_sim.faults.harness.priority import as_urgent_as_this_one
 
 __all__ = ["TRACEBACK", "Process"]
 
 TRACEBACK: Final = "Traceback (most recent call last)"
+
+
+@cache
+def _lifeline() -> tuple[int, int]:
+    """Both ends of a pipe that ends with this process, and its children with it, however it ends."""
+    return os.pipe()
 
 
 class Process:
@@ -60,12 +67,18 @@ class Process:
         """Start it, where it does not run."""
         if self.runs:
             return
-        environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self._environment
+        environment = os.environ | {"PYTHONUNBUFFERED": "1", LIFELINE: str(_lifeline()[0])} | self._environment
         # As the supervisor starts it.
         quiet = stop_signals_blocked() if self.command.is_node else contextlib.nullcontext()
         with open_log(self.log) as file, quiet:
             self._popen = subprocess.Popen(
-                self.command.argv, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+                self.command.argv,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,
+                pass_fds=(_lifeline()[0],),
             )
         as_urgent_as_this_one(self._popen.pid)
 
