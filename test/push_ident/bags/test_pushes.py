@@ -71,3 +71,12 @@ def test_bag_of_a_cell_whose_executor_ended_in_its_only_push_has_no_push(tmp_pat
         write_push(writer, 2.0)
     with pytest.raises(BagError, match="the executor ended in the middle"):
         split_pushes(read_bag(tmp_path / "bag"), "7")
+
+
+def test_pushes_of_another_program_beside_an_idle_executor_are_used(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/push_record", Role.PUSH_RECORD.msgtype)
+        writer.write_shape("7", L_SHAPE, 1.0)
+        write_push(writer, 2.0)
+        write_push(writer, 6.0)
+    assert len(split_pushes(read_bag(tmp_path / "bag"), "7")) == 2

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from push_ident.bags.contract import Role, role_of
 from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
@@ -18,8 +20,8 @@ __all__ = ["pushes_by_object", "split_pushes"]
 def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> list[PushRecord]:
     """The pushes of one object in a bag, in order of time, cut by the rules of `pushing/cutter.py`.
 
-    Where the bag has push records, they give the intervals of the pushes, and only those with error code 0 are used. Where it has their
-    topic but no record, no push was made to its end. Else a pause of the pusher over `gap` [s] ends a push.
+    Where the bag has push records, they give the intervals of the pushes, and only those with error code 0 are used. Else a pause of the
+    pusher over `gap` [s] ends a push; a single push beside the topic of the records, without a record, was broken off and is left out.
 
     Failed pushes and those with fewer than 2 pusher samples or 2 poses are left out with a line in `contents.notes`; `source` still
     counts them, from 0. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
@@ -62,8 +64,7 @@ def pushes_by_object(contents: BagContents, gap: float = 0.5) -> dict[str, list[
 def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> PushCutter:
     """A cutter with all samples of the bag for these objects."""
     cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
-    # The topic alone, without a message, says that an executor was there; its pushes were not made to the end.
-    cutter.expects_records = any((found := role_of(topic)) and found.role is Role.PUSH_RECORD for topic in contents.topics)
+    cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > gap)) == 0
     cutter.set_radius(contents.pusher_radius)
     for interval in contents.push_intervals:
         cutter.add_record(interval)
@@ -79,3 +80,12 @@ def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> 
         for time, force in zip(contents.wrench.time.tolist(), contents.wrench.value, strict=True):
             cutter.add_wrench(time, force)
     return cutter
+
+
+def _has_record_topic(contents: BagContents) -> bool:
+    """Whether an executor was there, even one that wrote no record.
+
+    One that died in its first push leaves one push without a record. Several of them are not an executor's: it would have left a record
+    of all but the last.
+    """
+    return any((found := role_of(topic)) is not None and found.role is Role.PUSH_RECORD for topic in contents.topics)
