@@ -15,8 +15,8 @@ from push_ident_sim.studies.common.base import Json
 
 __all__ = ["QUANTITIES", "Meters", "growth"]
 
-QUANTITIES: Final = {"memory_mb": "memory [MB]", "files": "open files", "threads": "threads"}
-"""What is measured. Memory: the proportional set size, in which pages that processes share count once."""
+QUANTITIES: Final = {"memory_mb": "private memory [MB]", "files": "open files", "threads": "threads"}
+"""What is measured. Memory: pages of the process alone; a share of the libraries would change with the other processes of the machine."""
 _PERIOD: Final = 5.0
 """Between two samples [s]."""
 _WARM: Final = 60.0
@@ -54,7 +54,7 @@ class Meters:
 def _measure(pid: int) -> Json:
     process = Path(f"/proc/{pid}")
     rollup = (process / "smaps_rollup").read_text(encoding="ascii")
-    kilobytes = int(rollup.split("\nPss:")[1].split()[0])
+    kilobytes = sum(int(line.split()[1]) for line in rollup.splitlines() if line.startswith("Private_"))
     threads = int((process / "status").read_text(encoding="utf-8").split("Threads:")[1].split()[0])
     return {"memory_mb": kilobytes / 1024, "files": len(os.listdir(process / "fd")), "threads": threads}
 
