@@ -74,7 +74,7 @@ CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
 }
 
 READ = """
-import json, resource, sys, time
+import json, re, sys, time
 from pathlib import Path
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
@@ -87,7 +87,9 @@ for name, path in json.load(sys.stdin).items():
         text = ""
     except PushIdentError as error:
         text = str(error) + "".join(getattr(error, "__notes__", ()))
-    found[name] = (text, time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    # Not from getrusage, which counts the process that started this one as well.
+    peak = int(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1])
+    found[name] = (text, time.process_time() - began, peak)
 print(json.dumps(found))
 """
 
@@ -145,17 +147,16 @@ def test_a_file_in_zstd_is_read_and_a_bomb_of_one_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("scale", [10.0, 0.1])
-def test_an_outline_that_is_not_that_of_the_cells_is_replaced(tmp_path: Path, scale: float) -> None:
+def test_an_outline_that_is_not_that_of_the_cells_is_refused(tmp_path: Path, scale: float) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         writer.write_shape("7", ObjectShape(L_SHAPE.cells, scale * L_SHAPE.outline), 1.0)
         write_push(writer, 2.0)
     contents = read_bag(tmp_path / "bag")
-    shape = contents.objects["7"].shape
-    assert shape is not None and np.ptp(shape.outline[:, 0]) == pytest.approx(0.06, abs=0.005)
-    assert any("times the area of its cells; it is traced" in note for note in contents.notes)
+    assert contents.objects["7"].shape is None
+    assert any("outline" in note for note in contents.notes)
 
 
-def test_an_outline_that_crosses_itself_is_replaced(tmp_path: Path) -> None:
+def test_an_outline_that_crosses_itself_is_refused(tmp_path: Path) -> None:
     crossed = L_SHAPE.outline[[0, 2, 1, 3, 4, 5]]
     with BagWriter(tmp_path / "bag") as writer:
         writer.write_shape("7", ObjectShape(L_SHAPE.cells, crossed), 1.0)

@@ -105,7 +105,7 @@ CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] 
 
 
 @pytest.mark.parametrize("name", CONVERSIONS)
-@settings(max_examples=400, deadline=None, derandomize=True, database=None)
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_any_message_is_converted_or_refused(name: str, seed: int) -> None:
     base, convert, keeps = CONVERSIONS[name]

@@ -13,4 +13,4 @@ CASES = sorted((Path(__file__).parent / "bag_cases").glob("*.json"))
 def test_failures_that_were_found_do_not_return_and_a_sample_of_mutants_is_survived() -> None:
     sample = [("identify", recipe) for recipe in (draw(3, number) for number in range(60)) if recipe.source in ("mcap", "sqlite3")]
     assert CASES
-    assert failures_of([*(read_recipe(path) for path in CASES), *sample[:16]]) == []
+    assert failures_of([*(read_recipe(path) for path in CASES), *sample[:6]]) == []
