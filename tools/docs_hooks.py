@@ -34,6 +34,7 @@ import document_python  # noqa: E402
 ROOT_DOCUMENTS = {
     "README.md": "index.md",
     "ARCHITECTURE.md": "architecture.md",
+    "SAFETY.md": "safety.md",
     "CONVENTIONS.md": "reference/conventions.md",
     "bags/README.md": "reference/bags.md",
 }

@@ -39,7 +39,7 @@ def test_every_node_lives_answers_and_works_through_earlier_failures_and_a_sampl
     # What must be refused is counted by the node.
     assert by_node["identification_node"]["refused"] >= 4
     subscribed = by_node["push_executor_node"]["topics"]
-    assert {"/joint_states", "/objects/box/pose", "/robot_description"} <= set(subscribed)
+    assert {"/joint_states", "/objects/box/pose"} <= set(subscribed)
 
 
 def _copied(folder: Path) -> Path:

@@ -23,6 +23,7 @@ TYPES = (
     "rcl_interfaces/msg/ParameterEvent",
     "push_ident_msgs/msg/MassFrictionMap",
     "push_ident_msgs/msg/HandCommand",
+    "unique_identifier_msgs/msg/UUID",
 )
 
 

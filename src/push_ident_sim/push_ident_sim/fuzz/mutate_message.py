@@ -166,7 +166,9 @@ def _other_text(value: str, path: Path, rng: random.Random) -> str:
 
 
 def _other_array(value: Any, path: Path, kind: FieldType, rng: random.Random) -> Any:
-    items = list(value) if len(value) < 4096 or kind.size is not None else value
+    # `tolist`, as a message refuses the integers of numpy.
+    plain = value.tolist if hasattr(value, "tolist") else lambda: list(value)
+    items = plain() if len(value) < 4096 or kind.size is not None else value
     if kind.size is not None or (len(items) and rng.randrange(2)):
         return _other_elements(items, path, kind, rng)
     how = rng.randrange(8)

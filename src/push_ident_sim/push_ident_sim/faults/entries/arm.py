@@ -217,7 +217,6 @@ FAULTS: Final = (
         run=_arm_silent,
         cell=ARM_CELL,
         within=0.1,
-        fast=True,
     ),
     Fault(
         number=16,
