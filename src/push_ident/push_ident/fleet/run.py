@@ -126,8 +126,8 @@ def _start(address: str, workers: int, scratch: str) -> Any:
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
     here: dict[str, Any] = {}
     if not address:
-        # Ray replaces 127.0.0.1 by an address of the network unless it is told, by this variable of other systems, that there are no
-        # clusters here; then its servers listen on loopback. Its folder has a random name and is for this user only.
+        # The switch of Ray for clusters on Windows and macOS; off, its servers stay on 127.0.0.1 here, too, instead of an address of the
+        # network. Its folder has a random name and is for this user only.
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
         here = {
             "num_cpus": workers or os.cpu_count() or 1,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import uuid
 from collections import deque
 from collections.abc import Callable
 from types import TracebackType
@@ -11,6 +12,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 import rclpy
+from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Path
@@ -38,6 +40,10 @@ __all__ = ["CellClient", "CellTimeout"]
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _POLL: Final = 0.02
+_ASK_AGAIN: Final = 0.5
+"""Time for an answer before a server is asked again [s]; one that was discovered answers within milliseconds."""
+_DISCOVERY: Final = 20.0
+"""Longest time for a server to discover this node [s], as for the answers to requests."""
 T = TypeVar("T")
 
 
@@ -69,6 +75,10 @@ class CellClient:
         self._topics = ObjectTopics(self.node, self._on_new_object)
         self._push = ActionClient(self.node, ExecutePush, "execute_push")
         self._diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
+        # After the actions: whoever answers these has discovered the ends of the actions as well.
+        self._probes = {
+            name: self.node.create_client(CancelGoal, f"{name}/_action/cancel_goal") for name in ("execute_push", "diagnose_gap")
+        }
         self._predict = self.node.create_client(PredictPush, "predict_push")
         self._save = self.node.create_client(SaveModel, "save_model")
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
@@ -192,6 +202,7 @@ class CellClient:
             CellTimeout: The action is not served, the goal was refused, or the executor sent no more feedback.
         """
         self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
+        self._discover("execute_push")
         heard = time.monotonic()
 
         def feedback(msg: Any) -> None:
@@ -216,6 +227,7 @@ class CellClient:
             CellTimeout: The action is not served, refused the goal, or took longer than `timeout` [s].
         """
         self.wait(self._diagnose.server_is_ready, 20.0, "the action diagnose_gap is not served; is gap_diagnosis_node running?")
+        self._discover("diagnose_gap")
         handle = self._answer(lambda: self._diagnose.send_goal_async(goal), 20.0, "diagnose_gap did not answer within 20 s")
         if not handle.accepted:
             raise CellTimeout("diagnose_gap refused the goal; is a diagnosis under way?")
@@ -237,6 +249,26 @@ class CellClient:
         if not answer.success:
             raise PushIdentError(f"{name}: {answer.message}")
         return answer
+
+    def _discover(self, action: str) -> None:
+        """Wait until the server of an action can answer this node.
+
+        A server that has not discovered the reading end of a client drops its answers, and a goal must not be sent twice. To cancel a goal
+        that nobody has changes nothing, so that is asked until it is answered.
+        """
+        nobodys = CancelGoal.Request()
+        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        deadline = time.monotonic() + _DISCOVERY
+        while True:
+            asked: Future = self._executor.create_task(lambda: self._probes[action].call_async(nobodys))
+            again = time.monotonic() + _ASK_AGAIN
+            while time.monotonic() < again:
+                self._check()
+                if asked.done() and asked.result().done():
+                    return
+                time.sleep(_POLL)
+            if time.monotonic() > deadline:
+                raise CellTimeout(f"the server of {action} did not answer within {_DISCOVERY:.0f} s; see the log of its node")
 
     def _answer(self, ask: Callable[[], Future], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> Any:
         # The request is made in the thread that spins: otherwise the answer may arrive before the request is registered, and is dropped.

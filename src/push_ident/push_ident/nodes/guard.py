@@ -18,7 +18,7 @@ __all__ = ["Guard", "is_guarded"]
 _LOG_PERIOD: Final = 5.0
 """Shortest time between two log lines about one source [s]."""
 _N_SOURCES: Final = 100
-"""Sources that are told apart; the graph of a cell may grow new topics without end."""
+"""Largest number of sources with a count of their own, so that memory stays bounded; further ones share a count."""
 _OTHERS: Final = "other sources"
 _MARK: Final = "guarded_source"
 
