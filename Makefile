@@ -35,8 +35,8 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment report
 
-MINUTES ?= 24
-fuzz: setup  ## mutated messages for every node and mutated bags for every command, MINUTES=24; then docs/results/fuzzing.md
+MINUTES ?= 40
+fuzz: setup  ## mutated messages for every node and mutated bags for every command, MINUTES=40; then docs/results/fuzzing.md
 	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page

@@ -19,7 +19,7 @@ _OUT = Path("out/fuzz")
 
 
 def fuzz_command(
-    minutes: Annotated[float, typer.Option(min=0.1, help="In all; half of it each for messages and bags.")] = 24.0,
+    minutes: Annotated[float, typer.Option(min=0.1, help="In all; half of it each for messages and bags.")] = 40.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the mutations.")] = 0,
     only: Annotated[str, typer.Option(metavar="KIND", help="messages or bags. Default: both.", show_default=False)] = "",
     node: Annotated[
@@ -31,7 +31,10 @@ def fuzz_command(
         typer.Option(metavar="DIR", help="Minimised failures: those there are tried first, new ones are written.", show_default=False),
     ] = None,
     json: JsonOption = None,
-    page: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the page of the results.", show_default=False)] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the page, and its numbers beside it; those of the other kind stay.", show_default=False),
+    ] = None,
 ) -> None:
     """Mutated messages for every node, which must live, answer and still work; mutated bags for every command that reads one."""
     if only and only not in _KINDS:
@@ -41,21 +44,21 @@ def fuzz_command(
     if "messages" in kinds:
         run = sim_module("push_ident_sim.fuzz.run")
         settings = run.Settings(minutes=minutes / len(kinds), seed=seed, nodes=run.nodes_of(tuple(node or ())), out=out, cases=cases)
-        content |= run.fuzz_messages(settings, _show)
-        _show(f"{content['mutated']} mutated messages in {content['minutes']} minutes, seed {seed}")
+        messages = content["messages"] = run.fuzz_messages(settings, _show)
+        _show(f"{messages['mutated']} mutated messages in {messages['minutes']} minutes, seed {seed}")
     if "bags" in kinds:
         summary = sim_module("push_ident_sim.fuzz.bags").fuzz_bags(
             minutes=minutes / len(kinds), seed=seed, cases=cases and cases / "bags", on_progress=_show
         )
-        content["bags"] = {"mutants": summary.mutants, "findings": [finding.to_json() for finding in summary.findings]}
+        content["bags"] = summary.to_json()
         _show(f"{summary.mutants} mutated bags, seed {seed}")
     if json is not None:
         write_json(json, content)
         _show(f"written: {json}")
-    if page is not None and "messages" in kinds:
+    if page is not None:
         sim_module("push_ident_sim.fuzz.page").write_page(page, content)
         _show(f"written: {page}")
-    failures = [f"{finding['node']}: {finding['text']} ({finding['file']})" for finding in content.get("findings", ())]
+    failures = [f"{finding['node']}: {finding['text']} ({finding['file']})" for finding in content.get("messages", {}).get("findings", ())]
     failures += [f"{finding['command']}: {finding['failure']}" for finding in content.get("bags", {}).get("findings", ())]
     for failure in failures:
         warn(plain_text(failure))

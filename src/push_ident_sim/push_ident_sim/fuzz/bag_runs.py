@@ -21,11 +21,11 @@ from typing import Any, Final
 __all__ = ["COMMANDS", "Run", "commands_for", "judge", "run_forked"]
 
 MAX_SECONDS: Final = 10.0
-"""Longest time of a command on a bag of at most 100 MB, of the processor and, with the rest of the machine idle, of the clock [s]."""
+"""Longest time of the processor that a command may take on a bag of at most 100 MB [s]."""
 MAX_MEMORY: Final = 1_000_000
 """Largest resident memory [kB]."""
-_PATIENCE: Final = 40.0
-"""Time of the clock after which a run is killed: other processes may share the machine [s]."""
+_PATIENCE: Final = 300.0
+"""Time of the clock after which a run is killed: one that waits for ever [s]. Far longer, as others may share the machine."""
 _ADDRESS_SPACE: Final = 8 << 30
 """So much a run can take before it fails, so that the machine survives [bytes]."""
 _MAX_TRAINING_ERROR: Final = 0.05

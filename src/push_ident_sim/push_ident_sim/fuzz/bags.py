@@ -58,6 +58,11 @@ class BagFuzzSummary:
     """Command -> largest resident memory [kB]."""
     findings: list[BagFinding] = field(default_factory=list)
 
+    def to_json(self) -> dict[str, Any]:
+        """All of it, with the load of the machine."""
+        numbers = {name: getattr(self, name) for name in self.__slots__ if name != "findings"}
+        return {"load": round(os.getloadavg()[2], 1), **numbers, "findings": [finding.to_json() for finding in self.findings]}
+
     def add(self, other: dict[str, Any]) -> None:
         """Count one run: `command, verdict, cpu, memory`."""
         command = other["command"]

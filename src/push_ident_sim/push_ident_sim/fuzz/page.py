@@ -1,28 +1,57 @@
-"""The page of the results of fuzzing."""
+"""The page of the results of fuzzing, and its numbers as JSON beside it."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from push_ident.files import write_whole
+from push_ident_sim.studies.common.files import read_json, write_json
 
 __all__ = ["write_page"]
 
+_HEAD: Final = """# Fuzzing
+
+Made by `make fuzz` (`push-ident fuzz --page {page}`). `--only messages` or `--only bags` replaces one half of the page. A failure is
+minimised, stored in `test/push_ident_sim/fuzz/cases`, and tried again by the tests.
+"""
+
+_MESSAGES: Final = """## Messages
+
+Every node runs as a process of its own with valid traffic around it. In between come messages with mutated fields or bytes on every
+topic it subscribes to, and mutated requests to every service it offers, those of actions, parameters and lifecycle included. After each
+batch the node must answer a question; after each 400 messages it must do its work: learn a valid push, give a pose, push without a
+command beyond the limits.
+
+Seed {seed}, {minutes:.0f} minutes, load of the machine {load}: **{mutated:,} mutated messages, {failures} failures.**
+"""
+
+_BAGS: Final = """## Bags
+
+Bags of every format that can be read, with mutated messages, records, containers and bytes, go through every command that reads one. A
+failure is a traceback, more than 10 s of the processor, more than 1 GB of memory, a refusal without a reason, or a success with a
+number that is not finite, a negative cell, or a fit that is said to have converged and misses its own pushes by more than 5 cm.
+
+Seed {seed}, load of the machine {load}: **{mutants:,} mutated bags, {runs:,} runs of commands, {failures} failures.**
+"""
+
 
 def write_page(path: Path, content: dict[str, Any]) -> None:
-    """Write counts by node and topic, findings and how to do it again."""
+    """Write the page. `content` has the results of `messages`, of `bags`, or both; what it lacks is taken from the JSON beside the page."""
+    numbers = path.with_suffix(".json")
+    known: dict[str, Any] = (read_json(numbers) if numbers.exists() else {}) | {k: content[k] for k in ("messages", "bags") if k in content}
+    parts = [_HEAD.format(page=path)]
+    if "messages" in known:
+        parts += _messages(known["messages"])
+    if "bags" in known:
+        parts += _bags(known["bags"])
+    write_json(numbers, known)
+    write_whole(path, "\n".join(parts) + "\n", "the page")
+
+
+def _messages(content: dict[str, Any]) -> list[str]:
     lines = [
-        "# Fuzzing",
-        "",
-        "Made by `make fuzz`, which runs `push-ident fuzz`. Every node runs as a process of its own with valid traffic around it. In",
-        "between come messages with mutated fields or bytes on every topic it subscribes to, and mutated requests to every service it",
-        "offers, those of actions, parameters and lifecycle included. After each batch the node must answer a question; after each 400",
-        "messages it must do its work: learn a valid push, give a pose, push without a command beyond the limits.",
-        "",
-        f"Seed {content['seed']}, {content['minutes']} minutes, load of the machine {content['load']}: "
-        f"**{content['mutated']} mutated messages, {len(content['findings'])} failures.**",
-        "",
+        _MESSAGES.format(**content | {"failures": len(content["findings"])}),
         "| node | mutated | of them requests | valid between | refused | worked | longest answer [s] | memory [MB] | failures |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -32,6 +61,25 @@ def write_page(path: Path, content: dict[str, Any]) -> None:
             f"| `{node['node']}` | {node['mutated']} | {requests} | {node['valid']} | {node['refused']} | {node['works']} times | "
             f"{node['worst_answer']:.2f} | {node['memory_growth']:+.0f} | {len(node['failures'])} |"
         )
-    lines += ["", "## By topic", "", "| node | topic | mutated messages |", "|---|---|---|"]
+    lines += ["", "### By topic", "", "| node | topic | mutated messages |", "|---|---|---|"]
     lines += [f"| `{node['node']}` | `{topic}` | {n} |" for node in content["nodes"] for topic, n in node["topics"].items()]
-    write_whole(path, "\n".join(lines) + "\n", "the page")
+    return [*lines, ""]
+
+
+def _bags(content: dict[str, Any]) -> list[str]:
+    verdicts = {command: found for command, found in content["verdicts"].items() if command != "make"}
+    runs = sum(sum(found.values()) for found in verdicts.values())
+    lines = [
+        _BAGS.format(**content | {"failures": len(content["findings"]), "runs": runs}),
+        "| command | runs | refused | succeeded | failures | longest [s of the processor] | most memory [MB] |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for command, found in sorted(verdicts.items()):
+        n, refused, succeeded = sum(found.values()), found.get("refused", 0), found.get("succeeded", 0)
+        lines.append(
+            f"| `{command}` | {n} | {refused} | {succeeded} | {n - refused - succeeded} | {content['worst_seconds'][command]:.1f} | "
+            f"{content['worst_memory'][command] / 1e3:.0f} |"
+        )
+    lines += ["", "| source | mutated bags |", "|---|---|", *(f"| {name} | {n} |" for name, n in sorted(content["by_source"].items()))]
+    lines += ["", "| mutation | times |", "|---|---|", *(f"| {name} | {n} |" for name, n in sorted(content["by_mutation"].items()))]
+    return lines
