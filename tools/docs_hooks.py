@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import document_commands  # noqa: E402
 import document_effects  # noqa: E402
+import document_limits  # noqa: E402
 import document_messages  # noqa: E402
 import document_nodes  # noqa: E402
 import document_policy  # noqa: E402
@@ -43,6 +44,7 @@ ROOT_DOCUMENTS = {
 GENERATED: dict[str, Callable[[], str]] = {
     "reference/commands.md": document_commands.document,
     "reference/effects.md": document_effects.document,
+    "reference/limits.md": document_limits.document,
     "reference/messages.md": document_messages.document,
     "reference/nodes.md": document_nodes.document,
     "reference/policy.md": document_policy.document,

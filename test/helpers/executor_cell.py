@@ -7,18 +7,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.action import ActionClient
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
@@ -239,25 +236,6 @@ CONTACT = {
     "distance": 0.06,
     "speed": 0.2,
 }
-
-
-@contextmanager
-def spinning_cell(domain: int) -> Iterator[Cell]:
-    """A cell whose callbacks run in a thread of their own."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    cell = Cell(context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(cell)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    try:
-        yield cell
-    finally:
-        executor.shutdown()
-        thread.join(2.0)
-        cell.destroy_node()
-        context.try_shutdown()
 
 
 class Stalls:

@@ -22,6 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from helpers.domains import own_domain
+from push_ident.bags.opening import open_bag
 from push_ident.bags.salvage import salvage
 from push_ident.nodes.convert import position_to_msg
 from push_ident.nodes.recording_port import RECORDING_QOS
@@ -80,12 +81,12 @@ def user() -> Iterator[User]:
     user.close()
 
 
-def record(user: User, bag: Path, *, most_bytes: int | None = None, min_free_mib: int = 1) -> subprocess.Popen[str]:
+def record(user: User, bag: Path, *, most_bytes: int | None = None, min_free_mib: int = 1, numbered: bool = False) -> subprocess.Popen[str]:
     def limit() -> None:
         if most_bytes is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
-    parameters = ["-p", f"bag:={bag}", "-p", f"min_free_mib:={min_free_mib}"]
+    parameters = ["-p", f"bag:={bag}", "-p", f"min_free_mib:={min_free_mib}", "-p", f"numbered:={str(numbered).lower()}"]
     return subprocess.Popen(
         [sys.executable, "-m", "push_ident.nodes", "bag_recorder_node", "--ros-args", *parameters],
         env=os.environ | {"ROS_DOMAIN_ID": str(user.domain)},
@@ -163,3 +164,33 @@ def test_kill_loses_no_more_than_a_second(user: User, tmp_path: Path) -> None:
         process.kill()
         process.communicate(timeout=5.0)
     assert salvage(tmp_path / "bag", tmp_path / "copy").total >= sent_before
+
+
+def test_recorder_started_again_after_its_death_begins_the_next_bag_and_keeps_the_first(user: User, tmp_path: Path) -> None:
+    killed = record(user, tmp_path / "bag", numbered=True)
+    try:
+        user.wait_for(lambda: user.said, 20.0)
+        user.send(50)
+    finally:
+        killed.kill()
+        killed.communicate(timeout=5.0)
+    first = sorted((path, path.read_bytes()) for path in (tmp_path / "bag").rglob("*") if path.is_file())
+    user.said.clear()
+    again = record(user, tmp_path / "bag", numbered=True)
+    try:
+        user.wait_for(lambda: user.said, 20.0)
+        for _ in range(20):  # the subscription of the killed one is still counted for a while
+            user.send(5)
+            time.sleep(0.1)
+    finally:
+        end(again)
+    assert sorted((path, path.read_bytes()) for path in (tmp_path / "bag").rglob("*") if path.is_file()) == first
+    with open_bag(tmp_path / "bag_2") as bag:
+        assert sum(1 for _ in bag.raw_messages()) >= 5
+
+
+def test_bag_that_exists_is_refused_by_a_recorder_that_is_not_numbered(user: User, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    process = record(user, tmp_path / "bag")
+    output, _ = process.communicate(timeout=20.0)
+    assert process.returncode == 1 and "exists already and is not overwritten" in output

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceSta
 from nav_msgs.msg import OccupancyGrid
 from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -25,6 +23,7 @@ from std_srvs.srv import Trigger
 from helpers.domains import own_domain
 from helpers.executor_cell import BOX, CONTACT, Cell, send, start_node, summary, wait_for
 from helpers.node_process import NodeProcess, Talker, node_commands
+from helpers.spinning import spinning
 from push_ident.errors import InputError
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.nodes.bag_player_node import BagPlayerNode
@@ -314,30 +313,20 @@ def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(t
 @pytest.mark.alone
 def test_a_wrong_pose_in_the_middle_of_a_push_ends_neither_the_push_nor_the_executor() -> None:
     domain = own_domain()
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    cell = Cell(context)
-    spinner = SingleThreadedExecutor(context=context)
-    spinner.add_node(cell)
-    thread = threading.Thread(target=spinner.spin, daemon=True)
-    thread.start()
-    process = start_node(domain)
-    try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
-        call = send(cell, **CONTACT)
-        wait_for(lambda: cell.pusher)
-        wrong = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
-        wait_for(lambda: wrong.get_subscription_count() > 0)
-        for message in wrong_poses().values():
-            wrong.publish(message)
-        assert call.end().error_code == 0
-        wait_for(lambda: "last refusal: /objects/box/pose" in summary(cell.diagnostics[-1]))
-        assert process.poll() is None
-    finally:
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=10.0)
-        spinner.shutdown()
-        thread.join(2.0)
-        cell.destroy_node()
-        context.try_shutdown()
+    with spinning(Cell, domain) as cell:
+        process = start_node(domain)
+        try:
+            wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
+            call = send(cell, **CONTACT)
+            wait_for(lambda: cell.pusher)
+            wrong = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+            wait_for(lambda: wrong.get_subscription_count() > 0)
+            for message in wrong_poses().values():
+                wrong.publish(message)
+            assert call.end().error_code == 0
+            wait_for(lambda: "last refusal: /objects/box/pose" in summary(cell.diagnostics[-1]))
+            assert process.poll() is None
+        finally:
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate(timeout=10.0)
     assert process.returncode == 0 and "Traceback" not in output, output

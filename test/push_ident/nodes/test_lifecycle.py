@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
 
 import pytest
-import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import ListParameters, SetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from helpers.domains import own_domain
 from helpers.executor_cell import CONTACT, Cell, send, start_node, summary, wait_for
 from helpers.node_process import NodeProcess, Talker, node_commands
+from helpers.spinning import spinning
 from push_ident.nodes.executables import NODES
 from push_ident.pushing.push import PushCode
 from push_ident_sim.executables import NODES as SIM_NODES
@@ -31,11 +28,6 @@ pytestmark = pytest.mark.alone
 ROUNDS = int(os.environ.get("PUSH_IDENT_LIFECYCLE_ROUNDS", "1"))
 """Of all transitions in all states, for each node; 100 take half an hour."""
 ALL = tuple({**NODES, **SIM_NODES})
-
-
-@pytest.fixture(scope="module")
-def domain() -> int:
-    return own_domain()
 
 
 @pytest.fixture(scope="module")
@@ -84,18 +76,8 @@ def test_every_transition_in_every_state_is_answered_and_the_node_lives(nodes: d
 
 @pytest.fixture
 def cell() -> Iterator[Cell]:
-    context = Context()
-    rclpy.init(context=context, domain_id=own_domain())
-    cell = Cell(context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(cell)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield cell
-    executor.shutdown()
-    thread.join(2.0)
-    cell.destroy_node()
-    context.try_shutdown()
+    with spinning(Cell, own_domain()) as cell:
+        yield cell
 
 
 def test_transitions_in_the_middle_of_a_push_hold_the_arm_first(cell: Cell) -> None:

@@ -10,17 +10,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
-import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -30,6 +27,7 @@ from shape_msgs.msg import SolidPrimitive
 from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, render
 from helpers.domains import own_domain
 from helpers.paths import CONFIG
+from helpers.spinning import spinning
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
@@ -115,33 +113,9 @@ def wait_for(condition: Callable[[], object], timeout: float = 10.0) -> None:
 
 
 @pytest.fixture(scope="module")
-def domain() -> int:
-    return own_domain()
-
-
-@pytest.fixture(scope="module")
 def camera(domain: int) -> Iterator[Camera]:
-    with camera_on(domain) as camera:
+    with spinning(Camera, domain) as camera:
         yield camera
-
-
-@contextmanager
-def camera_on(domain: int) -> Iterator[Camera]:
-    """A camera in a domain of its own."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    camera = Camera(context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(camera)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    try:
-        yield camera
-    finally:
-        executor.shutdown()
-        thread.join(2.0)
-        camera.destroy_node()
-        context.try_shutdown()
 
 
 def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
@@ -355,7 +329,7 @@ def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tm
     file = tmp_path / "camera.yaml"
     pose = ", ".join(str(value) for value in mark_pose)
     parameters = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
-    with camera_on(other) as camera:
+    with spinning(Camera, other) as camera:
         rng = np.random.default_rng(1)
         mark = [Prism(outline, 0.03).at(mark_pose)]
         camera.frames = [render(mark, rng=rng) for _ in range(4)]
@@ -379,7 +353,7 @@ def test_a_further_camera_helps_with_the_shape_and_a_missing_one_is_named(domain
     # As calibration writes it.
     lines = [*pose_lines(CAMERA), *pose_lines(SIDE, "side."), *pose_lines(SIDE, "wall."), "extra_cameras: [side, wall]"]
     file.write_text("/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines), encoding="utf-8")
-    with camera_on(other) as camera:
+    with spinning(Camera, other) as camera:
         rng = np.random.default_rng(3)
         camera.add("side", [render([prism.at(POSE) for prism in HAMMER], SIDE, rng=rng) for _ in range(4)])
         process = start(other, "--params-file", str(file), "-p", "rest_frames:=10")

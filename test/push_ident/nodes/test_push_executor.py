@@ -31,7 +31,6 @@ from helpers.executor_cell import (
     begin_push,
     is_hold,
     send,
-    spinning_cell,
     start_node,
     summary,
     wait_for,
@@ -48,17 +47,6 @@ from push_ident_msgs.msg import PushRecord
 from push_ident_sim.cell.sim_hand_node import SimHandNode
 
 pytestmark = pytest.mark.alone
-
-
-@pytest.fixture(scope="module")
-def domain() -> int:
-    return own_domain()
-
-
-@pytest.fixture(scope="module")
-def the_cell(domain: int) -> Iterator[Cell]:
-    with spinning_cell(domain) as cell:
-        yield cell
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from helpers.domains import own_domain
 from helpers.executor_cell import (
     CONTACT,
     QUICK,
@@ -19,7 +18,6 @@ from helpers.executor_cell import (
     begin_push,
     is_hold,
     send,
-    spinning_cell,
     start_node,
     summary,
     wait_for,
@@ -34,17 +32,6 @@ UNASKED = 0.1
 ACCELERATION = 10.0
 """Limit of every joint [rad/s^2]: the default of joint_acceleration_limits."""
 SLOW_PUSH = {"distance": 0.12, "speed": 0.1}
-
-
-@pytest.fixture(scope="module")
-def domain() -> int:
-    return own_domain()
-
-
-@pytest.fixture(scope="module")
-def the_cell(domain: int) -> Iterator[Cell]:
-    with spinning_cell(domain) as cell:
-        yield cell
 
 
 @pytest.fixture(scope="module")

@@ -81,6 +81,7 @@ def test_a_callback_that_never_returns_does_not_keep_the_process():
     output, _ = process.communicate(timeout=5.0)
     assert time.monotonic() - asked < 2.2
     assert process.returncode == 1 and "Traceback" not in output
+    assert "ended by force" in output and " tick" in output
 
 
 def test_a_node_that_cannot_start_gives_the_reason_in_one_line():

@@ -19,6 +19,7 @@ from push_ident.bags.reader import read_bag
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
+from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.network import listens_on
 from push_ident.offline.loading import most_pushed
@@ -53,8 +54,12 @@ def up_command(
         perception = not read_bag(bag).has_poses
     with TemporaryDirectory(prefix="push_ident_") as until_the_end:
         folder: dict[str, object] = {"state_directory": str((state or Path(until_the_end)).resolve())}
-        states = {name: folder for name in ("perception_node", "identification_node") if perception or name != "perception_node"}
-        commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=states)
+        own = {name: folder for name in ("perception_node", "identification_node") if perception or name != "perception_node"}
+        if record is not None:
+            if record.exists():
+                raise InputError(f"{record} exists already and is not overwritten; choose another name.")
+            own["bag_recorder_node"] = {"numbered": True}  # started again after its death, it must not refuse what it has written
+        commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=own)
         # A bag that is played again from its start would be another recording.
         restart = None if kind is CellKind.replay else RestartPolicy()
         raise typer.Exit(Supervisor(commands, console=console, restart=restart).run())

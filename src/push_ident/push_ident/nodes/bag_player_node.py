@@ -33,6 +33,8 @@ _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE, 
 _OBSERVED: Final = frozenset({Role.POSE, Role.DEPTH})
 _PUSHES: Final = frozenset({Role.PUSHER, Role.WRENCH, Role.PUSH_RECORD})
 _CLOCK_PERIOD_NS: Final = 10_000_000
+_LONGEST_PAUSE_NS: Final = 3600 * 10**9
+"""A longer time without any message is not waited for: a clock was set in the middle of the recording, or a stamp is wrong."""
 _DELIVERY: Final = 120.0
 """Longest wait for listeners to take the last messages [s]."""
 
@@ -157,10 +159,16 @@ class _BagPlayer(Component):
     def _play_once(self, stop: threading.Event) -> int:
         rate = self._settings["rate"]
         started, first, clocked, count = time.monotonic(), None, -(10**18), 0
+        latest = 0
         for message in raw_messages(self._path):
             if stop.is_set():
                 break
-            first = message.stamp_ns if first is None else first
+            if first is None:
+                first = latest = message.stamp_ns
+            if (pause := message.stamp_ns - latest) > _LONGEST_PAUSE_NS:
+                self._node.get_logger().warning(f"{self._path} has no message for {pause / 3.6e12:.3g} hours; that is skipped")
+                first += pause
+            latest = message.stamp_ns
             if rate > 0:
                 ahead = (message.stamp_ns - first) * 1e-9 / rate - (time.monotonic() - started)
                 if ahead > 0 and stop.wait(ahead):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import shutil
 from collections import Counter
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +35,7 @@ _IMAGES: Final = 60
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
+    Parameter("numbered", False, "Where `bag` exists, record to the first of bag_2, bag_3, ... that does not", read_only=True),
     Parameter("min_free_mib", 200, "free disk below which nothing is recorded, and a bag under way is closed [MiB]", 1, 10_000_000),
     Parameter("depth", True, "Record depth images too (some 18 MB/s before compression)", read_only=True),
     Parameter("camera_position", [0.0] * 3, "Optical frame in the table frame, written to the bag, x y z [m]", -10.0, 10.0, read_only=True),
@@ -46,7 +48,8 @@ class BagRecorderNode(CellNode):
 
     It publishes its status on the latched topic `recording`. When it cannot write any more, it closes the bag at once, which stays
     readable, and an executor that receives the status stops pushing. A node that is deactivated keeps its bag open; cleaned up, it closes
-    the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`.
+    the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`. So does a node that is started again after its death, if
+    it is `numbered`.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -57,10 +60,15 @@ class BagRecorderNode(CellNode):
         """A bag that is new."""
         if not self.settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to write, as -p bag:=PATH.")
-        path = Path(self.settings["bag"])
-        recorder = _BagRecorder(self, path if not self._n_bags else path.with_name(f"{path.name}_{self._n_bags + 1}"))
+        recorder = _BagRecorder(self, self._next_bag(Path(self.settings["bag"])))
         self._n_bags += 1
         return recorder
+
+    def _next_bag(self, path: Path) -> Path:
+        """The bag itself at first, whether it exists or not, unless it is numbered; else the first number that is free."""
+        if not self._n_bags and not (self.settings["numbered"] and path.exists()):
+            return path
+        return next(bag for k in count(2) if not (bag := path.with_name(f"{path.name}_{k}")).exists())
 
 
 class _BagRecorder(Component):

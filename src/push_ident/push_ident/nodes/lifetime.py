@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
@@ -105,6 +106,8 @@ class Lifetime:
         self.stop.set()
         time.sleep(self.patience)
         with self._lock:
+            if self._code == _NOT_STOPPED:
+                print(f"ended by force after {self.patience:g} s, in {_where_main_thread_is()}", file=sys.stderr, flush=True)
             self._end(self._code)
 
     def _end(self, code: int) -> NoReturn:
@@ -160,6 +163,13 @@ def _await_end(waiting: int, lifeline: int | None) -> bool:
             return True
         if any(number in STOP_SIGNALS for number in os.read(waiting, 64)):
             return False
+
+
+def _where_main_thread_is() -> str:
+    """The innermost functions of the main thread, for the log."""
+    frame = sys._current_frames().get(threading.main_thread().ident or 0)
+    calls = traceback.extract_stack(frame)[-4:] if frame is not None else []
+    return " > ".join(f"{os.path.basename(call.filename)}:{call.lineno} {call.name}" for call in calls) or "an unknown place"
 
 
 def _nothing(number: int, frame: object) -> None:

@@ -107,7 +107,7 @@ PARAMETERS: Final = (
 )
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STOP_WITHIN: Final = 1.0
-"""Longest wait for a thread at the end [s]."""
+"""Longest wait for both threads at the end [s]. A first rendering may take longer; nothing is lost with it."""
 _LAG: Final = 0.1
 """A simulation that is further behind its pace than this does not try to catch up [s]."""
 _SOON: Final = 0.1
@@ -209,8 +209,9 @@ class _SimCell(Component):
         """Stop both threads."""
         self._stop.set()
         self._running.set()
+        deadline = time.monotonic() + _STOP_WITHIN
         for thread in self._threads:
-            thread.join(_STOP_WITHIN)
+            thread.join(max(0.0, deadline - time.monotonic()))
         if not any(thread.is_alive() for thread in self._threads):
             self._world.close()
 

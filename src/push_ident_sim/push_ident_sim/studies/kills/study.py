@@ -39,6 +39,8 @@ _KILLED: Final = {
     "diagnosis": "gap_diagnosis_node",
 }
 """Node of each variant. `executor stopped` gets SIGSTOP, all others SIGKILL."""
+_COMMANDS_ARM: Final = ("executor", "executor stopped")
+"""Without the others the arm is still commanded, and its motion is not unasked for."""
 _N_KILLS: Final = 4
 """Of a case."""
 _UNASKED: Final = 0.1
@@ -265,8 +267,10 @@ def _tables(summary: Json) -> str:
         (
             "killed",
             "times",
+            "of them in motion",
             "stopped within 100 ms and braking",
             "stands after, max [ms]",
+            "told to hold after, max [ms]",
             "tool moves, max [mm]",
             "after 100 ms",
             "object",
@@ -278,8 +282,13 @@ def _tables(summary: Json) -> str:
             (
                 variant,
                 str(row["n"]),
-                f"{row['stopped']} of {row['n']}",
-                f"{1e3 * max(kill['still_s'] for kill in row['kills']):.0f}",
+                str(sum(kill["still_s"] > 0 for kill in row["kills"])),
+                *(
+                    (f"{row['stopped']} of {row['n']}", f"{1e3 * max(kill['still_s'] for kill in row['kills']):.0f}")
+                    if variant in _COMMANDS_ARM
+                    else ("–", "goes on")
+                ),
+                _latest_hold(row["kills"]) if variant == "perception" else "–",
                 *(
                     millimetres(max(kill[key] for kill in row["kills"] if kill[key] is not None), 1)
                     for key in ("tool_m", "tool_after_m", "object_m")
@@ -293,9 +302,14 @@ def _tables(summary: Json) -> str:
     )
 
 
+def _latest_hold(kills: Sequence[Json]) -> str:
+    """The latest command to hold after a kill [ms]; there is none after a kill at the very end of a push."""
+    return f"{1e3 * max(kill['hold_s'] or 0.0 for kill in kills):.0f}"
+
+
 def _draw(summary: Json, folder: Path) -> dict[str, str]:
     figure, (stops, moves) = new_figure(2)
-    for i, (variant, row) in enumerate(summary.items()):
+    for i, (variant, row) in enumerate((variant, row) for variant, row in summary.items() if variant in _COMMANDS_ARM):
         still = 1e3 * np.array([kill["still_s"] for kill in row["kills"]])
         allowed = 1e3 * np.array([_UNASKED + kill["braking_s"] for kill in row["kills"]])
         colour = list(COLOURS.values())[i % len(COLOURS)]
@@ -320,9 +334,9 @@ STUDY = Experiment(
         "Does the arm stop when a node is killed in the middle of a push, and is a push learned that was not made to its end? The "
         "simulated cell and the nodes, each a process, in real time. A node gets SIGKILL, or the executor SIGSTOP, at a random moment "
         "between the lowered tool and the planned end of the push; `whole` counts pushes with a record, `learned` those in the maps. "
-        "Without perception the executor loses the object and stops; identification and diagnosis do not command the arm, and the push "
-        "goes on. The time until the arm stands counts on the clock of the arm; 100 ms and braking is what the acceleration limits of "
-        "the joints need from their speed at the kill."
+        "Without perception the executor holds the arm once poses have been missing for a second; identification and diagnosis do not "
+        "command the arm, and the push goes on. The time until the arm stands counts on the clock of the arm; 100 ms and braking is what "
+        "the acceleration limits of the joints need from their speed at the kill."
     ),
     variants=tuple(_KILLED),
     run=_run,

@@ -1,0 +1,22 @@
+"""What the tests of a module share: a ROS domain, and a cell on it that the test plays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from helpers.domains import own_domain
+from helpers.executor_cell import Cell
+from helpers.spinning import spinning
+
+
+@pytest.fixture(scope="module")
+def domain() -> int:
+    return own_domain()
+
+
+@pytest.fixture(scope="module")
+def the_cell(domain: int) -> Iterator[Cell]:
+    with spinning(Cell, domain) as cell:
+        yield cell
