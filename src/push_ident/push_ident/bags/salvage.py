@@ -77,14 +77,19 @@ class _Records:
     def _intact(self, content: bytes, expansion: Expansion) -> Iterator[tuple[int, bytes | memoryview]]:
         try:
             data = memoryview(records.chunk_content(content))
-            for _ in records.chunk_records(data, Expansion("a chunk", expansion.file_size)):
-                pass
         except Exception:
-            # Decompressor and parser may raise any exception on damaged bytes; the whole chunk is lost.
+            # A decompressor may raise any exception on damaged bytes; the whole chunk is lost.
             self.damaged_chunks += 1
             return
         expansion.add(len(data))
-        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data, expansion))
+        try:
+            for _ in records.chunk_records(data, expansion):
+                pass
+        except BagError:
+            self.damaged_chunks += 1
+            return
+        again = Expansion(expansion.what, expansion.file_size)
+        yield from ((operation, data[start:end]) for operation, start, end in records.chunk_records(data, again))
 
 
 def count_recoverable(path: Path) -> int | None:

@@ -21,6 +21,8 @@ _INTEGERS: Final = (0, 1, -1, 2, 127, 255, 65535, 10_000, 10**6, 2**31 - 1, -(2*
 _STRINGS: Final = ("", "x" * 5000, "[/x]", "[bold]", "<b>&", "../../x", "a\nb", "\x1b[31m", "\u202etable", "o1", "0", "base_link", "'\"")
 _TOPICS: Final = ("/objects/[x]/pose", "/objects/2/cells", "/b/pusher/pose", "/x", "/objects/<b>/outline", "pusher/pose", "/push_record")
 _SECOND: Final = 10**9
+_MOST_ADDED: Final = 500_000_000
+"""Content of added messages; compressed to a tenth, as depth images are, the bag stays below the 100 MB that limits are for [bytes]."""
 
 Place = tuple[Any, Any]
 """A container and the name, or number, of one value in it."""
@@ -203,6 +205,8 @@ def _drop(messages: list[Message], rng: Generator) -> None:
 def _duplicate(messages: list[Message], rng: Generator) -> None:
     times = int(rng.choice([1, 10, 500]))
     extra = _some(messages, rng)[: max(1, 20_000 // times)]
+    while times * sum(len(m.data) for m in extra) > _MOST_ADDED:
+        extra = extra[: len(extra) // 2]
     messages += [Message(m.topic, m.msgtype, m.stamp_ns, m.data) for _ in range(times) for m in extra]
 
 
