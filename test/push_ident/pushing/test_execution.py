@@ -63,6 +63,8 @@ class Cell:
         self.rivals_found: tuple[str, ...] = ()
         self.pose_received = 100.0
         self.pose = self.box.copy()
+        self.pose_std = np.zeros(3)
+        self.rng = np.random.default_rng(0)
         self.step()
 
     # ---- the world
@@ -81,7 +83,7 @@ class Cell:
             q = self.q + self.offset
             self.state = ArmState(self.time, q, self.planner.forward(q), self.time)
         if not self.is_hidden:
-            self.pose, self.pose_received = self.box.copy(), self.time
+            self.pose, self.pose_received = self.box + self.pose_std * self.rng.normal(size=3), self.time
 
     # ---- clock
 
@@ -153,7 +155,8 @@ class Cell:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}`.")
         if self.time - self.pose_received > max_age:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, "the pose is too old.")
-        return TrackedObject("box", ObjectShape(cells_in_outline(BOX, 0.01), BOX), self.pose_received, self.pose)
+        shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
+        return TrackedObject("box", shape, self.pose_received, self.pose, np.diag(self.pose_std**2))
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         return []
@@ -265,6 +268,17 @@ def test_object_that_stays_is_no_contact(bench: Bench) -> None:
     outcome = bench.push()
     assert code_of(outcome) == PushCode.NO_CONTACT and outcome.push_id == 1
     assert bench.pushes[0].error is outcome.error
+
+
+def test_noise_of_the_poses_is_no_contact_and_the_record_says_what_the_result_says(bench: Bench) -> None:
+    bench.cell.pose_std = np.array([2e-3, 2e-3, 0.02])
+    bench.cell.is_box_fixed = True
+    for number in range(3):
+        outcome = bench.push()
+        assert code_of(outcome) == PushCode.NO_CONTACT
+        assert bench.pushes[number].error is outcome.error
+    bench.cell.is_box_fixed = False
+    assert code_of(bench.push()) == PushCode.NONE and bench.pushes[3].error is None
 
 
 def test_cancel_halts_the_arm_on_its_path(bench: Bench) -> None:

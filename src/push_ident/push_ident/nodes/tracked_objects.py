@@ -34,7 +34,7 @@ class TrackedObjects:
         self._group = callback_group
         self._stamps = StampCheck()
         self._shape_input = ShapeInput()
-        self._poses: dict[str, tuple[float, Float64Array, float]] = {}
+        self._poses: dict[str, tuple[float, Float64Array, Float64Array, float]] = {}
         self._shapes: dict[str, ObjectShape] = {}
         self._topics = ObjectTopics(node, self._subscribe, callback_group=callback_group)
 
@@ -56,11 +56,11 @@ class TrackedObjects:
             object_id = self.ids[0]
         if object_id not in self.ids:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}` with pose and cells; known: {known}.")
-        stamp, pose, received = self._poses[object_id]
+        stamp, pose, covariance, received = self._poses[object_id]
         age = time.monotonic() - received
         if age > max_age:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, f"the pose of `{object_id}` was received {age:.1f} s ago, limit {max_age:.1f} s.")
-        return TrackedObject(object_id, self._shapes[object_id], stamp, pose)
+        return TrackedObject(object_id, self._shapes[object_id], stamp, pose, covariance)
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
@@ -75,9 +75,9 @@ class TrackedObjects:
             self._node.create_subscription(kind, f"objects/{object_id}/{name}", callback, qos, callback_group=self._group)
 
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
-        stamp, pose, _ = planar_pose_from_msg(msg)
+        stamp, pose, covariance = planar_pose_from_msg(msg)
         self._stamps.check(object_id, stamp)
-        self._poses[object_id] = (stamp, pose, time.monotonic())
+        self._poses[object_id] = (stamp, pose, covariance, time.monotonic())
 
     def _on_shape(self, object_id: str, **part: Any) -> None:
         shape = self._shape_input.add(object_id, **part)

@@ -12,11 +12,12 @@ import numpy as np
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
-from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.motion import ArmMotion, ArmPlan, MotionSettings, plan_push, plan_retreat
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.resting import RestingPose, displacement
 from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
 from push_ident.pushing.watch import ArmWatch, WatchLimits
 from push_ident.types import Float64Array
@@ -114,7 +115,13 @@ class ExecutedPush:
     """Tells when which part of the plan was reached."""
     is_reported: bool = False
     """Whether its record was handed out."""
+    rest_before: RestingPose = field(default_factory=RestingPose)
+    """Of the object."""
+    rest_after: RestingPose = field(default_factory=RestingPose)
     _last: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        self.rest_before.add(self.before.stamp, self.before.pose, self.before.covariance)
 
     def observe(self, state: ArmState) -> None:
         """Process one state of the lowered tool: the contact is where it passes the planned point."""
@@ -124,6 +131,13 @@ class ExecutedPush:
             stamp_before, travel_before = self._last
             self.contact = stamp_before + (stamp - stamp_before) * travel_before / (travel_before - travel)
         self._last = (stamp, travel)
+
+    def observe_object(self, now: TrackedObject) -> None:
+        """Process the latest pose of the object: it rests until the tool is lowered, and after the tool has stopped."""
+        if now.stamp <= self._reached(self.plan.lowered):
+            self.rest_before.add(now.stamp, now.pose, now.covariance)
+        elif now.stamp > self._reached(self.plan.stop):
+            self.rest_after.add(now.stamp, now.pose, now.covariance)
 
     def times(self) -> tuple[float, float, float]:
         """Start, stop and end of the push [s]. A phase that was not reached has the time of the end."""
@@ -411,10 +425,11 @@ class _Execution:
         def on_look(elapsed: float, state: ArmState) -> None:
             nonlocal reported
             self.owner.is_pushing = push.plan.lowered <= elapsed <= push.plan.rested
+            push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
             if self.owner.is_pushing:
                 push.observe(state)
                 self._check_object(push)
-            elif elapsed > push.plan.rested and self._why_no_contact(push) == "":
+            elif elapsed > push.plan.rested and not self._why_no_contact(push):
                 # A push is whole when the object was seen at rest after it; the way home is no part of it.
                 push.ended = self.ports.clock.now()
                 self._report(push)
@@ -470,25 +485,24 @@ class _Execution:
         """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived after the push."""
         clock = self.ports.clock
         deadline = clock.monotonic() + self.settings.pose_timeout
-        while (reason := self._why_no_contact(push)) is None:
+        while not push.is_reported and (reason := self._why_no_contact(push)):
             self.owner.check_open()
+            if push.rest_after.n:
+                raise PlanningError(PushCode.NO_CONTACT, reason)
             if clock.monotonic() > deadline:
                 raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{push.before.object_id}` after the push.")
             clock.sleep(_POLL)
-        if reason:
-            raise PlanningError(PushCode.NO_CONTACT, reason)
+            push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
 
-    def _why_no_contact(self, push: ExecutedPush) -> str | None:
-        """Why a push that was made did not move the object; empty if it did, None before a pose after the push has arrived."""
-        assert push.pacing is not None
-        before, after = push.before, self.ports.objects.get(push.before.object_id, np.inf)
-        if after.stamp <= push.pacing.time_of(push.plan.stop):
-            return None
-        shift = float(np.linalg.norm(after.pose[:2] - before.pose[:2]))
-        turn = abs(float(wrap_angle(after.pose[2] - before.pose[2])))
-        if shift > self.settings.min_object_shift or turn > self.settings.min_object_turn:
+    def _why_no_contact(self, push: ExecutedPush) -> str:
+        """Why a push that was made did not move the object, as far as its poses tell; empty if it did."""
+        if not push.rest_after.n:
+            return "The object was not seen after the push."
+        shift, turn, is_beyond_noise = displacement(push.rest_before, push.rest_after)
+        is_large = shift > self.settings.min_object_shift or turn > self.settings.min_object_turn
+        if is_large and is_beyond_noise:
             return ""
-        return f"`{before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
+        return f"`{push.before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
 
 
 def phase_of(plan: ArmPlan, elapsed: float) -> Phase:

@@ -56,6 +56,8 @@ class TrackedObject:
     """Of the pose [s]."""
     pose: Float64Array
     """(x, y, yaw) in the table frame [m, m, rad]."""
+    covariance: Float64Array
+    """Of the pose, shape (3, 3)."""
 
 
 class Phase(IntEnum):

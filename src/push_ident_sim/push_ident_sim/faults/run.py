@@ -7,15 +7,20 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from push_ident.errors import PushIdentError
 from push_ident_sim.faults.fault import Fault, Impossible, Trial
 from push_ident_sim.faults.harness import oracles
 from push_ident_sim.faults.harness.cell import Cell, CellPlan, live_cell
 from push_ident_sim.faults.harness.hold import Hold
+from push_ident_sim.faults.harness.monitor import until
 from push_ident_sim.faults.harness.priority import urgent
 
 __all__ = ["FaultResult", "run_faults", "try_fault"]
+
+_LEARNED: Final = 30.0
+"""For identification to answer with a model [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +113,18 @@ def try_fault(fault: Fault, cell: Cell | None, folder: Path) -> FaultResult:
     return FaultResult(fault, tuple(trial.failures), impossible, trial.held, trial.lost, trial.note, took)
 
 
+def _learned(cell: Cell) -> int:
+    """Pushes in the model; an identification that was just started again first has to see the object."""
+    if "identification_node" not in cell.plan.nodes:
+        return 0
+    until(lambda: oracles.learned_pushes(cell) is not None, _LEARNED, "identification did not come back before the fault")
+    return oracles.learned_pushes(cell) or 0
+
+
 def _in_cell(fault: Fault, trial: Trial, cell: Cell) -> None:
     cell.recover()
     cell.monitor.forget()
-    trial.learned = oracles.learned_pushes(cell) or 0
+    trial.learned = _learned(cell)
     try:
         fault.run(trial)
     finally:
