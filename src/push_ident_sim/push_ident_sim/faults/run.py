@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -96,7 +97,8 @@ def _run_in_cells(plan: CellPlan, faults: Sequence[Fault], folder: Path, done: C
 def try_fault(fault: Fault, cell: Cell | None, folder: Path) -> FaultResult:
     """One fault in a cell that can push, or without a cell."""
     trial = Trial(folder / fault.name, cell, fault.within)
-    trial.folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(trial.folder, ignore_errors=True)
+    trial.folder.mkdir(parents=True)
     began, impossible = time.monotonic(), ""
     try:
         if cell is None:

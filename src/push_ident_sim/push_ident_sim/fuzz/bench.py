@@ -209,7 +209,10 @@ class Bench:
     def publish(self, topic: str, kind: Any, msg: Any, *, valid: bool = False) -> None:
         """A message or serialised bytes. One that DDS does not take is dropped."""
         publisher = self.publisher(topic, kind)
-        data = msg if isinstance(msg, bytes) else serialize_message(msg)
+        try:
+            data = msg if isinstance(msg, bytes) else serialize_message(msg)
+        except RuntimeError:
+            return  # what cannot be written cannot be sent by any publisher
         for _ in range(_ATTEMPTS):
             try:
                 publisher.publish(data)
@@ -238,8 +241,20 @@ class Bench:
         while not self.wait(client.service_is_ready, 1.0):
             if service not in self.interfaces().services:
                 return None
-        self._remember(Sent(service, kind, serialize_message(request), is_request=True))
-        return self.call(service, kind, request)
+        try:
+            data = serialize_message(request)
+        except RuntimeError:
+            # What cannot be written cannot be sent by any client.
+            return None
+        self._remember(Sent(service, kind, data, is_request=True))
+        try:
+            return self.call(service, kind, request)
+        except NodeFailure:
+            # A clean-up, asked for before, may have taken the service away under way. Anything else is a failure.
+            self.probe()
+            if service in self.interfaces().services:
+                raise
+            return None
 
     def replay_request(self, sent: Sent) -> Any:
         """A request of an earlier run."""
