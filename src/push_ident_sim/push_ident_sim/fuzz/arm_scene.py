@@ -118,11 +118,12 @@ class Executor(Scene):
         return [goal]
 
     def _send_goal(self, goal: ExecutePush.Goal) -> Any:
-        """Future of the result; None when the goal was refused."""
+        """Future of the result; None when the goal was refused, or a mutated request has cleaned up the node."""
         service = self.bench.kind_of("push_ident_msgs/action/ExecutePush_SendGoal")
         request = service.Request(goal=goal)
         request.goal_id.uuid = list(np.random.default_rng().integers(0, 256, 16).tolist())
-        if not self.bench.call("/execute_push/_action/send_goal", service, request).accepted:
+        answer = self.bench.attempt("/execute_push/_action/send_goal", service, request)
+        if answer is None or not answer.accepted:
             return None
         kind = self.bench.kind_of("push_ident_msgs/action/ExecutePush_GetResult")
         return self.bench.ask("/execute_push/_action/get_result", kind, kind.Request(goal_id=request.goal_id))
