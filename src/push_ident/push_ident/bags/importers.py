@@ -225,7 +225,8 @@ def _mocap_row(topic: str, message: Any) -> tuple[float, ...]:
         if not message.body_poses:
             return ()
         position, turn = message.body_poses[0].position, message.body_poses[0].orientation
-        return (position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w)
+        quaternion = (turn.x, turn.y, turn.z, turn.w)
+        return (position.x, position.y, position.z, *quaternion) if 0.0 < sum(q * q for q in quaternion) < np.inf else ()
     if topic == "/robot_CartesianLog":
         return (message.x, message.y, message.z)
     return (message.wrench.force.x, message.wrench.force.y)

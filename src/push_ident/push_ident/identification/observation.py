@@ -112,7 +112,9 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         moving = moving[np.linspace(0, len(moving) - 1, noise.max_moving_frames).round().astype(int)]
     before, after = _agreeing(record, before), _agreeing(record, after)
     singles = [np.array([frame]) for frame in moving]
-    groups = [before, *singles, after] if after[0] > before[-1] else [before[:-1], after]
+    if after[0] <= before[-1]:  # never touched: the last frame is at rest in both
+        before = before[:-1] if len(before) > 1 else np.array([0])
+    groups = [before, *singles, after]
 
     time = np.array([poses.time[g].mean() for g in groups])
     pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
