@@ -32,8 +32,9 @@ from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg, transform_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
+from push_ident.nodes.viewer.rerun_scene import RerunScene
 from push_ident.physics.scenario import PushScenario
-from push_ident.types import DepthFrame, PusherPath
+from push_ident.types import CameraIntrinsics, DepthFrame, PusherPath
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 from push_ident_sim.cell.camera import DepthCamera
@@ -151,6 +152,26 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
         "/status",
     ):
         assert entity in printed.stdout, f"{entity} was not recorded; {said}"
+
+
+def test_a_camera_that_moves_costs_no_memory(tmp_path: Path) -> None:
+    scene, intrinsics = RerunScene(), CameraIntrinsics(width=640, height=480, fx=500.0, fy=500.0, cx=320.0, cy=240.0)
+    scene.save(str(tmp_path / "scene.rrd"))
+    camera_in_table = np.diag([1.0, -1.0, -1.0, 1.0])
+    before = 0.0
+    for k in range(400):
+        scene.set_time(0.1 * k)
+        camera_in_table[:3, 3] = 1e-3 * k, 0.0, 1.0
+        scene.camera(intrinsics, camera_in_table)
+        if k == 100:
+            before = resident_megabytes()
+    scene.close()
+    assert resident_megabytes() - before < 50.0  # with a layout for each pose, 150 MB
+
+
+def resident_megabytes() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def test_a_file_that_is_no_recording_is_refused_with_one_line(cell: Cell) -> None:

@@ -8,8 +8,11 @@ from enum import Enum
 from typing import Final
 
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME, object_frame
+from push_ident.limits import LIMITS, Limit
 
-__all__ = ["CAMERA_FRAME", "OBJECT_ROLES", "TABLE_FRAME", "TopicRole", "Role", "object_frame", "role_of", "topic_of"]
+__all__ = ["CAMERA_FRAME", "OBJECT_ROLES", "TABLE_FRAME", "TopicRole", "Role", "object_frame", "role_of", "size_limit", "topic_of"]
+
+_LARGE: Final = frozenset({"sensor_msgs/msg/Image", "nav_msgs/msg/OccupancyGrid"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +72,8 @@ def role_of(topic: str) -> TopicRole | None:
         if match := pattern.search(topic):
             return TopicRole(role, match.groupdict().get("id") or "")
     return None
+
+
+def size_limit(msgtype: str) -> Limit:
+    """Of a message of this type [bytes]."""
+    return LIMITS.MESSAGE if msgtype in _LARGE else LIMITS.SMALL_MESSAGE

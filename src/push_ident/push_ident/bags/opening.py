@@ -12,6 +12,7 @@ from typing import Any, Final
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from push_ident.bags.contract import size_limit
 from push_ident.bags.definitions import check_definitions
 from push_ident.bags.salvage import count_recoverable
 from push_ident.bags.storage.folder_storage import FolderStorage
@@ -26,7 +27,6 @@ from push_ident.limits import LIMITS
 __all__ = ["OpenBag", "open_bag", "storage_of"]
 
 _STORAGE: Final[dict[str, Callable[[Path], Storage]]] = {".mcap": McapStorage, ".db3": SqliteStorage, ".bag": Rosbag1Storage}
-_LARGE: Final = frozenset({"sensor_msgs/msg/Image", "nav_msgs/msg/OccupancyGrid"})
 _CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")
 
 
@@ -67,7 +67,7 @@ class OpenBag:
         """Messages of these (registered) topics with their log time [ns], decoded one at a time."""
         decode = self._store.deserialize_ros1 if self._is_ros1 else self._store.deserialize_cdr
         types = {topic.id: _lower_package(topic.msgtype) for topic in topics}
-        limits = {topic.id: LIMITS.MESSAGE if topic.msgtype in _LARGE else LIMITS.SMALL_MESSAGE for topic in topics}
+        limits = {topic.id: size_limit(topic.msgtype) for topic in topics}
         for topic, log_time, raw in self._raw(topics):
             limits[topic.id].check(len(raw), topic.topic, error=BagError)
             yield topic, log_time, decode(raw, types[topic.id])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from push_ident.bags.contract import role_of
+from push_ident.bags.contract import role_of, size_limit
 from push_ident.bags.storage import mcap_records as records
 from push_ident.bags.storage.storage import Expansion, open_regular
 from push_ident.bags.typestore import jazzy_typestore
@@ -160,6 +160,8 @@ def _decodes(topic: str, msgtype: str, data: memoryview) -> bool:
     role = role_of(topic)
     if role is None or role.role.msgtype != msgtype or msgtype not in jazzy_typestore().fielddefs:
         return True
+    if len(data) > size_limit(msgtype).value:
+        return False  # the reader refuses it
     try:
         jazzy_typestore().deserialize_cdr(data, msgtype)
     except Exception:

@@ -37,6 +37,8 @@ _OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
 """Colours for all kinds of colour vision (Okabe and Ito)."""
 _SHOWN: Final = 0.25
 """Half the edge of the part of the table that the picture shows [m]."""
+_STEADY: Final = 0.1
+"""By how much of its size the part of the picture that is shown may move before the camera counts as moving [-]."""
 _WIDTH: Final = 0.0012
 """Of a line [m]."""
 _FLUSH_WITHIN: Final = 1.0
@@ -67,7 +69,8 @@ class RerunScene:
 
         self._rr = rerun
         self._stream = rerun.RecordingStream(application)
-        self._part: tuple[Float64Array, Float64Array] | None = None
+        self._part: Float64Array | None = None
+        self._is_whole = False
         self._server: RerunServer | None = None
         self._log("table", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for name, colour, label in (
@@ -110,17 +113,32 @@ class RerunScene:
         self._stream.set_time("time", duration=stamp)
 
     def camera(self, intrinsics: CameraIntrinsics, camera_in_table: Float64Array) -> None:
-        """Where the camera stands: optical frame in `table`, shape (4, 4). The picture shows the middle of the table."""
+        """Where the camera stands: optical frame in `table`, shape (4, 4).
+
+        The picture shows the middle of the table; that of a camera that moves shows all it sees.
+        """
         rr = self._rr
         corners = np.array([[x, y, 0.0] for x in (-_SHOWN, _SHOWN) for y in (-_SHOWN, _SHOWN)])
         in_camera = (corners - camera_in_table[:3, 3]) @ camera_in_table[:3, :3]
         if np.all(in_camera[:, 2] > 0):
             pixels = in_camera[:, :2] / in_camera[:, 2:] * [intrinsics.fx, intrinsics.fy] + [intrinsics.cx, intrinsics.cy]
-            self._part = pixels.min(axis=0), pixels.max(axis=0)
-            self._stream.send_blueprint(self._layout())
+            self._show_part(np.array([pixels.min(axis=0), pixels.max(axis=0)]))
         self._log("table/camera", rr.Transform3D(translation=camera_in_table[:3, 3], mat3x3=camera_in_table[:3, :3]))
         matrix = [[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]]
         self._log("table/camera", rr.Pinhole(image_from_camera=matrix, resolution=[intrinsics.width, intrinsics.height]))
+
+    def _show_part(self, part: Float64Array) -> None:
+        """Show a part of the picture, its corners [pixels], shape (2, 2), until it moves.
+
+        Two layouts at most: Rerun keeps half a megabyte of each.
+        """
+        if self._part is None and not self._is_whole:
+            self._part = part
+        elif self._part is not None and np.abs(part - self._part).max() > _STEADY * np.ptp(self._part):
+            self._part, self._is_whole = None, True
+        else:
+            return
+        self._stream.send_blueprint(self._layout())
 
     def depth(self, depth: NDArray[np.float32]) -> None:
         """A depth image [m], NaN where nothing was measured."""
