@@ -8,6 +8,8 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Final
 
 import rclpy
@@ -53,7 +55,7 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
     LIFETIME.begin()
     LIFETIME.loaded()
     if yields:
-        os.nice(max(0, NICENESS - os.nice(0)))
+        _give_way()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)  # fails where security is enforced without keys
         node = factory()
@@ -70,6 +72,14 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _give_way() -> None:
+    os.nice(max(0, NICENESS - os.nice(0)))
+    # Linux schedules sessions against each other first: niceness alone counts only within one. Only a session of its own is changed.
+    if os.getsid(0) == os.getpid():
+        with suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
 def settle_memory() -> None:

@@ -145,6 +145,7 @@ class Cell:
         point = Point(x=0.0, y=0.1 * side)
         return ExecutePush.Goal(
             mode=ExecutePush.Goal.MODE_CONTACT,
+            object_id=OBJECT,  # others may be seen too
             frame_id=f"object_{OBJECT}",
             contact_point=point,
             direction=-1.5708 * side,

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
+import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
+from push_ident.nodes.run import NICENESS
 from push_ident_sim.faults.harness.cell import ARM_CELL, Cell, live_cell
 from push_ident_sim.faults.harness.hold import measure_hold
+from push_ident_sim.faults.harness.priority import set_priority, urgent
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.load.bench import delays, source_of
 
@@ -21,20 +24,20 @@ __all__ = ["CASES", "measure_arm"]
 CASES: Final = {"quiet": "quiet", "loaded": "overloaded", "equal": "overloaded, all of one priority"}
 """Of `measure_arm`, with their names in tables."""
 _N_PUSHES: Final = 4
-_LOAD: Final = (("camera", 90.0, 10), ("streams", 1000.0, 3))
+_LOAD: Final = (("camera", 60.0, 10), ("streams", 1000.0, 3))
 _SPINNERS: Final = 2
 """Processes that only compute, at the priority of the nodes that give way."""
 _SETTLE: Final = 4.0
 """After the load has started [s]."""
 _PAUSE: Final = 0.25
 """Commands further apart than this belong to two motions [s]."""
-_SPIN: Final = "import os\nos.nice(5)\nwhile True: pass"
+_SPIN: Final = "while True: pass"
 
 
 def measure_arm(folder: Path, domain: int, case: str) -> Json:
     """Pushes that are cancelled in the middle, in a quiet or in an overloaded cell."""
     os.environ["ROS_DOMAIN_ID"] = str(domain)
-    with live_cell(ARM_CELL, folder / f"arm-{case}") as cell:
+    with urgent(), live_cell(ARM_CELL, folder / f"arm-{case}") as cell:
         if case != "quiet":
             _overload(cell, equal=case == "equal")
         pushes = [_cancelled_push(cell, 1 if i % 2 else -1) for i in range(_N_PUSHES)]
@@ -53,19 +56,22 @@ def measure_arm(folder: Path, domain: int, case: str) -> Json:
 
 
 def _overload(cell: Cell, *, equal: bool) -> None:
+    # All of it in a namespace of its own: it takes processors, and stands in the way of no push.
     commands = [source_of(kind, [rate], n) for kind, rate, n in _LOAD]
-    commands += [c for c in node_commands("arm", log_level="warn") if c.name == "perception_node"]
-    python = commands[0].argv[0]
-    commands += [NodeCommand(f"spinner{i}", (python, "-c", _SPIN)) for i in range(_SPINNERS)]
+    commands = [replace(command, argv=(*command.argv, "--ros-args")) for command in commands]
+    commands += [c for c in node_commands("arm", log_level="warn") if c.name in ("perception_node", "identification_node")]
+    commands = [replace(c, name=f"load_{c.name}", argv=(*c.argv, "-r", "__ns:=/load")) for c in commands]
+    commands += [NodeCommand(f"spinner{i}", (sys.executable, "-c", _SPIN)) for i in range(_SPINNERS)]
     for command in commands:
         cell.add(command)
     time.sleep(_SETTLE)
     if equal:
-        # Only root may raise a priority; otherwise this case shows what "overloaded" shows.
         for process in cell.processes.values():
-            for task in Path(f"/proc/{process.pid}/task").iterdir():
-                with contextlib.suppress(OSError):
-                    os.setpriority(os.PRIO_PROCESS, int(task.name), 0)
+            set_priority(process.pid, os.getpriority(os.PRIO_PROCESS, 0))
+    else:
+        # A driver that takes the processor from everything is no matter of the nodes of the suite.
+        for command in commands:
+            set_priority(cell.processes[command.name].pid, NICENESS)
 
 
 def _cancelled_push(cell: Cell, side: int) -> Json:
