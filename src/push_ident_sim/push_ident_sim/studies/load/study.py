@@ -167,9 +167,10 @@ STUDY = Experiment(
         "`camera`: rendered depth images, 640 x 480, of one to ten boxes before perception. `streams`: poses of each object, pusher, "
         "wrench and joint states at 1 kHz before identification, three pushes. `recorder`: a camera at 30 Hz and such streams; on the "
         f"slow disk the kernel delays each write to the bag by {SLOW_WRITE:.1f} s (strace). `arm`: pushes that are cancelled in the "
-        "middle; in the overloaded cell a camera of 90 Hz with ten objects, perception, streams of three objects at 1 kHz and two "
-        f"processes that only compute run beside it. Nodes that do not move the arm run at niceness {NICENESS}; in the last case all run "
-        "at 0. Nodes and sources share two cores, so a rate that a source does not reach is the limit of the machine."
+        "middle; in the overloaded cell a camera of 60 Hz with ten objects and its perception, streams of three objects at 1 kHz and their "
+        f"identification, and two processes that only compute run beside it, all at niceness {NICENESS} as nodes that do not move the arm; "
+        "in the last case all are as urgent as the arm. Nodes and sources share two cores, so a rate that a source does not reach is the "
+        "limit of the machine."
     ),
     variants=_VARIANTS,
     run=_run,
