@@ -15,7 +15,8 @@ from push_ident.errors import PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.pushing.execution import ExecutedPush, ExecutionSettings, Mode, Purpose, PushExecution, PushOutcome, PushRequest
+from push_ident.pushing.executed_push import ExecutedPush, Purpose
+from push_ident.pushing.execution import ExecutionSettings, Mode, PushExecution, PushOutcome, PushRequest
 from push_ident.pushing.motion import ArmMotion, MotionSettings
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushSettings

@@ -13,16 +13,17 @@ import numpy as np
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points
+from push_ident.pushing.executed_push import ExecutedPush, Purpose
 from push_ident.pushing.motion import ArmMotion, ArmPlan, MotionSettings, plan_push, plan_retreat
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
-from push_ident.pushing.resting import RestingPose, displacement
+from push_ident.pushing.resting import displacement
 from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
 from push_ident.pushing.watch import ArmWatch, WatchLimits
 from push_ident.types import Float64Array
 
-__all__ = ["ExecutedPush", "ExecutionSettings", "Mode", "PushExecution", "PushOutcome", "PushRequest", "Purpose", "phase_of"]
+__all__ = ["ExecutionSettings", "Mode", "PushExecution", "PushOutcome", "PushRequest", "phase_of"]
 
 _POLL: Final = 0.01
 """[s] between two looks for the pose of an object."""
@@ -42,13 +43,6 @@ class Mode(IntEnum):
     CONTACT = 0
     RANDOM = 1
     RECENTRE = 2
-
-
-class Purpose(IntEnum):
-    """Why a push was made; the numbers are those of msg/PushRecord."""
-
-    REQUESTED = 0
-    RECENTRE = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,58 +88,6 @@ class ExecutionSettings:
     """Smaller shifts of the object count as no contact [m]."""
     min_object_turn: float = 0.0175
     """Smaller turns of the object count as no contact [rad]."""
-
-
-@dataclass(slots=True)
-class ExecutedPush:
-    """A push that is to be made, and later its course. Times in seconds of the clock of the cell."""
-
-    purpose: Purpose
-    before: TrackedObject
-    plan: ArmPlan
-    push_id: int = 0
-    """0: it has not begun."""
-    started: float = 0.0
-    contact: float | None = None
-    """When the measured tool passed the planned point of contact."""
-    ended: float = 0.0
-    error: PlanningError | None = None
-    """Why it failed."""
-    pacing: PathPacing | None = None
-    """Tells when which part of the plan was reached."""
-    is_reported: bool = False
-    """Whether its record was handed out."""
-    rest_before: RestingPose = field(default_factory=RestingPose)
-    """Of the object."""
-    rest_after: RestingPose = field(default_factory=RestingPose)
-    _last: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        self.rest_before.add(self.before.stamp, self.before.pose, self.before.covariance)
-
-    def observe(self, state: ArmState) -> None:
-        """Process one state of the lowered tool: the contact is where it passes the planned point."""
-        push, stamp = self.plan.push, state.stamp
-        travel = float((state.pose_tip_in_table[:2, 3] - push.tool_at_contact) @ push.heading)
-        if self.contact is None and self._last is not None and self._last[1] < 0.0 <= travel:
-            stamp_before, travel_before = self._last
-            self.contact = stamp_before + (stamp - stamp_before) * travel_before / (travel_before - travel)
-        self._last = (stamp, travel)
-
-    def observe_object(self, now: TrackedObject) -> None:
-        """Process the latest pose of the object: it rests until the tool is lowered, and after the tool has stopped."""
-        if now.stamp <= self._reached(self.plan.lowered):
-            self.rest_before.add(now.stamp, now.pose, now.covariance)
-        elif now.stamp > self._reached(self.plan.stop):
-            self.rest_after.add(now.stamp, now.pose, now.covariance)
-
-    def times(self) -> tuple[float, float, float]:
-        """Start, stop and end of the push [s]. A phase that was not reached has the time of the end."""
-        start, stop, end = (min(self._reached(t), self.ended) for t in (self.plan.lowered, self.plan.stop, self.plan.rested))
-        return start, stop, end
-
-    def _reached(self, path_time: float) -> float:
-        return np.inf if self.pacing is None else self.pacing.time_of(path_time)
 
 
 @dataclass(slots=True)

@@ -29,7 +29,8 @@ from push_ident.nodes.push_executor.parameters import PARAMETERS, execution_sett
 from push_ident.nodes.recording_port import RecordingPort
 from push_ident.nodes.run import run_node
 from push_ident.nodes.tracked_objects import TrackedObjects
-from push_ident.pushing.execution import ExecutedPush, PushExecution, PushOutcome, PushRequest
+from push_ident.pushing.executed_push import ExecutedPush
+from push_ident.pushing.execution import PushExecution, PushOutcome, PushRequest
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase
 from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident_msgs.action import ExecutePush
