@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -43,10 +44,19 @@ def section_of(name: str, command: Any) -> str:
     return "\n".join(lines) + "\n"
 
 
+def commands_of(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Names and commands, those of a group with its name before theirs."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands_of(command, f"{before}{name} ")
+        else:
+            yield before + name, command
+
+
 def document() -> str:
     """The page in Markdown."""
     group: Any = typer.main.get_command(app)
-    return "\n".join([HEAD, *(section_of(name, command) for name, command in group.commands.items())])
+    return "\n".join([HEAD, *(section_of(name, command) for name, command in commands_of(group))])
 
 
 if __name__ == "__main__":

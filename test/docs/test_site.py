@@ -105,6 +105,19 @@ def test_script_of_the_guide_writes_a_bag_that_is_read_as_its_source(tmp_path: P
     assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=1e-6)
 
 
+def test_tables_of_the_guide_become_a_bag_that_is_read_as_their_source(tmp_path: Path) -> None:
+    from push_ident.bags.importers import TrackedPoses, import_tracked_poses
+    from push_ident.offline.loading import load_pushes
+
+    source = ROOT / "bags" / "hammer_depth"
+    subprocess.run([sys.executable, ROOT / "docs" / "examples" / "write_tables.py", source, tmp_path], check=True, timeout=300)
+    files = (tmp_path / f"{name}.csv" for name in ("poses", "pusher", "outline"))
+    report = import_tracked_poses(TrackedPoses(*files, radius=0.018, position_std=1e-3, yaw_std=8.7e-3), tmp_path / "own")
+    before, after = load_pushes([source]).records, load_pushes([tmp_path / "own"]).records
+    assert len(after) == len(before) == report.n_pushes and report.warnings == ()
+    assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=2e-6)
+
+
 def test_python_of_the_tutorial_runs(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8"), re.DOTALL)
     assert code is not None

@@ -116,7 +116,7 @@ class LIMITS:
     METADATA: Final = Limit(1_048_576, "bytes", "size of metadata.yaml is", "0.7 kB a topic, 0.3 kB a file: 1000 topics and 1000 files")
     FILES: Final = Limit(10_000, "files", "number of storage files is", "a bag that is split each minute for a week")
     SUMMARY: Final = Limit(67_108_864, "bytes", "size of the index of a bag is", "0.2 kB for a chunk of 0.8 MB: enough for 250 GB")
-    TEXT_FILE: Final = Limit(16_777_216, "bytes", "size of a text file is", "the largest published recording has 1.1 MB")
+    TEXT_FILE: Final = Limit(16_777_216, "bytes", "size of a text file is", "the largest published recording has 1.9 MB")
 
 
 def check_coordinates(values: object, what: str, *, error: type[PushIdentError] = InputError) -> None:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 
+from helpers.commands import run_here
 from helpers.objects import hammer, random_records
 from helpers.paths import EXAMPLE_BAG
 from push_ident import __version__
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
-from push_ident.cli.main import main
 
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 
@@ -26,18 +24,6 @@ CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 def run(*args: object) -> subprocess.CompletedProcess[str]:
     """One command in a process of its own."""
     return subprocess.run([*CLI, *map(str, args)], capture_output=True, text=True, timeout=120)
-
-
-def run_here(*args: object) -> subprocess.CompletedProcess[str]:
-    """One command in this process: the same function, without the seconds of a start."""
-    output, error, code = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(output), redirect_stderr(error):
-        patch.setattr(sys, "argv", ["push-ident", *map(str, args)])
-        try:
-            main()
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-    return subprocess.CompletedProcess(args, code, output.getvalue(), error.getvalue())
 
 
 @pytest.fixture(scope="module")

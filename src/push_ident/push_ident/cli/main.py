@@ -18,7 +18,7 @@ from push_ident.cli.faults import faults_command
 from push_ident.cli.fleet import fleet_command
 from push_ident.cli.fuzz import fuzz_command
 from push_ident.cli.identify import identify_command
-from push_ident.cli.importing import import_command
+from push_ident.cli.importing import import_app
 from push_ident.cli.live import doctor_command, replay_command, up_command
 from push_ident.cli.output import console, warn
 from push_ident.cli.predict import predict_command
@@ -49,7 +49,7 @@ app.command("diagnose")(diagnose_command)
 app.command("fleet")(fleet_command)
 app.command("export")(export_command)
 app.command("replay")(replay_command)
-app.command("import")(import_command)
+app.add_typer(import_app, name="import")
 app.command("up")(up_command)
 app.command("experiment")(experiment_command)
 app.command("simulate")(simulate_command)

@@ -32,6 +32,8 @@ PUSHER_FRICTION = 0.3
 
 def known_support_errors(report: ImportReport, records: list[PushRecord]) -> np.ndarray:
     """Cell error of a body that stands on its three known supports, each with the load that statics gives it."""
+    if not len(report.supports) or report.mass is None or report.centre_of_mass is None:
+        sys.exit(f"{report.bag}: supports or mass are not known; name the recording as published, 30_90_30_30_30_90__….txt")
     shape = records[0].shape
     shares = np.linalg.solve(np.vstack([report.supports.T, np.ones(3)]), np.append(report.centre_of_mass, 1.0))
     plate = body_of_cells(shape, np.full(len(shape.cells), report.mass / len(shape.cells)), np.zeros(len(shape.cells)))

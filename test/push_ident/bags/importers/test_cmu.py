@@ -1,17 +1,20 @@
-"""Recordings by others: the geometry of the import is checked against contact and friction, which fix every sign in it."""
+"""Recordings of CMU: the geometry of the import is checked against contact and friction, which fix every sign in it."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.commands import run_here
 from helpers.paths import recording
-from push_ident.bags.importers import ImportReport, import_cmu_icra16, import_cmu_mocap
+from helpers.recordings import icra16_file
+from push_ident.bags.importers import ImportReport, MocapObject, import_cmu_icra16, import_cmu_mocap
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
-from push_ident.errors import BagError
+from push_ident.errors import BagError, InputError
 from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.types import PushRecord
@@ -107,3 +110,75 @@ def test_mocap_refuses_a_bag_without_its_topics(tmp_path: Path, mocap: tuple[Imp
     with pytest.raises(BagError, match="/Mocap"):
         import_cmu_mocap(mocap[0].bag, tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "surface", "supports"),
+    [
+        ("10_130_10_10_10_130/exp_08_17_50.txt", "hardboard", [[0.01, 0.01], [0.13, 0.01], [0.01, 0.13]]),
+        ("10_90_10_10_30_130/exp.txt", "hardboard", [[0.01, 0.01], [0.09, 0.03], [0.01, 0.13]]),
+        ("wood_30_63.33_43.33_30_43.33_63.33/exp_1.txt", "wood", [[0.03, 0.03], [0.06333, 0.04333], [0.04333, 0.06333]]),
+        ("30_90_30_30_30_90__exp.txt", "hardboard", [[0.03, 0.03], [0.09, 0.03], [0.03, 0.09]]),
+        ("wood_patch/exp.txt", "wood", []),
+        ("patch/exp.txt", "hardboard", []),
+        ("copied/exp.txt", None, []),
+    ],
+)
+def test_icra16_reads_surface_and_supports_from_the_published_names(
+    tmp_path: Path, name: str, surface: str | None, supports: list[list[float]]
+) -> None:
+    file = icra16_file(tmp_path / name)
+    done = run_here("import", "cmu-icra16", file, "--out", tmp_path / "bag", "--json", tmp_path / "r.json")
+    assert done.returncode == 0, done.stderr
+    content = json.loads((tmp_path / "r.json").read_text())
+    assert content["surface"] == surface and content["n_pushes"] == 2
+    np.testing.assert_allclose(content["supports_m"], supports, atol=1e-12)
+    np.testing.assert_allclose(content["contact_distance_m"], [0.0, 0.0], atol=5e-4)
+    assert content["mass"] == 1.518 and content["warnings"] == []
+    assert ("--supports" in done.stdout) == (surface is None)
+    pushes = split_pushes(read_bag(tmp_path / "bag"), "1")
+    assert len(pushes) == 2 and pushes[0].wrench is not None
+    np.testing.assert_allclose(pushes[0].wrench.force[-1], [4.0, 0.0], atol=1e-3)
+
+
+def test_icra16_takes_supports_that_the_user_knows_and_refuses_those_outside(tmp_path: Path) -> None:
+    file = icra16_file(tmp_path / "copied" / "exp.txt")
+    known = ("--supports", "0.02,0.02", "0.1,0.02", "0.02,0.1")
+    done = run_here("import", "cmu-icra16", file, "--out", tmp_path / "bag", "--json", tmp_path / "r.json", *known)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "r.json").read_text())["supports_m"] == [[0.02, 0.02], [0.1, 0.02], [0.02, 0.1]]
+    for wrong, reason in ((("20,20", "100,20", "20,100"), "outside the object"), (("1", "2", "3"), "three points")):
+        done = run_here("import", "cmu-icra16", file, "--out", tmp_path / "other", "--supports", *wrong)
+        assert done.returncode == 1 and reason in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "other").exists()
+
+
+def test_icra16_reads_a_file_that_was_broken_off_after_a_push(tmp_path: Path) -> None:
+    report = import_cmu_icra16(icra16_file(tmp_path / "patch" / "exp.txt", announced=30, n=3), tmp_path / "bag")
+    assert report.n_pushes == 3 and any("announces 30" in note for note in report.notes)
+
+
+def test_icra16_warns_of_another_tool_and_of_pushes_without_contact(tmp_path: Path) -> None:
+    report = import_cmu_icra16(icra16_file(tmp_path / "patch" / "far.txt", gap=9.0), tmp_path / "far")
+    assert len(report.warnings) == 1 and "8.7 mm outside" in report.warnings[0]
+    silent = import_cmu_icra16(icra16_file(tmp_path / "patch" / "silent.txt", n_force=0), tmp_path / "silent")
+    assert np.isnan(silent.contact_distance).all() and "nothing shows" in silent.warnings[0]
+
+
+def test_mocap_supports_are_known_by_the_name_or_given(tmp_path: Path, mocap: tuple[ImportReport, list[PushRecord]]) -> None:
+    assert mocap[0].supports.shape == (3, 2) and mocap[0].warnings == ()
+    other = tmp_path / "robot_push_many.bag"
+    other.symlink_to(recording("cmu_mocap/robot_multi_push_3out_3.bag"))
+    assert import_cmu_mocap(other, tmp_path / "unknown").supports.shape == (0, 2)
+    given = np.array([[0.028, 0.028], [0.048, 0.028], [0.028, 0.048]])
+    np.testing.assert_array_equal(import_cmu_mocap(other, tmp_path / "given", body=MocapObject(supports=given)).supports, given)
+
+
+def test_mocap_takes_another_object_and_warns_where_the_tool_does_not_meet_it(tmp_path: Path) -> None:
+    file = recording("cmu_mocap/robot_multi_push_3out_3.bag")
+    outline = np.array([[0.2, 0.0], [0.25, 0.0], [0.25, 0.05], [0.2, 0.05]])
+    report = import_cmu_mocap(file, tmp_path / "bag", body=MocapObject(outline=outline, mass=0.5))
+    assert report.mass == 0.5 and report.centre_of_mass is None and len(report.supports) == 0
+    assert "outside the outline" in report.warnings[0]
+    with pytest.raises(InputError, match="4 x 4"):
+        import_cmu_mocap(file, tmp_path / "other", body=MocapObject(frame_in_body=np.ones((4, 4))))

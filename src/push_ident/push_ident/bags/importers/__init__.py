@@ -1,0 +1,23 @@
+"""Recordings of others, converted to contract bags: one module for each format, `report.py` and `shapes.py` for all of them."""
+
+from __future__ import annotations
+
+from push_ident.bags.importers.cmu_icra16 import import_cmu_icra16
+from push_ident.bags.importers.cmu_mocap import MocapObject, import_cmu_mocap
+from push_ident.bags.importers.mit import MIT_SHAPES, MitOptions, import_mit
+from push_ident.bags.importers.report import ImportReport
+from push_ident.bags.importers.tables import TableFormat
+from push_ident.bags.importers.tracked_poses import TrackedPoses, import_tracked_poses
+
+__all__ = [
+    "MIT_SHAPES",
+    "ImportReport",
+    "MitOptions",
+    "MocapObject",
+    "TableFormat",
+    "TrackedPoses",
+    "import_cmu_icra16",
+    "import_cmu_mocap",
+    "import_mit",
+    "import_tracked_poses",
+]

@@ -1,0 +1,146 @@
+"""What every import reports, and the check that pusher and object meet where the object begins to move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from push_ident.geometry.outline import signed_distance
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings"]
+
+_DEVIATIONS: Final = 3.0
+"""Standard deviations of an outline point beyond which a distance is no noise: 3 in 1000 pushes of a right import."""
+_OUTLINE_ERROR: Final = 1e-3
+"""Error of a measured outline and of the clocks of two devices, together [m]: 10 ms at 100 mm/s."""
+_AT_REST: Final = 5
+"""Number of frames before a push that give the pose from which it starts."""
+_SPARSE: Final = 0.2
+"""Longest time between two poses that shows when the object begins to move [s]."""
+_NAMED: Final = 5
+"""Number of pushes that a warning names."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportReport:
+    """What was imported, and published properties of the object that a bag cannot hold."""
+
+    bag: Path
+    n_pushes: int
+    contact_distance: Float64Array
+    """Distance of the pusher's surface to the outline at first contact of each push [m], negative inside; NaN where nothing shows a
+    contact; shape (n_pushes,)."""
+    supports: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """Known support points [m], shape (n_supports, 2), object frame; none where they are unknown or the object rests on its whole base."""
+    mass: float | None = None
+    """[kg]; None where it was not published."""
+    centre_of_mass: Float64Array | None = None
+    """[m], shape (2,), object frame; None where it was not published."""
+    surface: str = ""
+    """Table surface by its published name; empty where it is unknown."""
+    notes: tuple[str, ...] = ()
+    """What a user of the bag should know."""
+    warnings: tuple[str, ...] = ()
+    """What may be wrong with the recording or with the options of the import."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Where the pusher is when the object begins to move; lengths to the pusher's surface [m], negative inside the outline."""
+
+    moved: bool
+    """Whether the object moves."""
+    distance: float
+    """At the first frame in which the object has moved; NaN where it never does, or where poses are too far apart in time to show it."""
+    nearest: float
+    """Least distance until then; over the whole push where the object never moves."""
+    deepest: float
+    """Least distance of the whole push; NaN where poses are too far apart in time to show it."""
+
+
+def contact_tolerance(shape: ObjectShape, *, position_std: float, yaw_std: float) -> float:
+    """Distance between pusher and outline that pose noise and outline error explain [m].
+
+    Three standard deviations of the outline point farthest from the origin of the object frame, for poses with standard deviations
+    `position_std` [m] and `yaw_std` [rad], and 1 mm for outline and clocks.
+    """
+    lever = float(np.linalg.norm(shape.outline, axis=1).max())
+    return _OUTLINE_ERROR + _DEVIATIONS * float(np.hypot(position_std, lever * yaw_std))
+
+
+def contact_of(
+    time: Float64Array, pose: Float64Array, path: Float64Array, *, shape: ObjectShape, radius: float, tolerance: float
+) -> Contact:
+    """Contact of one push, from poses (x, y, yaw) in `table`, shape (n, 3), at `time` [s], shape (n,); n at least 1.
+
+    `path` has rows (time, x, y) of the pusher's axis [s, m, m], shape (m, 3). The object has moved when a point of its outline may be
+    farther than `tolerance` from its place before the pusher starts.
+    """
+    first = np.median(pose[time <= max(path[0, 0], time[0])][-_AT_REST:], axis=0)
+    lever = float(np.linalg.norm(shape.outline, axis=1).max())
+    moved = np.linalg.norm(pose[:, :2] - first[:2], axis=1) + lever * np.abs(pose[:, 2] - first[2]) > tolerance
+    at = int(np.argmax(moved)) if moved.any() else len(time) - 1
+    if at > 0 and time[at] - time[at - 1] > _SPARSE:
+        # When it moved between two poses is unknown: the pusher must have come to where the object stood before.
+        nearest = float(_distance(path[:, 1:], np.broadcast_to(first, (len(path), 3)), shape, radius).min())
+        return Contact(bool(moved.any()), np.nan, nearest, np.nan)
+    position = np.column_stack([np.interp(time, path[:, 0], path[:, axis]) for axis in (1, 2)])
+    distance = _distance(position, pose, shape, radius)
+    return Contact(
+        bool(moved.any()), float(distance[at]) if moved.any() else np.nan, float(distance[: at + 1].min()), float(distance.min())
+    )
+
+
+def _distance(position: Float64Array, pose: Float64Array, shape: ObjectShape, radius: float) -> Float64Array:
+    """Distance of the pusher's surface to the outline [m], shape (n,), for its axis, shape (n, 2), and poses, shape (n, 3), in `table`."""
+    x, y = (position - pose[:, :2]).T
+    cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    return signed_distance(np.column_stack([cosine * x + sine * y, cosine * y - sine * x]), shape.outline) - radius
+
+
+def contact_warnings(contacts: Sequence[Contact], tolerance: float) -> tuple[str, ...]:
+    """Pushes in which the object moves before the pusher is there, or in which the pusher is inside it, by more than `tolerance` [m]."""
+    found = []
+    remedy = "check frames, units, the pusher's radius and the clocks of both"
+    far = [k for k, c in enumerate(contacts) if c.moved and c.nearest > tolerance]
+    if far:
+        most = max(contacts[k].nearest for k in far)
+        found.append(
+            f"the object moves while the pusher is still up to {1e3 * most:.1f} mm from its outline, expected at most "
+            f"{1e3 * tolerance:.1f} mm, in {_pushes(far)}; {remedy}."
+        )
+    deep = [k for k, c in enumerate(contacts) if c.deepest < -tolerance]
+    if deep:
+        most = -min(contacts[k].deepest for k in deep)
+        found.append(
+            f"the pusher is up to {1e3 * most:.1f} mm inside the outline, expected at most {1e3 * tolerance:.1f} mm, in {_pushes(deep)}; "
+            f"{remedy}."
+        )
+    return (*found, *_no_contact([k for k, c in enumerate(contacts) if not c.moved]))
+
+
+def distance_warnings(distance: Float64Array, tolerance: float) -> tuple[str, ...]:
+    """Pushes whose distance at first contact [m] exceeds `tolerance` [m]; for recordings in which the force shows the contact."""
+    found = []
+    wrong = [k for k, d in enumerate(distance) if abs(d) > tolerance]
+    if wrong:
+        most = max((float(distance[k]) for k in wrong), key=abs)
+        found.append(
+            f"the pusher is up to {1e3 * abs(most):.1f} mm {'inside' if most < 0 else 'outside'} the outline at first contact, expected at "
+            f"most {1e3 * tolerance:.1f} mm, in {_pushes(wrong)}; another object, another tool or another calibration may have been used."
+        )
+    return (*found, *_no_contact([int(k) for k in np.flatnonzero(np.isnan(distance))]))
+
+
+def _no_contact(missed: Sequence[int]) -> tuple[str, ...]:
+    return (f"nothing shows that the pusher touches the object in {_pushes(missed)}.",) if missed else ()
+
+
+def _pushes(numbers: Sequence[int]) -> str:
+    named = ", ".join(str(number) for number in numbers[:_NAMED]) + (", …" if len(numbers) > _NAMED else "")
+    return f"{len(numbers)} pushes ({named})" if len(numbers) > 1 else f"push {named}"
