@@ -57,5 +57,5 @@ def test_state_of_an_earlier_version_continues(tmp_path: Path) -> None:
     assert np.trace(online.posterior.covariance) < np.trace(before)
     save_state(tmp_path / "again.json", kept.state, object_id=kept.object_id, sources=kept.sources, record=kept.record, pushes=kept.pushes)
     again, written = (json.loads(path.read_text()) for path in (tmp_path / "again.json", FILES / "state_2.json"))
-    assert again["starts"] == written["starts"]
+    assert again["starts"] == []  # of a solver that is no more
     assert again["record"] == written["record"]

@@ -17,15 +17,26 @@ from push_ident.types import SolveStatus
 
 SHAPE = hammer(1).shape
 PRIOR = Prior(max_modes=4)
+PRESSURE = Prior(max_modes=4, pressure_map_std=1.0)
 
 
 def test_blocks_follow_each_other_and_cover_the_vector() -> None:
     unknowns = Unknowns(SHAPE, PRIOR, effects=("tool_offset", "pusher_lag"))
-    assert [block.name for block in unknowns.blocks] == ["maps", "effects", "friction_scale", "pusher_friction"]
+    assert [block.name for block in unknowns.blocks] == [
+        "mass_map",
+        "pressure_map",
+        "friction_map",
+        "foot_places",
+        "foot_width",
+        "foot_preferences",
+        "effects",
+        "friction_scale",
+        "pusher_friction",
+    ]
     places = np.concatenate([np.arange(unknowns.size)[unknowns.slice_of(block.name)] for block in unknowns.blocks])
     assert places.tolist() == list(range(unknowns.size))
-    assert (unknowns.mass_modes, unknowns.friction_modes) == (slice(0, 4), slice(4, 8))
-    assert unknowns.slice_of_effect("pusher_lag") == slice(10, 11)
+    assert (unknowns.slice_of("mass_map"), unknowns.slice_of("friction_map"), unknowns.maps) == (slice(0, 4), slice(8, 12), slice(0, 12))
+    assert unknowns.slice_of_effect("pusher_lag") == slice(14, 15)
     with pytest.raises(InputError, match="friction_scale"):
         unknowns.slice_of("masses")
 
@@ -39,9 +50,31 @@ def test_each_block_changes_its_own_quantity() -> None:
     z[unknowns.slice_of("pusher_friction")] = -1.0
     assert unknowns.model(z).pusher_friction == pytest.approx(PRIOR.pusher_friction * np.exp(-PRIOR.pusher_friction_std))
     z = np.zeros(unknowns.size)
-    z[unknowns.mass_modes.start] = 1.0
+    z[unknowns.slice_of("mass_map").start] = 1.0
     assert unknowns.model(z).total_mass == pytest.approx(plain.total_mass)
     assert not np.allclose(unknowns.model(z).mass, plain.mass)
+
+
+def test_load_balances_about_the_centre_of_mass_and_pressure_moves_no_mass() -> None:
+    unknowns, z = Unknowns(SHAPE, PRESSURE), np.zeros(Unknowns(SHAPE, PRESSURE).size)
+    z[unknowns.slice_of("mass_map")] = [1.0, -0.5, 0.3, 0.2]
+    even = unknowns.model(z)
+    z[unknowns.slice_of("pressure_map")] = [-1.0, 2.0, 0.5, 1.0]
+    uneven = unknowns.model(z)
+    assert uneven.mass == pytest.approx(even.mass)
+    assert np.ptp(np.log(uneven.friction)) > 0.5
+    centre = even.mass @ SHAPE.cells.centres / even.total_mass
+    assert uneven.centre_of_friction == pytest.approx(centre, abs=1e-9)
+
+
+def test_derivative_of_the_body_is_that_of_differences() -> None:
+    unknowns = Unknowns(SHAPE, PRESSURE)
+    z, h = np.random.default_rng(0).normal(size=unknowns.size), 1e-6
+    exact = unknowns.mechanics(z).limit_derivative
+    for k in range(unknowns.size):
+        step = h * np.eye(unknowns.size)[k]
+        difference = (unknowns.mechanics(z + step).body.limit - unknowns.mechanics(z - step).body.limit) / (2 * h)
+        assert exact[:, k] == pytest.approx(difference, abs=1e-8)
 
 
 def test_values_of_effects_stay_within_their_bounds() -> None:
@@ -60,10 +93,12 @@ def test_accuracy_of_a_sensor_replaces_the_prior_of_the_catalogue_and_survives_o
     assert unknowns.at_amplitude(0.1).effect_std == pytest.approx(unknowns.effect_std)
 
 
-def test_amplitude_scales_the_maps_only() -> None:
-    unknowns = Unknowns(SHAPE, PRIOR, effects=("pusher_lag",))
+@pytest.mark.parametrize("prior", [PRIOR, PRESSURE])
+def test_amplitude_scales_the_maps_only(prior: Prior) -> None:
+    unknowns = Unknowns(SHAPE, prior, effects=("pusher_lag",))
     small, z = unknowns.at_amplitude(0.3), np.random.default_rng(0).normal(size=unknowns.size)
-    assert small.block("maps").std == pytest.approx(0.3 * unknowns.block("maps").std)
+    for name in ("mass_map", "pressure_map", "friction_map"):
+        assert small.block(name).std == pytest.approx(0.3 * unknowns.block(name).std)
     assert small.model(z).mass == pytest.approx(unknowns.model(unknowns.amplitude_unit(0.3) * z).mass)
     assert small.model(z).pusher_friction == unknowns.model(z).pusher_friction
 
@@ -96,8 +131,8 @@ def test_first_poses_are_a_block_of_the_problem() -> None:
     assert problem.layout.blocks[-1].name == "first_poses"
     assert problem.layout.size == problem.size
     assert x[problem.slice_of_first_pose(1)].tolist() == problem.first_pose_unknowns(x)[1].tolist()
-    shorter = without_first_pose(x, problem.unknowns, 1)
-    assert problem.without([1]).first_pose_unknowns(shorter).tolist() == problem.first_pose_unknowns(x)[[0, 2]].tolist()
+    shorter = without_first_pose(x, 3)
+    assert problem.without([0]).first_pose_unknowns(shorter).tolist() == problem.first_pose_unknowns(x)[1:].tolist()
     assert problem.continued(np.zeros(problem.size), x[:-3])[:-3].tolist() == x[:-3].tolist()
 
 

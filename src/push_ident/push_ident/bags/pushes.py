@@ -65,7 +65,7 @@ def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> 
     """A cutter with all samples of the bag for these objects."""
     cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
     cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > gap)) == 0
-    cutter.set_radius(contents.pusher_radius)
+    cutter.set_radius(contents.pusher_radius or 0.0)
     for interval in contents.push_intervals:
         cutter.add_record(interval)
     for time, position in zip(contents.pusher.time.tolist(), contents.pusher.value, strict=True):

@@ -55,6 +55,8 @@ class ObjectTrack:
     """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_frames, 3)."""
     covariance: Float64Array
     """Covariance of (x, y, yaw), shape (n_frames, 3, 3)."""
+    has_outline: bool = True
+    """Whether the outline was measured; else it was traced from the cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +69,8 @@ class BagContents:
     objects: dict[str, ObjectTrack]
     pusher: Samples
     """Positions of the tool tip in `table` [m], shape (n, 2)."""
-    pusher_radius: float
-    """[m]"""
+    pusher_radius: float | None
+    """[m]; None where the bag does not have it."""
     wrench: Samples | None
     """Force of the pusher on the object in `table` [N], shape (n, 2)."""
     push_intervals: tuple[PushInterval, ...]
@@ -264,36 +266,37 @@ def _object_track(
     covariance[unknown] = decode.DEFAULT_COVARIANCE
     if unknown.any():
         notes.append(f"object {object_id}: {int(unknown.sum())} of {len(track)} poses lack a covariance; 1 mm, 0.5 degrees assumed.")
-    return ObjectTrack(_shape(object_id, recorded, notes), track.time, track.value[:, :3], covariance)
+    shape, has_outline = _shape(object_id, recorded, notes)
+    return ObjectTrack(shape, track.time, track.value[:, :3], covariance, has_outline)
 
 
-def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> ObjectShape | None:
-    """Cells and outline from the last message of each."""
+def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> tuple[ObjectShape | None, bool]:
+    """Cells and outline from the last message of each, and whether there is an outline."""
     grids = recorded.get(TopicRole(Role.CELLS, object_id), _Recorded()).messages
     polygons = recorded.get(TopicRole(Role.OUTLINE, object_id), _Recorded()).messages
     if not grids:
         notes.append(f"object {object_id}: the bag has no cells.")
-        return None
+        return None, bool(polygons)
     try:
         cells, yaw = decode.cells_of(grids[-1])
-        outline = decode.outline_of(polygons[-1].polygon) if polygons else None
+        measured = outline = decode.outline_of(polygons[-1].polygon) if polygons else None
         if outline is None:
             lacking = "its outline encloses nothing" if polygons else "no outline"
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
             LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
-        return check_shape(ObjectShape(cells, outline))
+        return check_shape(ObjectShape(cells, outline)), measured is not None
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
-        return None
+        return None, bool(polygons)
 
 
-def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float:
+def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float | None:
     shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
     if radius is None:
-        notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}; the pusher is modelled as a point.")
-        return 0.0
+        notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}: its radius is unknown.")
+        return None
     try:
         return check_pusher_radius(radius)
     except InputError as error:

@@ -25,7 +25,7 @@ from push_ident.identification.result import Identification
 from push_ident.identification.result_json import push_errors, result_json
 from push_ident.identification.running_record import running_record
 from push_ident.identification.scoring import PushScore
-from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import Float64Array
 
@@ -85,6 +85,7 @@ def identify_command(
             [loaded.records[i] for i in chosen],
             prior,
             method=method,
+            effects=loaded.nuisances if solver_of(method).capabilities.takes_effects else (),
             budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
             options=FitOptions(seed=seed),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
@@ -191,4 +192,11 @@ def _show_identifiability(result: Identification) -> None:
         f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained",
         highlight=False,
     )
+    if result.candidates:
+        odds = ", ".join(f"{c.name} {c.probability:.0%}" for c in sorted(result.candidates, key=lambda c: -c.probability))
+        console.print(f"priors: {odds}", highlight=False)
+    for label, value, std in zip(
+        result.posterior.effects.labels, result.posterior.effects.values, result.posterior.effects_std, strict=True
+    ):
+        console.print(f"{label}: {value:.3g} ± {std:.2g}", highlight=False)
     console.print(f"{result.method}: {result.status.value}; {result.n_simulations} simulations in {result.time_s:.2f} s", highlight=False)

@@ -41,4 +41,4 @@ class DiagnosisSettings:
     @property
     def base_prior(self) -> Prior:
         """Smooth maps, and the friction of the pusher given."""
-        return replace(self.prior, max_modes=min(self.prior.max_modes, _N_MODES)).with_pusher_friction_frozen()
+        return replace(self.prior, max_modes=min(self.prior.max_modes, _N_MODES)).without_pressure().with_pusher_friction_frozen()

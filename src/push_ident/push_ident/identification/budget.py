@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.identification.unknowns import Unknowns
 from push_ident.types import Float64Array
 
 __all__ = ["Budget", "Meter", "Progress", "Sample"]
@@ -43,6 +44,8 @@ class Sample:
     cost: float
     x: Float64Array
     """Unknowns of the problem, shape (problem.size,)."""
+    unknowns: Unknowns | None = None
+    """What those of the object mean, where it is not the problem that the solve ends with."""
 
 
 class Meter:
@@ -97,11 +100,11 @@ class Meter:
         """Add `n` simulated pushes."""
         self.n_simulations += n
 
-    def offer(self, x: Float64Array, cost: float) -> bool:
-        """Keep `x` if its cost is below the best so far; returns whether it is."""
+    def offer(self, x: Float64Array, cost: float, unknowns: Unknowns | None = None) -> bool:
+        """Keep `x` if its cost is below the best so far; returns whether it is. `unknowns`: see `Sample`."""
         if not cost < (self.history[-1].cost if self.history else np.inf):
             return False
-        self.history.append(Sample(self.n_simulations, self.seconds, float(cost), np.array(x)))
+        self.history.append(Sample(self.n_simulations, self.seconds, float(cost), np.array(x), unknowns))
         if self._on_progress:
             self._on_progress(self.history[-1])
         return True

@@ -136,9 +136,15 @@ class Fit:
         """Squared residual per degree of freedom, about 1 where the model is right; from a quantile of the frames, so that a few wrong
         poses do not count."""
         n_residuals = self.end.residual.size
-        used = self.unknowns.size - float(np.trace(self._inverse_hessian)) + 3 * len(self.problem.records)
         size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), _QUANTILE))
-        return size2 / _EXPECTED_QUANTILE * n_residuals / max(n_residuals - used, _LEAST_FREEDOM * n_residuals)
+        return size2 / _EXPECTED_QUANTILE * n_residuals / self.degrees_of_freedom
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Residuals beyond the unknowns that the pushes determine, at least a quarter of the residuals."""
+        n_residuals = self.end.residual.size
+        used = self.unknowns.size - float(np.trace(self._inverse_hessian)) + 3 * len(self.problem.records)
+        return max(n_residuals - used, _LEAST_FREEDOM * n_residuals)
 
     def minimum_at(self, amplitude: float) -> Float64Array:
         """Minimum of the cost under another amplitude if the motion were linear in the unknowns: a start that saves steps."""

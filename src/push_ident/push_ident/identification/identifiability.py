@@ -114,14 +114,14 @@ def identifiability(posterior: ModelPosterior) -> Identifiability:
     quantities.append(
         Quantity("total mass", "kg", mass.value, mass.std, prior_std, Knowledge.of(ratio) if prior_std > 0 else Knowledge.GIVEN)
     )
-    maps = unknowns.slice_of("maps")
+    maps = unknowns.maps
     value, vector = np.linalg.eigh(covariance[maps, maps])
-    prior = unknowns.prior
+    d_log_mass, d_log_friction = unknowns.log_derivatives(posterior.z)
     combinations = [
         Combination(
             std_ratio=float(np.sqrt(np.clip(variance, 0.0, None))),
-            log_mass=prior.mass_map_std * (unknowns.modes @ direction[unknowns.mass_modes]),
-            log_friction=prior.friction_map_std * (unknowns.modes @ direction[unknowns.friction_modes]),
+            log_mass=d_log_mass[:, maps] @ direction,
+            log_friction=d_log_friction[:, maps] @ direction,
             knowledge=Knowledge.of(float(np.sqrt(max(variance, 0.0)))),
         )
         for variance, direction in zip(value, vector.T, strict=True)

@@ -15,13 +15,13 @@ from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.result import Checkpoint, Identification, ModelPosterior
+from push_ident.identification.result import Checkpoint, Identification, ModelPosterior, WarmStart
 from push_ident.identification.solver import FitTask, MapFit
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_measured_forces
 from push_ident.identification.unknowns import Unknowns
-from push_ident.types import Float64Array, ObjectModel, ObjectShape, PushRecord, SolveStatus
+from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["Earlier", "identify", "uniform_model"]
 
@@ -30,7 +30,7 @@ __all__ = ["Earlier", "identify", "uniform_model"]
 class Earlier:
     """Results of an earlier identification of the same object by the same solver."""
 
-    warm_starts: Sequence[Float64Array] = ()
+    warm_starts: Sequence[WarmStart] = ()
     """`Identification.warm_starts`, of a fit to the first of the pushes that are given now."""
     past: Summary | None = None
     """Pushes that are not given now, summed up; used by solvers that can (`Capabilities.takes_past`)."""
@@ -95,6 +95,8 @@ def identify(
         time_s=meter.seconds,
         warm_starts=fit.warm_starts,
         history=_checkpoints(fit.problem),
+        candidates=fit.candidates,
+        noise_factor=fit.noise_factor,
         explanation=explanation,
     )
 
@@ -115,10 +117,14 @@ def _checked(
         status = SolveStatus.NO_CONTACT
     status = explanation.judged(status)
     if status.is_failure:
-        return ModelPosterior.of_prior(Unknowns(problem.unknowns.shape, prior, effects=effects)), status
+        same = prior.on_feet(past.feet) if past else prior  # pushes that are summed up count in these unknowns
+        return ModelPosterior.of_prior(Unknowns(problem.unknowns.shape, same, effects=effects)), status
     return with_measured_forces(fit.posterior, problem, fit.x, past.log_forces.tolist() if past else ()), status
 
 
 def _checkpoints(problem: FitProblem) -> tuple[Checkpoint, ...]:
-    model = problem.unknowns.model
-    return tuple(Checkpoint(s.n_simulations, s.time_s, s.cost, model(problem.object_unknowns(s.x))) for s in problem.meter.history)
+    checkpoints = []
+    for sample in problem.meter.history:
+        unknowns = sample.unknowns or problem.unknowns
+        checkpoints.append(Checkpoint(sample.n_simulations, sample.time_s, sample.cost, unknowns.model(sample.x[: unknowns.size])))
+    return tuple(checkpoints)

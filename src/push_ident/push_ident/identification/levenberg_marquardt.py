@@ -56,7 +56,7 @@ def minimise(
     best = problem.evaluate(x) if start is None else start
     if not np.isfinite(best.cost):
         return x, best, SolveStatus.SIMULATION_FAILED
-    problem.meter.offer(x, best.cost)
+    problem.meter.offer(x, best.cost, problem.unknowns)
     damping = _FIRST_DAMPING
     costs = [best.cost]
     for _ in range(max_iterations):
@@ -75,7 +75,7 @@ def minimise(
         gained = best.cost - trial.cost
         if gained > 0:
             x, best = x + step, trial
-            problem.meter.offer(x, best.cost)
+            problem.meter.offer(x, best.cost, problem.unknowns)
             damping = max(damping * (0.1 if gained > 0.5 * expected else 1.0), _DAMPING[0])
         else:
             damping = max(10.0 * damping, _FAILED_DAMPING)

@@ -176,5 +176,7 @@ def _equal(values: Float64Array, stated: Sequence[float]) -> bool:
 def prior_of(values: dict[str, float]) -> Prior:
     """The prior of a file; fields that this version does not have are ignored."""
     known = {name: value for name, value in values.items() if name in Prior.__dataclass_fields__}
-    known["max_modes"] = int(known.get("max_modes", Prior().max_modes))
+    known.setdefault("pressure_map_std", 0.0)  # of files written before there was such a map
+    for name in ("max_modes", "feet"):
+        known[name] = int(known.get(name, getattr(Prior(), name)))
     return Prior(**known)  # type: ignore[arg-type]

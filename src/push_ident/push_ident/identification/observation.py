@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import BoolArray, Float64Array, PushRecord
 
-__all__ = ["NoiseModel", "Observation", "noise_correlation", "observe_push", "pusher_gaps"]
+__all__ = ["UNCHECKED", "NoiseModel", "Observation", "noise_correlation", "observe_push", "pusher_gaps"]
 
+UNCHECKED = 2.0
+"""Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
 _SHARING = 10
 """Number of frames of one motion for which `NoiseModel.fit_discrepancy` holds; where there are more, each counts less."""
 _ENOUGH = 12
@@ -60,8 +62,9 @@ class NoiseModel:
     """Model discrepancy of position by travel, of a predicted pose [-]."""
     model_discrepancy_yaw: float = 0.03
     """Model discrepancy of yaw by travel, of a predicted pose [rad/m]."""
-    single_frame_inflation: float = 2.0
-    """Factor on the stated standard deviation of a pose at rest with one frame only: nothing checks it [-]."""
+    single_frame_inflation: float | None = None
+    """Factor on the stated standard deviation of a pose at rest with one frame only, which no other frame checks [-]. None: `UNCHECKED`,
+    unless a solver sets it by the pushes."""
     max_moving_frames: int = 10
     """Largest number of frames of the motion that are kept."""
     correlation: float = 0.0
@@ -99,6 +102,8 @@ class Observation:
     (n_frames, 3)."""
     correlation: float = 0.0
     """Of the errors of neighbouring frames of the motion [-]; `whitening` assumes larger independent errors instead."""
+    is_unchecked: bool = False
+    """Whether both rests have one frame only, so that nothing but pushes shows how large the errors of poses are."""
 
 
 def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
@@ -123,6 +128,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + _TRAVEL_PER_TURN * np.abs(pose[:, 2] - pose[0, 2]))
     growth = noise.fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)
     scatter = _scatter(record, before, after)
+    inflation = UNCHECKED if noise.single_frame_inflation is None else noise.single_frame_inflation
     neighbours = min(max(noise.correlation, 0.0), _MAX_CORRELATION) ** stride
     repeated = _repetition(neighbours)
     stated = [poses.covariance[g].mean(axis=0) * max(scatter, 1.0) * repeated for g in groups]
@@ -130,11 +136,12 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         n = len(groups[end])
         shared = max(0.0, 1.0 - 2.0 * scatter)
         independent = min(1.0, _repetition(noise.correlation) / n)
-        stated[end] = stated[end] / repeated * (noise.single_frame_inflation**2 if n == 1 else shared + (1.0 - shared) * independent)
+        stated[end] = stated[end] / repeated * (inflation**2 if n == 1 else shared + (1.0 - shared) * independent)
     covariance = np.array([c + floor + np.diag(growth * distance**2) for c, distance in zip(stated, travel, strict=True)])
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     discrepancy = travel[:, None] * noise.model_discrepancy
-    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours)
+    unchecked = len(before) == len(after) == 1
+    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, unchecked)
 
 
 def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENOUGH_PAIRS) -> float:

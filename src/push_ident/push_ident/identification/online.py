@@ -14,7 +14,7 @@ from push_ident.identification.observation import NoiseModel
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import without_first_pose
 from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.result import Identification, ModelPosterior, prior_posterior
+from push_ident.identification.result import Identification, ModelPosterior, WarmStart, prior_posterior
 from push_ident.identification.solver import FrameTask
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary, summarise
@@ -34,7 +34,7 @@ class OnlineState:
     """The latest pushes, which are simulated again at every solve."""
     past: Summary | None
     """The pushes before them, summed up; or a model that was adopted."""
-    warm_starts: tuple[Float64Array, ...]
+    warm_starts: tuple[WarmStart, ...]
     """Where the last solve ended."""
     posterior: ModelPosterior
     status: SolveStatus | None
@@ -106,7 +106,8 @@ class OnlineIdentifier:
         prior = posterior.prior
         if posterior.total_mass_identifiable:
             prior = replace(prior, total_mass=mass.value, total_mass_std=mass.std / mass.value)
-        past = Summary(0, unknowns.modes, Quadratic.beyond_unit_normal(posterior.z, posterior.covariance), np.array([]))
+        known = Quadratic.beyond_unit_normal(posterior.z, posterior.covariance)
+        past = Summary(0, unknowns.modes, known, prior.feet, np.array([]), has_prior=True)
         return OnlineState(unknowns.shape, prior, (), past, (), posterior, None)
 
     @property
@@ -118,10 +119,10 @@ class OnlineIdentifier:
         """Add a finished push to the estimate."""
         state = self.state
         records, past, starts = state.records, state.past, state.warm_starts
-        unknowns, options = state.posterior.unknowns, self._options
+        options = self._options
         while len(records) >= self._window:
             oldest = summarise(records[0], state.posterior, options.noise, options.numerics)
-            starts = tuple(without_first_pose(x, unknowns, 0) for x in starts)
+            starts = tuple(replace(start, x=without_first_pose(start.x, len(records))) for start in starts)
             records, past = records[1:], oldest if past is None else past + oldest
         records = (*records, record)
         result = identify(

@@ -3,16 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.types import Float64Array
 
-__all__ = ["Prior"]
+__all__ = ["MapPrior", "Prior"]
 
 _FROZEN_STD = 1e-3
 """Standard deviation of a logarithm that counts as given [-]: a thousandth of the coefficient, far below what any push determines. It is
 not 0, so that one parametrisation serves free and given coefficients and the Hessian stays regular."""
+_EVEN_MASS_STD: Final = 0.1
+"""Of the mass of a cell of an object on feet: it moves the centre of mass by a hundredth of the object [-]."""
+_EVEN_FRICTION_STD: Final = 0.05
+"""Of the friction of a cell of an object on feet: all feet slide on one table [-]."""
+_MAPS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
+
+
+@dataclass(frozen=True, slots=True)
+class MapPrior:
+    """How uneven maps are expected to be."""
+
+    mass_std: float
+    """Standard deviation of the logarithm of the mass of a cell about the mean [-]."""
+    pressure_std: float
+    """Of the logarithm of the load of a cell over its weight [-]."""
+    friction_std: float
+    """Of the logarithm of the friction of a cell about the mean [-]."""
+    length: float
+    """Correlation length, divided by the diagonal of the object [-]."""
+
+    @classmethod
+    def of_logs(cls, logs: Float64Array) -> MapPrior:
+        """From the logarithms of the four, shape (4,)."""
+        return cls(*(float(value) for value in np.exp(logs)))
+
+    @property
+    def logs(self) -> Float64Array:
+        """Logarithms of the four, shape (4,)."""
+        return np.log([self.mass_std, self.pressure_std, self.friction_std, self.length])
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,27 +64,47 @@ class Prior:
     """Standard deviation of its logarithm."""
     mass_map_std: float = 0.7
     """Standard deviation of the logarithm of the mass of a cell about the mean."""
+    pressure_map_std: float = 0.7
+    """Standard deviation of the logarithm of the load of a cell over its weight; 0: each cell bears its own weight."""
     friction_map_std: float = 0.7
     """Standard deviation of the logarithm of the friction of a cell about the mean."""
     correlation_length: float = 0.25
     """Correlation length of the maps, divided by the diagonal of the object."""
     max_modes: int = 40
     """Largest number of modes of a map."""
+    feet: int = 0
+    """Number of feet of unknown place that bear the load; 0: the whole base does. There is no map of the load then."""
 
     def __post_init__(self) -> None:
         for name in ("total_mass", "friction", "pusher_friction", "friction_std", "pusher_friction_std", "correlation_length"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"Prior.{name} is {value}, expected a positive number.")
-        for name in ("total_mass_std", "mass_map_std", "friction_map_std"):
+        for name in ("total_mass_std", *_MAPS):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
+        if self.feet < 0 or self.feet == 1:
+            raise InputError(f"Prior.feet is {self.feet}, expected 0 (the whole base bears the load) or at least 2.")
 
     def at_amplitude(self, amplitude: float) -> Prior:
-        """The same prior with the standard deviations of both maps multiplied by `amplitude`."""
-        return replace(self, mass_map_std=amplitude * self.mass_map_std, friction_map_std=amplitude * self.friction_map_std)
+        """The same prior with the standard deviations of the maps multiplied by `amplitude`."""
+        return replace(self, **{name: amplitude * getattr(self, name) for name in _MAPS})
+
+    def without_pressure(self) -> Prior:
+        """The same prior where each cell bears its own weight: one map fewer, and the same products of mass and friction."""
+        return replace(self, pressure_map_std=0.0)
+
+    def on_feet(self, number: int) -> Prior:
+        """The same prior of an object that stands on feet, with nearly even maps: where it stands says more; the prior itself for 0."""
+        if number == 0:
+            return self
+        return replace(self, feet=number, mass_map_std=_EVEN_MASS_STD, friction_map_std=_EVEN_FRICTION_STD)
 
     def with_pusher_friction_frozen(self) -> Prior:
         """The same prior with the friction coefficient of the pusher given."""
         return replace(self, pusher_friction_std=_FROZEN_STD)
+
+    def with_frictions_frozen(self) -> Prior:
+        """The same prior with the friction coefficients of the support and of the pusher given."""
+        return replace(self, friction_std=_FROZEN_STD, pusher_friction_std=_FROZEN_STD)

@@ -110,10 +110,10 @@ class FitProblem:
         self.past = past or Quadratic.zero(unknowns.size)
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
-    def of(self, unknowns: Unknowns) -> FitProblem:
-        """The same pushes with other unknowns of the object and an unlimited budget, without information from other pushes."""
+    def of(self, unknowns: Unknowns, *, meter: Meter | None = None, past: Quadratic | None = None) -> FitProblem:
+        """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others."""
         other = copy(self)
-        other.unknowns, other.past, other.meter = unknowns, Quadratic.zero(unknowns.size), _unlimited()
+        other.unknowns, other.past, other.meter = unknowns, past or Quadratic.zero(unknowns.size), meter or _unlimited()
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:
@@ -274,9 +274,10 @@ class FitProblem:
         return np.concatenate([shared, own], axis=2).reshape(3 * len(whitened), -1)
 
 
-def without_first_pose(x: Float64Array, unknowns: Unknowns, push: int) -> Float64Array:
-    """The vector of a `FitProblem` with these unknowns of the object, without the first pose of one push."""
-    return np.delete(x, _slice_of_first_pose(unknowns, push))
+def without_first_pose(x: Float64Array, n_pushes: int) -> Float64Array:
+    """The vector of a `FitProblem` of `n_pushes` pushes, without the first pose of the first one; as it is where it has another size."""
+    start = len(x) - 3 * n_pushes
+    return np.delete(x, slice(start, start + 3)) if start >= 0 else x
 
 
 def _slice_of_first_pose(unknowns: Unknowns, push: int) -> slice:

@@ -36,6 +36,11 @@ class Quadratic:
         """The same cost of y with z = unit * y, shape (n,)."""
         return Quadratic(self.point / unit, unit * self.gradient, self.hessian * np.outer(unit, unit))
 
+    def transformed(self, matrix: Float64Array) -> Quadratic:
+        """The same cost of y with z = matrix @ y, up to the cost at zero, shape (n, m)."""
+        zero = np.zeros(len(self.point))
+        return Quadratic(np.zeros(matrix.shape[1]), matrix.T @ self.slope(zero), matrix.T @ self.hessian @ matrix)
+
     def slope(self, z: Float64Array) -> Float64Array:
         """Gradient at `z`, shape (n,)."""
         return np.asarray(self.gradient + self.hessian @ (z - self.point))

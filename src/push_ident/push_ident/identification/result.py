@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from push_ident.identification.explanation import Explanation
-from push_ident.identification.prior import Prior
+from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus
 
-__all__ = ["Checkpoint", "Estimate", "Identification", "ModelPosterior", "prior_posterior"]
+__all__ = ["Candidate", "Checkpoint", "Estimate", "Identification", "ModelPosterior", "WarmStart", "prior_posterior"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class ModelPosterior:
 
     @cached_property
     def _log_derivatives(self) -> tuple[Float64Array, Float64Array]:
-        return self.unknowns.log_derivatives(self.model)
+        return self.unknowns.log_derivatives(self.z)
 
     @property
     def prior(self) -> Prior:
@@ -131,6 +131,33 @@ class Checkpoint:
 
 
 @dataclass(frozen=True, slots=True)
+class WarmStart:
+    """Where a fit ended."""
+
+    name: str
+    """Of the start that led there, for a solver with several."""
+    x: Float64Array
+    """Unknowns of the object and first poses, in the units of the caller's prior."""
+    prior: MapPrior | None = None
+    """Of the maps; None for a solver that sets none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One prior that the pushes were explained with."""
+
+    name: str
+    log_evidence: float
+    """[nat], up to a constant of the pushes."""
+    maps: MapPrior | None
+    """What the pushes made of the prior of the maps; None: no maps."""
+    probability: float
+    """Among the candidates, each as probable as the others before the pushes [-]."""
+    on_feet: ModelPosterior | None = None
+    """Of a prior with feet, see `supports`; None: the whole base bears the load."""
+
+
+@dataclass(frozen=True, slots=True)
 class Identification:
     """Result of `identify`."""
 
@@ -148,10 +175,14 @@ class Identification:
     n_simulations: int
     time_s: float
     """Of the solve [s]."""
-    warm_starts: tuple[Float64Array, ...]
+    warm_starts: tuple[WarmStart, ...]
     """Where the fits of the solver ended: starts for the same solver, the same pushes and more."""
     history: tuple[Checkpoint, ...] = ()
     """Every improvement during the solve, the oldest first."""
+    candidates: tuple[Candidate, ...] = ()
+    """Priors that were compared."""
+    noise_factor: float | None = None
+    """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
     explanation: Explanation = field(default_factory=Explanation)
     """How well the fit explains its training pushes, also where `posterior` is the prior because it does not."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from push_ident.identification.identifiability import Identifiability, identifiability
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.report import PushErrors
-from push_ident.identification.result import Identification
+from push_ident.identification.result import Candidate, Identification
+from push_ident.identification.supports import Support, supports
 from push_ident.types import PushRecord
 
 __all__ = ["knowledge_json", "push_errors", "result_json"]
@@ -58,9 +60,30 @@ def result_json(
             "identifiable": posterior.total_mass_identifiable,
         },
         "knowledge": knowledge_json(identifiability(posterior)),
+        "priors": [_candidate(candidate) for candidate in result.candidates],
+        "pose_noise_factor": result.noise_factor,
         "misfit": result.reduced_chi2,
         "status": result.status.name.lower(),
         "notes": list(notes),
+    }
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "name": candidate.name,
+        "log_evidence": candidate.log_evidence,
+        "probability": candidate.probability,
+        "maps": None if candidate.maps is None else asdict(candidate.maps),
+        "feet": None if candidate.on_feet is None else [_support(support) for support in supports(candidate.on_feet)],
+    }
+
+
+def _support(support: Support) -> dict[str, Any]:
+    return {
+        "place_m": support.place.tolist(),
+        "place_std_m": support.place_std.tolist(),
+        "share": support.share,
+        "share_std": support.share_std,
     }
 
 
@@ -87,7 +110,8 @@ def knowledge_json(known: Identifiability) -> dict[str, Any]:
 def push_errors(result: Identification, records: Sequence[PushRecord], pushes: Sequence[int]) -> PushErrors:
     """Cell errors of some of the pushes under equal cells, fitted equal cells and the identified model."""
     chosen = [records[i] for i in pushes]
-    uniform, scalar, identified = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar, result.model))
+    uniform, scalar = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar))
+    identified = held_out_errors(result.model, chosen, effects=result.posterior.effects)
     return PushErrors(tuple(pushes), uniform, scalar, identified)
 
 

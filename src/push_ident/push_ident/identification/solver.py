@@ -17,7 +17,7 @@ from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.result import Candidate, ModelPosterior, WarmStart
 from push_ident.identification.summary import Summary
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
@@ -55,7 +55,7 @@ class FitTask:
     """Fit of equal cells to the same pushes, on a meter of its own."""
     effects: Sequence[str] = ()
     """Names of effects that are fitted too."""
-    warm_starts: Sequence[Float64Array] = ()
+    warm_starts: Sequence[WarmStart] = ()
     """`MapFit.warm_starts` of an earlier fit by this solver to the first of these pushes."""
     past: Summary | None = None
     """Pushes before these, summed up."""
@@ -80,8 +80,12 @@ class MapFit:
     """Of `problem` at `x`."""
     reduced_chi2: float
     """Of `problem` at `x`; NaN for a solver without a posterior."""
-    warm_starts: tuple[Float64Array, ...]
+    warm_starts: tuple[WarmStart, ...]
     """Starts for a later fit to the same pushes and more."""
+    candidates: tuple[Candidate, ...] = ()
+    """Priors that were compared."""
+    noise_factor: float | None = None
+    """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +101,7 @@ class FrameTask:
     options: FitOptions
     budget: Budget
     """For solvers whose update has no bound of its own."""
-    warm_starts: Sequence[Float64Array] = ()
+    warm_starts: Sequence[WarmStart] = ()
     """Of the fit to `records`."""
     latest: Float64Array | None = None
     """`FrameFit.x` of the frame before, of the same push."""
@@ -148,11 +152,11 @@ class CellByCellSolver(Solver):
         """As `Solver.fit`; the time of the fit of equal cells does not count."""
         meter = task.meter
         meter.restart()
-        unknowns = Unknowns(task.shape, task.prior, modes=np.eye(len(task.shape.cells)))
+        unknowns = Unknowns(task.shape, task.prior.without_pressure(), modes=np.eye(len(task.shape.cells)))
         problem = FitProblem(task.records, unknowns, noise=task.options.noise, settings=task.options.numerics, meter=meter)
         x0 = np.zeros(problem.size)
-        if self.capabilities.resumes and task.warm_starts and len(task.warm_starts[0]) <= problem.size:
-            x0[: len(task.warm_starts[0])] = task.warm_starts[0]
+        if self.capabilities.resumes and task.warm_starts and len(task.warm_starts[0].x) <= problem.size:
+            x0[: len(task.warm_starts[0].x)] = task.warm_starts[0].x
         x, status = self.solve(problem, x0, np.random.default_rng(task.options.seed))
         meter.stop()
         return MapFit(
@@ -162,7 +166,7 @@ class CellByCellSolver(Solver):
             x=x,
             cost=meter.best.cost if meter.best else np.inf,
             reduced_chi2=np.nan,
-            warm_starts=(x,),
+            warm_starts=(WarmStart(self.name, x),),
         )
 
     def fit_frame(self, task: FrameTask) -> FrameFit | None:
@@ -173,8 +177,10 @@ class CellByCellSolver(Solver):
         if not problem.observations[-1].touched:
             return None
         x0 = np.zeros(problem.size)
-        earlier = task.warm_starts if task.latest is None else (task.latest,)
-        if self.capabilities.resumes and earlier:
-            x0[: len(earlier[0])] = earlier[0]
+        earlier = task.latest
+        if earlier is None and task.warm_starts:
+            earlier = task.warm_starts[0].x
+        if self.capabilities.resumes and earlier is not None:
+            x0[: len(earlier)] = earlier
         x, status = self.solve(problem, x0, np.random.default_rng(options.seed))
         return FrameFit(x, replace(task.before, z=problem.object_unknowns(x)), status)

@@ -14,14 +14,18 @@ from push_ident.errors import InputError, ModelFileError
 from push_ident.files import write_whole
 from push_ident.identification.model_file import ModelContent, model_content, posterior_of, prior_of, read_checked
 from push_ident.identification.online import OnlineState
+from push_ident.identification.prior import MapPrior
 from push_ident.identification.quadratic import Quadratic
+from push_ident.identification.result import WarmStart
 from push_ident.identification.scoring import PushScore, RunningRecord
 from push_ident.identification.summary import Summary
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
 
 __all__ = ["KeptState", "load_state", "save_state"]
 
-_FORMAT = "push_ident/state/2"
+_FORMAT = "push_ident/state/3"
+_EARLIER = "push_ident/state/2"
+"""Its starts of the next solve are of a solver that is no more; the rest is as now."""
 
 
 class _Part(BaseModel):
@@ -49,6 +53,13 @@ class _Past(_Part):
     gradient: list[float]
     hessian: list[list[float]]
     log_forces: list[float]
+    has_prior: bool = False
+
+
+class _Start(_Part):
+    name: str
+    x: list[float]
+    map_prior: tuple[float, float, float, float] | None
 
 
 class _Score(_Part):
@@ -76,7 +87,7 @@ class _State(_Part):
     prior: dict[str, float]
     pushes: list[_Push]
     past: _Past | None
-    starts: list[list[float]]
+    starts: list[_Start | list[float]]
     status: str | None
     record: _Record
     keys: list[tuple[float, float, float]]
@@ -123,8 +134,9 @@ def save_state(
             gradient=past.cost.gradient.tolist(),
             hessian=past.cost.hessian.tolist(),
             log_forces=past.log_forces.tolist(),
+            has_prior=past.has_prior,
         ),
-        starts=[x.tolist() for x in state.warm_starts],
+        starts=[_start(start) for start in state.warm_starts],
         status=state.status.name if state.status else None,
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
@@ -136,7 +148,7 @@ def save_state(
 def load_state(path: Path) -> KeptState:
     """Read a state. Raises ModelFileError: no such file, or not one written by `save_state`."""
     content = read_checked(path, _State, "a state of the identification", "remove it to start again")
-    if content.format != _FORMAT:
+    if content.format not in (_FORMAT, _EARLIER):
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to start again.")
     posterior = posterior_of(content.model, path)
     unknowns, past = posterior.unknowns, None
@@ -146,13 +158,15 @@ def load_state(path: Path) -> KeptState:
             if point.shape != gradient.shape or hessian.shape != (unknowns.size, unknowns.size) or point.shape != (unknowns.size,):
                 raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {unknowns.size}; the file is damaged.")
             cost = Quadratic(point, gradient, hessian)
-            past = Summary(content.past.n_pushes, unknowns.modes, cost, np.array(content.past.log_forces))
+            past = Summary(
+                content.past.n_pushes, unknowns.modes, cost, unknowns.prior.feet, np.array(content.past.log_forces), content.past.has_prior
+            )
         state = OnlineState(
             shape=unknowns.shape,
             prior=prior_of(content.prior),
             records=tuple(_record(push, content.model.object_id, unknowns.shape) for push in content.pushes),
             past=past,
-            warm_starts=tuple(np.array(x) for x in content.starts),
+            warm_starts=tuple(_warm_start(start) for start in content.starts if isinstance(start, _Start)),
             posterior=posterior,
             status=SolveStatus[content.status] if content.status else None,
         )
@@ -196,3 +210,13 @@ def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
         source=push.source,
         order=push.order,
     )
+
+
+def _start(start: WarmStart) -> _Start:
+    prior = start.prior
+    values = None if prior is None else (prior.mass_std, prior.pressure_std, prior.friction_std, prior.length)
+    return _Start(name=start.name, x=start.x.tolist(), map_prior=values)
+
+
+def _warm_start(start: _Start) -> WarmStart:
+    return WarmStart(start.name, np.array(start.x), MapPrior(*start.map_prior) if start.map_prior else None)

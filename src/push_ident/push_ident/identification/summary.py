@@ -39,32 +39,38 @@ class Summary:
     """Of the maps, see `Unknowns`, shape (n_cells, n_modes)."""
     cost: Quadratic
     """Of the unknowns, in units of the prior at full amplitude."""
+    feet: int
+    """`Prior.feet` of the unknowns."""
     log_forces: Float64Array
     """Of the latest pushes with a wrench, see `total_mass.log_force`, shape (n,)."""
+    has_prior: bool = False
+    """Whether the cost holds a prior of the maps already, beyond a unit normal one: that of a model that was adopted."""
 
     def __add__(self, other: Summary) -> Summary:
         """Both; `other` is the later one, around whose fit the costs are taken."""
         forces = np.concatenate([self.log_forces, other.log_forces])[-_FORCES:]
-        return Summary(self.n_pushes + other.n_pushes, self.modes, self.cost + other.cost, forces)
+        return Summary(
+            self.n_pushes + other.n_pushes, self.modes, self.cost + other.cost, self.feet, forces, self.has_prior or other.has_prior
+        )
 
 
 def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel | None, settings: SimulationSettings | None) -> Summary:
     """Sum up one push around the mean of a posterior that was fitted to it; a push that cannot be simulated adds no information."""
     unknowns = posterior.unknowns
     problem = FitProblem([record], unknowns, noise=noise, settings=settings)
-    n_z, modes = unknowns.size, unknowns.modes
+    n_z, modes, feet = unknowns.size, unknowns.modes, unknowns.prior.feet
     x = np.r_[posterior.z, np.zeros(3)]
     for _ in range(_POSE_STEPS):
         terms = problem.evaluate_push(x, 0)
         if terms is None:
-            return Summary(1, modes, Quadratic.zero(n_z), np.array([]))
+            return Summary(1, modes, Quadratic.zero(n_z), feet, np.array([]))
         x[n_z:] -= np.linalg.solve(terms.hessian[n_z:, n_z:], terms.gradient[n_z:])
     full = problem.evaluate_push(x, 0)
     if full is None:
-        return Summary(1, modes, Quadratic.zero(n_z), np.array([]))
+        return Summary(1, modes, Quadratic.zero(n_z), feet, np.array([]))
     own, shared = full.hessian[n_z:, n_z:], full.hessian[:n_z, n_z:]
     onto = np.linalg.solve(own, shared.T).T
     hessian = full.hessian[:n_z, :n_z] - onto @ shared.T
     gradient = full.gradient[:n_z] - onto @ full.gradient[n_z:]
     force = log_force(unknowns.model(posterior.z), problem, x, 0)
-    return Summary(1, modes, Quadratic(posterior.z, gradient, hessian), np.array([] if force is None else [force]))
+    return Summary(1, modes, Quadratic(posterior.z, gradient, hessian), feet, np.array([] if force is None else [force]))

@@ -4,9 +4,12 @@ Mass and friction of a cell are positive, so their logarithms are the unknowns. 
 Gaussian process over the object (Matern 3/2). In the coordinates `z` of its leading modes the prior is a unit normal:
 
     m_i = M w_i,   w = softmax(a),   a = A z_a                     masses, M the total mass
-    mu_i = mu_0 exp(s) e_i / (w' e),   e = exp(b),   b = A z_b     support friction, map and scale
+    P = load(w, c),   c = A z_c                                    share of the load that each cell bears, see `load`; or
+    P = feet(w, p, h, g),   p = p_0 + L z_p                        on feet at the places p of width h with preferences g, see `feet`
+    mu_i = mu_0 exp(s) e_i P_i / w_i / (P' e),   e = exp(b),   b = A z_b     support friction, map and scale
     mu_p = mu_p0 exp(p)                                            friction of the pusher
 
+The friction of a cell is that of its whole limit, mu_i m_i g, on its own weight: poses see the product of load and friction only.
 The scale s belongs to the friction of the whole object, mu_0 exp(s) M g, whatever the maps are. Without this separation a heavy end with
 more friction would change the friction of the whole object.
 
@@ -19,7 +22,7 @@ The total mass M scales every force and changes no motion, so M is no unknown he
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -27,7 +30,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
-from push_ident.identification.prior import Prior
+from push_ident.identification.feet import Feet, FeetDerivative, FeetLoad, feet_load, feet_load_derivative
+from push_ident.identification.load import balanced_load, balanced_load_derivative
+from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
@@ -37,6 +42,12 @@ from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape
 
 __all__ = ["Block", "Layout", "Mechanics", "Unknowns"]
 
+_ROUNDING: Final = 1e-12
+"""Added to the covariance of the modes, which are independent with a variance of 1 at the own length [-]."""
+_PREFERENCE_STD: Final = 0.7
+"""Prior standard deviation of the logarithm of the load that a foot prefers [-]; statics alone gives that of three feet."""
+_FOOT_WIDTH: Final = (0.3, 0.3)
+"""Width of a foot: the least one, at which a foot between cells still has its place, and the median beyond it, in cells [-]."""
 _FROZEN_PRECISION: Final = 1e8
 """Precision about zero of a frozen unknown, in units of its prior: a standard deviation of 1e-4 prior standard deviations, below any
 effect on a motion. A finite number keeps one layout of the vector for free and frozen unknowns."""
@@ -125,7 +136,9 @@ class Mechanics:
 
 
 class Unknowns:
-    """The unknowns `z` of one object, in the blocks `maps`, `effects`, `friction_scale` and `pusher_friction`.
+    """The unknowns `z` of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_places`, `foot_width`,
+    `foot_preferences`, `effects`, `friction_scale` and `pusher_friction`. There is no
+    `pressure_map` where its prior standard deviation is 0 or the object stands on feet; without feet there are no blocks of feet.
 
     Args:
         shape: outline and cells of the object.
@@ -164,10 +177,15 @@ class Unknowns:
         self.modes = np.ascontiguousarray(modes)
         self.effects = effect_values(effects)
         self._given_effect_std = dict(effect_std or {})
-        n, parameters = self.modes.shape[1], self.effects.parameters
+        n, feet, parameters = self.modes.shape[1], prior.feet, self.effects.parameters
         self.layout = Layout(
             (
-                Block.of("maps", np.repeat([prior.mass_map_std, prior.friction_map_std], n)),
+                Block.of("mass_map", np.full(n, prior.mass_map_std)),
+                Block.of("pressure_map", np.full(n if prior.pressure_map_std > 0 and not feet else 0, prior.pressure_map_std)),
+                Block.of("friction_map", np.full(n, prior.friction_map_std)),
+                Block.of("foot_places", np.ones(2 * feet)),
+                Block.of("foot_width", np.ones(min(feet, 1))),
+                Block.of("foot_preferences", np.full(feet, _PREFERENCE_STD)),
                 Block.of(
                     "effects",
                     self._effect_std(),
@@ -201,6 +219,48 @@ class Unknowns:
             self.shape, prior, modes=self.modes, effects=self.effects.names, effect_std=self._given_effect_std, frozen_effects=frozen
         )
 
+    def under(self, maps: MapPrior) -> Unknowns:
+        """The same unknowns under another prior of the maps, with as many modes; a map that is not there stays away."""
+        prior = replace(
+            self.prior,
+            mass_map_std=maps.mass_std,
+            pressure_map_std=maps.pressure_std if self.block("pressure_map").size else self.prior.pressure_map_std,
+            friction_map_std=maps.friction_std,
+            correlation_length=maps.length,
+        )
+        frozen = np.flatnonzero(self.block("effects").frozen).tolist()
+        return Unknowns(
+            self.shape,
+            prior,
+            modes=self.modes @ self._mode_transform(maps.length),
+            effects=self.effects.names,
+            effect_std=self._given_effect_std,
+            frozen_effects=frozen,
+        )
+
+    def map_transform(self, maps: MapPrior) -> Float64Array:
+        """Matrix from `z` of `under(maps)` to the own, lower triangular, shape (size, size)."""
+        transform = np.eye(self.size)
+        modes = self._mode_transform(maps.length)
+        for name, std in (("mass_map", maps.mass_std), ("pressure_map", maps.pressure_std), ("friction_map", maps.friction_std)):
+            block = self.block(name)
+            if block.size:
+                transform[self.slice_of(name), self.slice_of(name)] = std / block.std[:, None] * modes
+        return transform
+
+    def _mode_transform(self, length: float) -> Float64Array:
+        """Root of the covariance of the modes under a unit map of another correlation length, shape (n_modes, n_modes)."""
+        if length == self.prior.correlation_length:
+            return np.eye(self.n_modes)
+        onto = self._onto_modes
+        covariance = onto @ _covariance(self.shape, length) @ onto.T
+        return np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.eye(self.n_modes)))
+
+    @cached_property
+    def _onto_modes(self) -> Float64Array:
+        """Least-squares inverse of `modes`, shape (n_modes, n_cells)."""
+        return np.asarray(np.linalg.pinv(self.modes), dtype=np.float64)
+
     @property
     def blocks(self) -> tuple[Block, ...]:
         """In the order of `z`."""
@@ -230,16 +290,14 @@ class Unknowns:
         return int(self.modes.shape[1])
 
     @property
-    def mass_modes(self) -> slice:
-        """Place of the unknowns of the mass map within `z`."""
-        start = self.slice_of("maps").start
-        return slice(start, start + self.n_modes)
+    def maps(self) -> slice:
+        """Place of the unknowns of all maps within `z`."""
+        return slice(self.slice_of("mass_map").start, self.slice_of("friction_map").stop)
 
     @property
-    def friction_modes(self) -> slice:
-        """Place of the unknowns of the friction map within `z`."""
-        stop = self.slice_of("maps").stop
-        return slice(stop - self.n_modes, stop)
+    def has_load(self) -> bool:
+        """Whether a cell may bear more or less than its own weight."""
+        return self.block("pressure_map").size > 0 or self.prior.feet > 0
 
     @cached_property
     def frozen_cost(self) -> Quadratic | None:
@@ -274,7 +332,7 @@ class Unknowns:
     def amplitude_unit(self, amplitude: float) -> Float64Array:
         """Unit of each unknown at an amplitude of the maps, in units of the full prior, shape (size,): `amplitude` for maps, else 1."""
         unit = np.ones(self.size)
-        unit[self.slice_of("maps")] = amplitude
+        unit[self.maps] = amplitude
         return unit
 
     def _scalar(self, z: Float64Array, name: str) -> np.float64:
@@ -284,10 +342,10 @@ class Unknowns:
     def model(self, z: Float64Array) -> ObjectModel:
         """The object at `z`, shape (size,)."""
         prior = self.prior
-        a = prior.mass_map_std * (self.modes @ z[self.mass_modes])
-        weight = np.exp(a - a.max())
-        weight /= weight.sum()
-        roughness = np.exp(prior.friction_map_std * (self.modes @ z[self.friction_modes]))
+        weight = self._weight(z)
+        roughness = np.exp(prior.friction_map_std * (self.modes @ z[self.slice_of("friction_map")]))
+        if self.has_load:
+            roughness *= self._load(z, weight) / weight
         scale = float(np.exp(prior.friction_std * self._scalar(z, "friction_scale")))
         return ObjectModel(
             shape=self.shape,
@@ -296,18 +354,86 @@ class Unknowns:
             pusher_friction=float(prior.pusher_friction * np.exp(prior.pusher_friction_std * self._scalar(z, "pusher_friction"))),
         )
 
-    def log_derivatives(self, model: ObjectModel) -> tuple[Float64Array, Float64Array]:
-        """d log(mass of each cell) / dz and d log(friction of each cell) / dz at the unknowns of `model`, each shape (n_cells, size)."""
+    def _weight(self, z: Float64Array) -> Float64Array:
+        """Share of the mass of each cell, shape (n_cells,)."""
+        a = self.prior.mass_map_std * (self.modes @ z[self.slice_of("mass_map")])
+        weight = np.exp(a - a.max())
+        weight /= weight.sum()
+        return np.asarray(weight)
+
+    def feet(self, z: Float64Array) -> FeetLoad:
+        """The feet at `z`. Raises InputError where the object stands on its whole base."""
+        if not self.prior.feet:
+            raise InputError("This object stands on its whole base, it has no feet.")
+        return self._feet(z, self._weight(z))
+
+    def _feet(self, z: Float64Array, weight: Float64Array) -> FeetLoad:
+        preference = _PREFERENCE_STD * z[self.slice_of("foot_preferences")]
+        return feet_load(weight, self.shape.cells.centres, Feet(self._foot_places(z), self._foot_width(z)[0], preference))
+
+    def _foot_places(self, z: Float64Array) -> Float64Array:
+        """[m], shape (n_feet, 2)."""
+        return np.asarray(self.shape.cells.centres.mean(axis=0) + z[self.slice_of("foot_places")].reshape(-1, 2) @ self._base_root.T)
+
+    def foot_place_unknowns(self, places: Float64Array) -> Float64Array:
+        """The block `foot_places` of given places [m], shape (n_feet, 2)."""
+        offset = places - self.shape.cells.centres.mean(axis=0)
+        return np.asarray(np.linalg.solve(self._base_root, offset.T).T.ravel())
+
+    @cached_property
+    def _base_root(self) -> Float64Array:
+        """Root of the covariance of the places on the base [m], shape (2, 2): the prior of the place of a foot."""
+        cells = self.shape.cells
+        return np.asarray(np.linalg.cholesky(np.cov(cells.centres.T, bias=True) + np.eye(2) * cells.size**2 / 12))
+
+    def _foot_width(self, z: Float64Array) -> tuple[float, float]:
+        """Width of the feet [m], and the derivative of its logarithm by its unknown [-]."""
+        least, median = _FOOT_WIDTH
+        more = median * float(np.exp(self._scalar(z, "foot_width")))
+        return self.shape.cells.size * (least + more), more / (least + more)
+
+    def _load(self, z: Float64Array, weight: Float64Array) -> Float64Array:
+        """Share of the load of each cell, shape (n_cells,)."""
+        if self.prior.feet:
+            return self._feet(z, weight).load
+        excess = self.prior.pressure_map_std * (self.modes @ z[self.slice_of("pressure_map")])
+        return balanced_load(weight, excess, self.shape.cells.centres)
+
+    def log_derivatives(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """d log(mass of each cell) / dz and d log(friction of each cell) / dz at `z`, each shape (n_cells, size)."""
+        return self._log_derivatives(z, self.model(z))
+
+    def _log_derivatives(self, z: Float64Array, model: ObjectModel) -> tuple[Float64Array, Float64Array]:
         prior = self.prior
         d_mass = np.zeros((len(model.mass), self.size))
         d_friction = np.zeros_like(d_mass)
         # Of the weights w_i = softmax(a): only differences count.
-        d_mass[:, self.mass_modes] = prior.mass_map_std * (self.modes - model.mass @ self.modes / model.total_mass)
-        d_friction[:, self.friction_modes] = prior.friction_map_std * self.modes
+        d_mass[:, self.slice_of("mass_map")] = prior.mass_map_std * (self.modes - model.mass @ self.modes / model.total_mass)
+        d_friction[:, self.slice_of("friction_map")] = prior.friction_map_std * self.modes
+        if self.has_load:
+            d_friction += self._load_derivative(z, d_mass) - d_mass
         load = model.mass * model.friction
         d_friction -= load @ (d_mass + d_friction) / load.sum()
         d_friction[:, self.slice_of("friction_scale")] += prior.friction_std
         return d_mass, d_friction
+
+    def _load_derivative(self, z: Float64Array, d_mass: Float64Array) -> Float64Array:
+        """d log(load of each cell) / dz, shape (n_cells, size)."""
+        weight = self._weight(z)
+        if self.prior.feet:
+            return self._feet_derivative(z, weight, d_mass)
+        d_excess = np.zeros_like(d_mass)
+        d_excess[:, self.slice_of("pressure_map")] = self.prior.pressure_map_std * self.modes
+        return balanced_load_derivative(weight, self._load(z, weight), self.shape.cells.centres, d_mass, d_excess)
+
+    def _feet_derivative(self, z: Float64Array, weight: Float64Array, d_mass: Float64Array) -> Float64Array:
+        own = np.eye(self.size)
+        d_feet = FeetDerivative(
+            place=np.einsum("ab,kbz->kaz", self._base_root, own[self.slice_of("foot_places")].reshape(self.prior.feet, 2, -1)),
+            log_width=self._foot_width(z)[1] * own[self.slice_of("foot_width")][0],
+            preference=_PREFERENCE_STD * own[self.slice_of("foot_preferences")],
+        )
+        return feet_load_derivative(self._feet(z, weight), d_mass, d_feet)
 
     def of_maps(self, mass: Float64Array, friction: Float64Array, pusher_friction: float) -> Float64Array:
         """Unknowns of given maps, shape (size,): exact where every cell has a mode of its own, else the nearest smooth maps.
@@ -320,8 +446,8 @@ class Unknowns:
         z = np.zeros(self.size)
         log_mass, log_friction = np.log(mass), np.log(friction / prior.friction)
         scale = np.log(mass @ friction / mass.sum() / prior.friction)
-        z[self.mass_modes] = np.linalg.lstsq(prior.mass_map_std * self.modes, log_mass - log_mass.mean())[0]
-        z[self.friction_modes] = np.linalg.lstsq(prior.friction_map_std * self.modes, log_friction - scale)[0]
+        z[self.slice_of("mass_map")] = np.linalg.lstsq(prior.mass_map_std * self.modes, log_mass - log_mass.mean())[0]
+        z[self.slice_of("friction_map")] = np.linalg.lstsq(prior.friction_map_std * self.modes, log_friction - scale)[0]
         z[self.slice_of("friction_scale")] = scale / prior.friction_std
         z[self.slice_of("pusher_friction")] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
         return z
@@ -333,7 +459,7 @@ class Unknowns:
         weight = model.mass / body.mass
         arms = self.shape.cells.centres - body.centre
         moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
-        d_mass, d_friction = self.log_derivatives(model)
+        d_mass, d_friction = self._log_derivatives(z, model)
         values, d_values = self._effect_values(z)
         n_cells, n_values = len(weight), len(values)
         derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, self.size))
@@ -347,10 +473,14 @@ class Unknowns:
 
 def _leading_modes(shape: ObjectShape, prior: Prior) -> NDArray[np.float64]:
     """Modes of a unit Gaussian process over the cells, scaled so that modes @ unit normal has its covariance."""
-    centres = shape.cells.centres
-    diagonal = float(np.linalg.norm(np.ptp(centres, axis=0))) + shape.cells.size
-    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2) / (prior.correlation_length * diagonal)
-    covariance = (1 + np.sqrt(3) * distance) * np.exp(-np.sqrt(3) * distance)
-    value, vector = np.linalg.eigh(covariance)
+    value, vector = np.linalg.eigh(_covariance(shape, prior.correlation_length))
     keep = np.argsort(value)[::-1][: prior.max_modes]
     return np.asarray(vector[:, keep] * np.sqrt(np.maximum(value[keep], 0.0)))
+
+
+def _covariance(shape: ObjectShape, length: float) -> Float64Array:
+    """Of a unit Gaussian process over the cells (Matern 3/2); `length` is divided by the diagonal of the object."""
+    centres = shape.cells.centres
+    diagonal = float(np.linalg.norm(np.ptp(centres, axis=0))) + shape.cells.size
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2) / (length * diagonal)
+    return np.asarray((1 + np.sqrt(3) * distance) * np.exp(-np.sqrt(3) * distance))

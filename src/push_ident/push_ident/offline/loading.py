@@ -12,13 +12,17 @@ import numpy as np
 from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
-from push_ident.identification.observation import observe_push
+from push_ident.identification.observation import observe_push, pusher_gaps
 from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import observe_offline
+from push_ident.physics.effect import OnContact
+from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["LoadedPushes", "load_pushes", "most_pushed", "track_from_depth"]
+__all__ = ["LoadedPushes", "load_pushes", "most_pushed", "touching_radius", "track_from_depth"]
 
+_CONTACT: Final = tuple(effect.name for effect in EFFECTS.values() if effect.acts == OnContact("offset"))
+"""Of the surface that the pusher touches: it stands for an error of the outline, or of the pusher's radius."""
 _MAX_AGE: Final = 0.1
 """Longest time between a depth image and the pusher's pose that places it in the image [s]."""
 _ENOUGH_PUSHES: Final = 100
@@ -34,6 +38,8 @@ class LoadedPushes:
     """In order of bags and time."""
     notes: list[str]
     """Data that was missing, dropped or assumed; one line each."""
+    nuisances: tuple[str, ...] = ()
+    """Names of effects that stand for what the bags do not give: the radius of the pusher, or an outline."""
 
 
 def load_pushes(
@@ -56,6 +62,7 @@ def load_pushes(
     """
     records: list[PushRecord] = []
     notes: list[str] = []
+    is_contact_measured = True
     for path in paths:
         contents = read_bag(path)
         if not contents.has_poses:
@@ -64,8 +71,14 @@ def load_pushes(
             contents = track_from_depth(contents, camera_in_table)
         chosen = object_id or most_pushed(contents)
         object_id = object_id or chosen
-        records += split_pushes(contents, chosen)
+        pushes = split_pushes(contents, chosen)
         notes += [f"{path.name}: {note}" for note in contents.notes]
+        if contents.pusher_radius is None:
+            radius = touching_radius(pushes)
+            notes.append(f"{path.name}: a radius of {1e3 * radius:.1f} mm is assumed: that near the pusher came to the outline (median).")
+            pushes = [replace(push, pusher=replace(push.pusher, radius=radius)) for push in pushes]
+        records += pushes
+        is_contact_measured &= contents.pusher_radius is not None and contents.objects[chosen].has_outline
     records = [replace(record, order=order) for order, record in enumerate(records)]
     first = records[0]
     for record in records:
@@ -74,7 +87,15 @@ def load_pushes(
                 f"{record.source} has {len(record.shape.cells)} other cells than {first.source}; "
                 "only bags with the same cells of one object can be identified together, such as those of one run."
             )
-    return LoadedPushes(object_id, records, notes)
+    return LoadedPushes(object_id, records, notes, () if is_contact_measured else _CONTACT)
+
+
+def touching_radius(records: Sequence[PushRecord]) -> float:
+    """Radius at which the pusher would just touch the object where it came nearest to the outline [m], the median over the pushes, >= 0.
+
+    The object moved, so the pusher touched it. Errors of the poses make this too small by about their standard deviation.
+    """
+    return max(0.0, float(np.median([np.min(pusher_gaps(record)) + record.pusher.radius for record in records])))
 
 
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
@@ -84,7 +105,7 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
         raise BagError(
             f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give --camera FILE."
         )
-    pusher, radius = contents.pusher, contents.pusher_radius
+    pusher, radius = contents.pusher, contents.pusher_radius or 0.0
 
     def robot_at(stamp: float) -> list[Cylinder]:
         """The pusher, if its position is known at that time."""

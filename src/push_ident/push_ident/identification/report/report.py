@@ -15,8 +15,9 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.identification.identifiability import Identifiability, identifiability
 from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record
-from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.identification.result import Candidate, Identification, ModelPosterior
 from push_ident.identification.scoring import PushScore, summarise_scores
+from push_ident.identification.supports import Support, supports
 from push_ident.pages.page import svg, write_page
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
@@ -91,6 +92,7 @@ def write_report(
         "held_out": bool(test.pushes),
         "record": _record(record),
         "quantities": [_quantity(q.name, q.unit, q.value, q.std, q.prior_std, q.knowledge.value) for q in known.quantities],
+        "priors": [_candidate(candidate) for candidate in sorted(result.candidates, key=lambda c: -c.log_evidence)],
         "n_combinations": len(known.combinations),
         "n_pinned": known.n_pinned,
         "n_open": known.n_open,
@@ -127,6 +129,24 @@ def _error_row(name: str, errors: PushErrors) -> dict[str, Any]:
     means = {n: float(np.nanmean(v)) if len(v) else float("nan") for n, v in (("uniform", errors.uniform), ("scalar", errors.scalar))}
     identified = float(np.nanmean(errors.identified)) if len(errors.identified) else float("nan")
     return {"name": name, "n": len(errors.pushes), **means, "identified": identified}
+
+
+def _candidate(candidate: Candidate) -> dict[str, str]:
+    maps = candidate.maps
+    return {
+        "name": candidate.name,
+        "probability": f"{candidate.probability:.0%}",
+        "mass": "–" if maps is None else f"{maps.mass_std:.2f}",
+        "load": "–" if maps is None else f"{maps.pressure_std:.2f}",
+        "friction": "–" if maps is None else f"{maps.friction_std:.2f}",
+        "length": "–" if maps is None else f"{maps.length:.2f}",
+        "feet": "; ".join(_support(support) for support in supports(candidate.on_feet)) if candidate.on_feet else "",
+    }
+
+
+def _support(support: Support) -> str:
+    (x, y), (x_std, y_std) = 1e3 * support.place, 1e3 * support.place_std
+    return f"({x:.0f} ± {x_std:.0f}, {y:.0f} ± {y_std:.0f}) mm bears {100 * support.share:.0f} ± {100 * support.share_std:.0f} %"
 
 
 def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:

@@ -86,8 +86,8 @@ def _model(unknowns: Unknowns, z: torch.Tensor) -> ReferenceModel:
     prior, modes = unknowns.prior, torch.as_tensor(unknowns.modes)
     (friction_scale,) = z[unknowns.slice_of("friction_scale")]
     (pusher_friction,) = z[unknowns.slice_of("pusher_friction")]
-    weight = torch.softmax(prior.mass_map_std * (modes @ z[unknowns.mass_modes]), dim=0)
-    roughness = torch.exp(prior.friction_map_std * (modes @ z[unknowns.friction_modes]))
+    weight = torch.softmax(prior.mass_map_std * (modes @ z[unknowns.slice_of("mass_map")]), dim=0)
+    roughness = torch.exp(prior.friction_map_std * (modes @ z[unknowns.slice_of("friction_map")]))
     return ReferenceModel(
         mass=prior.total_mass * weight,
         friction=prior.friction * torch.exp(prior.friction_std * friction_scale) * roughness / (weight @ roughness),

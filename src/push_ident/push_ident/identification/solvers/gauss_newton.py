@@ -1,21 +1,25 @@
-"""Gauss-Newton on smooth maps, averaged over the amplitudes of their prior: the default solver, and the one with a posterior."""
+"""Gauss-Newton on smooth maps or few feet, whatever the evidence prefers: the default solver, and the one with a posterior."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import factorial, log
 from typing import ClassVar, Final
 
 import numpy as np
 
-from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
+from push_ident.identification.fit import Fit
 from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.map_prior import STARTS, fit_by_evidence
+from push_ident.identification.observation import UNCHECKED, NoiseModel
+from push_ident.identification.prior import MapPrior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.result import ModelPosterior
-from push_ident.identification.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver
+from push_ident.identification.result import Candidate, ModelPosterior
+from push_ident.identification.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver, WarmStart
 from push_ident.identification.unknowns import Unknowns
-from push_ident.types import SolveStatus
+from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
 __all__ = ["SOLVER", "GaussNewton"]
 
@@ -23,10 +27,31 @@ _POOR_FIT: Final = 4.0
 """Reduced chi-square above which the pushes contradict each other or the model: residuals are then twice the stated noise."""
 _FRAME_ITERATIONS: Final = 2
 """Steps in an update at a frame: it starts from the estimate of the frame before."""
+_NEGLIGIBLE: Final = 7.0
+"""Difference of log evidence [nat], odds of 1100 to 1: candidates so far below the best are not fitted to the end."""
+_EVENNESS: Final = 0.05
+"""Standard deviation of the unknowns of maps where cells are taken as equal, in units of the caller's prior: some 4 % of a cell [-]."""
+_UNEVEN_MATERIAL, _UNEVEN_LOAD = STARTS
+_ADOPTED: Final = "adopted model"
+_EQUAL: Final = "equal cells"
+_NOMINAL: Final = "equal cells, nominal friction"
+_FEET: Final = {"two feet": 2, "three feet": 3}
+_FOOT_STARTS: Final = 3
+"""Places of the feet that a fit may start from: the cost has more than one minimum."""
+_SCREENING: Final = 3
+"""Steps from each of them before the best one is fitted to the end."""
+_NOISE_ROUNDS: Final = 3
+"""Changes of the factor on the stated noise, at most."""
+_SAME_NOISE: Final = 0.1
+"""Change of the logarithm of that factor that changes no fit [-]."""
+_NOISE_FREEDOM: Final = 4.0
+"""Degrees of freedom of its prior, inverse chi-square about 1: factors of 0.6 and 2.4 are its 90 % interval [-]."""
+_CLUSTERING: Final = 10
+"""Steps of Lloyd's algorithm: a start needs no more."""
 
 
 class GaussNewton(Solver):
-    """Fits under several amplitudes of the prior; the posterior is the Gaussian with the mean and the covariance of their mixture."""
+    """Fits under several priors, with maps or on feet; see `_posterior`."""
 
     name: ClassVar[str] = "gauss_newton"
     capabilities: ClassVar[Capabilities] = Capabilities(
@@ -36,28 +61,31 @@ class GaussNewton(Solver):
     def fit(self, task: FitTask) -> MapFit:
         """As `Solver.fit`."""
         task.meter.count(task.scalar.problem.meter.n_simulations)
-        unknowns = Unknowns(task.shape, task.prior, modes=task.past.modes if task.past else None, effects=task.effects)
-
-        def problem_at(amplitude: float) -> FitProblem:
-            past = task.past.cost.scaled(unknowns.amplitude_unit(amplitude)) if task.past else None
-            own, options = unknowns.at_amplitude(amplitude), task.options
-            return FitProblem(task.records, own, noise=options.noise, settings=options.numerics, meter=task.meter, past=past)
-
-        # The maps start flat, at the scales and first poses that fit best without them.
-        start = task.scalar.problem.layout.moved(task.scalar.x, problem_at(1.0).layout)
-        fits = fit_amplitudes(problem_at, start, AmplitudePolicy(task.options.max_iterations, warm_starts=task.warm_starts))
-        best = max(fits, key=lambda f: f.log_evidence)
-        status = best.status
-        if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and best.reduced_chi2 > _POOR_FIT:
+        candidates = _Candidates(task)
+        if task.past is not None and task.past.has_prior:
+            candidates.fit_adopted()
+        elif task.past is not None and task.past.feet:
+            candidates.fit_feet(task.past.feet)
+        else:
+            candidates.fit_maps()
+            candidates.fit_equal_cells()
+            if candidates.may_stand_on_feet:
+                for number in _FEET.values():
+                    candidates.fit_feet(number)
+        fits, best = candidates.fits, candidates.best
+        status = best.status if candidates.is_complete else SolveStatus.BUDGET_SPENT
+        if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and candidates.reduced_chi2 > _POOR_FIT:
             status = SolveStatus.POOR_FIT
         return MapFit(
-            posterior=_average(fits, unknowns),
+            posterior=_posterior(fits),
             status=status,
             problem=best.problem,
             x=best.x,
             cost=best.end.cost,
-            reduced_chi2=best.reduced_chi2,
-            warm_starts=tuple(f.x for f in fits),
+            reduced_chi2=candidates.reduced_chi2,
+            warm_starts=tuple(candidates.warm_starts),
+            noise_factor=candidates.noise_factor,
+            candidates=tuple(_candidate(entry, float(p)) for entry, p in zip(fits, _probabilities(fits), strict=True)),
         )
 
     def fit_frame(self, task: FrameTask) -> FrameFit | None:
@@ -75,17 +103,241 @@ class GaussNewton(Solver):
 SOLVER = GaussNewton()
 
 
-def _average(fits: Sequence[Fit], unknowns: Unknowns) -> ModelPosterior:
-    """Gaussian with the mean and the covariance of the mixture of the fits, in the units of the full amplitude."""
-    evidence = np.array([f.log_evidence for f in fits])
-    weights = np.exp(evidence - evidence.max())
-    weights /= weights.sum()
-    means, covariances = [], []
-    for fit in fits:
-        unit = unknowns.amplitude_unit(fit.amplitude)
-        means.append(unit * fit.z)
-        covariances.append(unit[:, None] * fit.inflated_covariance * unit)
-    mean = weights @ np.array(means)
-    zero = np.zeros((unknowns.size, unknowns.size))
-    covariance = sum((w * (c + np.outer(m - mean, m - mean)) for w, m, c in zip(weights, means, covariances, strict=True)), zero)
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A candidate with its fit, and what that says of unknowns in the units of the caller's prior."""
+
+    name: str
+    unknowns: Unknowns
+    log_evidence: float
+    prior: MapPrior | None
+    fit: Fit
+    z: Float64Array
+    covariance: Float64Array
+
+    @property
+    def feet(self) -> int:
+        """Number of feet, 0 for a whole base."""
+        return self.unknowns.prior.feet
+
+    @property
+    def model(self) -> ObjectModel:
+        """At the fit."""
+        return self.unknowns.model(self.z)
+
+
+class _Candidates:
+    """Fits of the same pushes under different priors."""
+
+    def __init__(self, task: FitTask) -> None:
+        self._task = task
+        self._unknowns = self._on(task.past.feet if task.past else 0)
+        self._pushes = task.scalar.problem
+        """The pushes with the noise that the fits assume."""
+        self._inflation = UNCHECKED
+        self.fits: list[_Entry] = []
+        self.warm_starts: list[WarmStart] = []
+        self.is_complete = True
+        """Whether no search was ended by the budget."""
+
+    def _on(self, feet: int) -> Unknowns:
+        """Unknowns under the caller's prior, of an object on feet or on its whole base (0)."""
+        task = self._task
+        modes = task.past.modes if task.past else None
+        return Unknowns(task.shape, task.prior.on_feet(feet), modes=modes, effects=task.effects)
+
+    @property
+    def best(self) -> Fit:
+        """The fit of the largest evidence."""
+        return max(self.fits, key=lambda entry: entry.log_evidence).fit
+
+    @property
+    def may_stand_on_feet(self) -> bool:
+        """Whether the pushes speak for an uneven load rather than for uneven material: few feet are the extreme of one.
+
+        One push gives three numbers, too few for places of feet; and summed-up pushes count in the unknowns of maps only.
+        """
+        evidence = {entry.name: entry.log_evidence for entry in self.fits}
+        return evidence[_UNEVEN_LOAD] > evidence[_UNEVEN_MATERIAL] and len(self._task.records) > 1 and self._task.past is None
+
+    @property
+    def _needed_evidence(self) -> float:
+        """A candidate with less is negligible beside the best so far [nat]."""
+        return max(entry.log_evidence for entry in self.fits) - _NEGLIGIBLE if self.fits else -np.inf
+
+    def _problem(self, unknowns: Unknowns, transform: Float64Array) -> FitProblem:
+        task = self._task
+        past = task.past.cost.transformed(transform) if task.past else None
+        return self._pushes.of(unknowns, meter=task.meter, past=past)
+
+    def fit_adopted(self) -> None:
+        """On from a model that was adopted: its prior stays."""
+        task, own = self._task, self._unknowns
+        problem = self._problem(own, np.eye(own.size))
+        start = np.zeros(problem.size)
+        start[: own.size] = task.past.cost.point if task.past else 0.0
+        if warm := _warm_start(task.warm_starts, _ADOPTED, problem.size):
+            start[: len(warm.x)] = warm.x
+        fit = Fit(problem, *minimise(problem, start, task.options.max_iterations))
+        self.fits.append(_Entry(_ADOPTED, own, fit.log_evidence, None, fit, fit.z, fit.covariance))
+        self.warm_starts.append(WarmStart(_ADOPTED, fit.x))
+
+    def fit_equal_cells(self) -> None:
+        """Without maps: with the frictions free, and with nominal ones."""
+        task, own = self._task, self._unknowns
+        start, own_maps = task.scalar.x, np.arange(own.size)[own.maps]
+        for name, prior in ((_EQUAL, task.prior), (_NOMINAL, task.prior.with_frictions_frozen())):
+            unknowns = Unknowns(task.shape, prior, maps=False, effects=task.effects)
+            transform = np.zeros((own.size, unknowns.size))
+            for block in unknowns.blocks:
+                if block.size == own.block(block.name).size:
+                    transform[own.slice_of(block.name), unknowns.slice_of(block.name)] = np.diag(block.std / own.block(block.name).std)
+            problem = self._problem(unknowns, transform)
+            x0 = task.scalar.problem.layout.moved(start, problem.layout)
+            if name == _NOMINAL:
+                x0[: unknowns.size] = 0.0
+            first = problem.evaluate(x0)
+            if not np.isfinite(first.cost):
+                continue
+            needed = self._needed_cost(Fit(problem, x0, first, SolveStatus.CONVERGED))
+            fit = Fit(problem, *minimise(problem, x0, task.options.max_iterations, start=first, needed_cost=needed))
+            covariance = transform @ fit.covariance @ transform.T
+            covariance[own_maps, own_maps] += _EVENNESS**2
+            self.fits.append(_Entry(name, own, fit.log_evidence, None, fit, transform @ fit.z, covariance))
+
+    def _needed_cost(self, start: Fit) -> float:
+        """Cost above which a fit from a start is negligible, as far as the curvature at the start is that at the end."""
+        return start.end.cost - max(self._needed_evidence - start.log_evidence, 0.0)
+
+    def fit_maps(self) -> None:
+        """With maps whose prior the pushes set, from each start; where nothing else shows the noise of the poses, they set it too."""
+        self._set_inflation(1.0)
+        for remaining in reversed(range(_NOISE_ROUNDS)):
+            self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
+            for name in STARTS:
+                self._fit_maps_from(name, earlier)
+            if remaining == 0 or not self._set_inflation(self._expected_inflation):
+                break
+
+    def _fit_maps_from(self, name: str, warm_starts: Sequence[WarmStart]) -> None:
+        task, own = self._task, self._unknowns
+        start, prior = self._flat(own), STARTS[name]
+        warm = _warm_start(warm_starts, name, len(start))
+        if warm is not None and warm.prior is not None:
+            start[: len(warm.x)], prior = warm.x, warm.prior
+        found = fit_by_evidence(name, own, self._problem, prior, start, task.options.max_iterations)
+        fit = found.fit
+        self.is_complete &= found.is_complete or not task.meter.spent
+        z = found.transform @ fit.z
+        self.fits.append(_Entry(name, own, found.log_evidence, found.prior, fit, z, found.covariance))
+        self.warm_starts.append(WarmStart(name, np.concatenate([z, fit.x[own.size :]]), found.prior))
+
+    @property
+    def _expected_inflation(self) -> float:
+        """Factor on the stated noise that the residuals of the best fit and the prior of the factor make most probable."""
+        best, own = self.best, self._inflation**2
+        squares = own * best.reduced_chi2 * best.degrees_of_freedom + _NOISE_FREEDOM
+        return float(np.sqrt(squares / (best.degrees_of_freedom + _NOISE_FREEDOM)))
+
+    @property
+    def noise_factor(self) -> float | None:
+        """Factor on the stated noise that the pushes set; None where they do not."""
+        return self._inflation if self._noise_is_open else None
+
+    @property
+    def _noise_is_open(self) -> bool:
+        noise = self._task.options.noise or NoiseModel()
+        return noise.single_frame_inflation is None and all(o.is_unchecked for o in self._pushes.observations)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Of the best fit, relative to the noise that is assumed where the pushes do not set it."""
+        return self.best.reduced_chi2 * (self._inflation / UNCHECKED) ** 2
+
+    def _set_inflation(self, inflation: float) -> bool:
+        """Assume another factor on the noise of poses that nothing checks; whether it changes a fit."""
+        if not self._noise_is_open or abs(np.log(inflation / self._inflation)) < _SAME_NOISE:
+            return False
+        self._inflation = inflation
+        noise = replace(self._task.options.noise or NoiseModel(), single_frame_inflation=inflation)
+        first = self._task.scalar.problem
+        self._pushes = FitProblem(first.records, first.unknowns, noise=noise, settings=first.settings)
+        return True
+
+    def fit_feet(self, number: int) -> None:
+        """On feet whose places the pushes set, unless the first steps show that this explains them far worse."""
+        name = next(key for key, value in _FEET.items() if value == number)
+        own, flat = self._on(number), self._flat(self._on(number))
+        problem = self._problem(own, np.eye(own.size))
+        starts = []
+        if warm := _warm_start(self._task.warm_starts, name, len(flat)):
+            starts.append(flat.copy())
+            starts[0][: len(warm.x)] = warm.x
+        rng = np.random.default_rng(0)
+        while not warm and len(starts) < _FOOT_STARTS:
+            starts.append(flat.copy())
+            starts[-1][own.slice_of("foot_places")] = own.foot_place_unknowns(self._clusters(number, rng))
+        first = min((Fit(problem, *minimise(problem, start, _SCREENING)) for start in starts), key=lambda fit: fit.end.cost)
+        if not np.isfinite(first.end.cost):
+            return
+        needed = self._needed_cost(first)
+        fit = Fit(problem, *minimise(problem, first.x, self._task.options.max_iterations, start=first.end, needed_cost=needed))
+        # Any order of the feet is the same object.
+        self.fits.append(_Entry(name, own, fit.log_evidence + log(factorial(number)), None, fit, fit.z, fit.covariance))
+        self.warm_starts.append(WarmStart(name, fit.x))
+
+    def _clusters(self, number: int, rng: np.random.Generator) -> Float64Array:
+        """Centres of clusters of the load of the best maps so far [m], shape (number, 2)."""
+        cells = self._task.shape.cells.centres
+        maps = [entry for entry in self.fits if entry.unknowns is self._unknowns]
+        load = np.ones(len(cells))
+        if maps:
+            model = max(maps, key=lambda entry: entry.log_evidence).model
+            load = model.mass * model.friction
+        centres = cells[rng.choice(len(cells), number, replace=False, p=load / load.sum())]
+        for _ in range(_CLUSTERING):
+            nearest = np.argmin(np.linalg.norm(cells[:, None] - centres[None], axis=2), axis=1)
+            for k in range(number):
+                if np.any(nearest == k):
+                    centres[k] = np.average(cells[nearest == k], axis=0, weights=load[nearest == k])
+        return centres
+
+    def _flat(self, unknowns: Unknowns) -> Float64Array:
+        """The fit of equal cells in unknowns with maps and first poses."""
+        scalar = self._task.scalar
+        return scalar.problem.layout.moved(scalar.x, self._problem(unknowns, np.eye(unknowns.size)).layout)
+
+
+def _warm_start(earlier: Sequence[WarmStart], name: str, size: int) -> WarmStart | None:
+    """Of an earlier fit to the same pushes or the first of them."""
+    return next((warm for warm in earlier if warm.name == name and len(warm.x) <= size), None)
+
+
+def _candidate(entry: _Entry, probability: float) -> Candidate:
+    on_feet = _posterior([entry]) if entry.feet else None
+    return Candidate(entry.name, entry.log_evidence, entry.prior, probability, on_feet)
+
+
+def _posterior(fits: Sequence[_Entry]) -> ModelPosterior:
+    """Of the more probable kind of support (whole base, two feet, three), the Gaussian with the mean and the covariance of the mixture.
+
+    A fit worse than its noise shows that the model lacks something: then nothing is known as well as the curvature suggests, and its
+    covariance counts multiplied by the reduced chi-square.
+    """
+    probability: dict[int, float] = {}
+    for entry, weight in zip(fits, _probabilities(fits), strict=True):
+        probability[entry.feet] = probability.get(entry.feet, 0.0) + float(weight)
+    feet = max(probability, key=lambda kind: probability[kind])
+    chosen = [entry for entry in fits if entry.feet == feet]
+    unknowns, weights = chosen[0].unknowns, _probabilities(chosen)
+    mean = weights @ np.array([entry.z for entry in chosen])
+    covariance = np.zeros((unknowns.size, unknowns.size))
+    for weight, entry in zip(weights, chosen, strict=True):
+        covariance += weight * (entry.covariance * max(1.0, entry.fit.reduced_chi2) + np.outer(entry.z - mean, entry.z - mean))
     return replace(ModelPosterior.of_prior(unknowns), z=mean, covariance=0.5 * (covariance + covariance.T))
+
+
+def _probabilities(fits: Sequence[_Entry]) -> Float64Array:
+    evidence = np.array([entry.log_evidence for entry in fits])
+    weights = np.exp(evidence - evidence.max())
+    return np.asarray(weights / weights.sum())

@@ -73,7 +73,7 @@ def _matched(one: ModelPosterior, other: ModelPosterior) -> tuple[list[int], lis
 def _log_loads(posterior: ModelPosterior, cells: list[int]) -> tuple[Float64Array, Float64Array]:
     """Logarithm of mass times friction of some cells, and its derivative by the unknowns."""
     model = posterior.model
-    d_mass, d_friction = posterior.unknowns.log_derivatives(model)
+    d_mass, d_friction = posterior.unknowns.log_derivatives(posterior.z)
     return np.log(model.mass * model.friction)[cells], (d_mass + d_friction)[cells]
 
 

@@ -1,0 +1,116 @@
+"""Objects on feet: loads by statics, derivatives, and feet that pushes find."""
+
+from __future__ import annotations
+
+import json
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from helpers.objects import hammer, random_records, square
+from push_ident.errors import InputError
+from push_ident.identification.feet import Feet, feet_load
+from push_ident.identification.identify import identify
+from push_ident.identification.online import OnlineIdentifier
+from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.prior import Prior
+from push_ident.identification.result_json import result_json
+from push_ident.identification.supports import supports
+from push_ident.identification.unknowns import Unknowns
+from push_ident.types import Float64Array, ObjectModel, SolveStatus
+
+SHAPE = square(9, 0.012)
+PLACES = np.array([[-0.036, -0.036], [0.036, -0.024], [-0.012, 0.036]])
+
+
+def statics(centre: Float64Array) -> Float64Array:
+    """Shares of three supports that balance a weight at a centre."""
+    return np.linalg.solve(np.vstack([PLACES.T, np.ones(3)]), np.append(centre, 1.0))
+
+
+def tripod() -> ObjectModel:
+    """An even plate on three points, each on a cell of its own."""
+    n = len(SHAPE.cells)
+    mass, load = np.full(n, 0.9 / n), np.full(n, 1e-6)
+    for place, share in zip(PLACES, statics(SHAPE.cells.centres.mean(axis=0)), strict=True):
+        load[np.argmin(np.linalg.norm(SHAPE.cells.centres - place, axis=1))] += share
+    return ObjectModel(SHAPE, mass, 0.28 * load * 0.9 / mass, 0.25)
+
+
+RECORDS = random_records(tripod(), 24, 5)
+TRAIN, LATER, TEST = RECORDS[:8], RECORDS[8:11], RECORDS[11:]
+
+
+def test_three_feet_bear_what_statics_gives_them() -> None:
+    weight = np.exp(0.3 * np.random.default_rng(0).normal(size=len(SHAPE.cells)))
+    weight /= weight.sum()
+    feet = feet_load(weight, SHAPE.cells.centres, Feet(PLACES, 0.6 * 0.012, np.array([0.3, -0.5, 0.2])))
+    assert feet.place == pytest.approx(PLACES, abs=1e-4)
+    assert feet.share == pytest.approx(statics(weight @ SHAPE.cells.centres), abs=1e-2)
+    assert feet.load.sum() == pytest.approx(1.0) and np.all(feet.load > 0)
+    assert feet.load @ SHAPE.cells.centres == pytest.approx(weight @ SHAPE.cells.centres, abs=2e-4)
+
+
+def test_feet_that_cannot_balance_still_have_a_load() -> None:
+    weight = np.full(len(SHAPE.cells), 1.0 / len(SHAPE.cells))
+    feet = feet_load(weight, SHAPE.cells.centres, Feet(np.array([[0.03, 0.03], [0.03, 0.02], [0.02, 0.03]]), 0.007, np.zeros(3)))
+    assert np.all(np.isfinite(feet.load)) and feet.load.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("number", [2, 3, 4])
+def test_derivative_is_that_of_differences(number: int) -> None:
+    unknowns = Unknowns(hammer(1).shape, Prior(max_modes=5, feet=number))
+    z, h = np.random.default_rng(number).normal(size=unknowns.size), 1e-6
+    d_mass, d_friction = unknowns.log_derivatives(z)
+    for k in range(unknowns.size):
+        step = h * np.eye(unknowns.size)[k]
+        above, below = unknowns.model(z + step), unknowns.model(z - step)
+        assert d_mass[:, k] == pytest.approx(np.log(above.mass / below.mass) / (2 * h), abs=1e-6)
+        assert d_friction[:, k] == pytest.approx(np.log(above.friction / below.friction) / (2 * h), abs=1e-6)
+
+
+def test_places_are_unknowns_and_back() -> None:
+    unknowns = Unknowns(SHAPE, Prior(max_modes=5, feet=3))
+    z = np.zeros(unknowns.size)
+    z[unknowns.slice_of("foot_places")] = unknowns.foot_place_unknowns(PLACES)
+    z[unknowns.slice_of("foot_width")] = -8.0
+    assert unknowns.feet(z).place == pytest.approx(PLACES, abs=1e-3)
+    with pytest.raises(InputError, match="whole base"):
+        Unknowns(SHAPE, Prior(max_modes=5)).feet(np.zeros(3))
+
+
+@pytest.mark.parametrize("number", [1, -1])
+def test_one_foot_is_refused(number: int) -> None:
+    with pytest.raises(InputError, match=r"Prior\.feet"):
+        Prior(feet=number)
+
+
+def test_feet_of_a_tripod_are_found_and_written() -> None:
+    result = identify(TRAIN)
+    probability = {candidate.name: candidate.probability for candidate in result.candidates}
+    assert probability["three feet"] > 0.5
+    found = supports(result.posterior)
+    places, shares = np.array([s.place for s in found]), np.array([s.share for s in found])
+    true = statics(SHAPE.cells.centres.mean(axis=0))
+    best = min(permutations(range(3)), key=lambda order: float(np.abs(places[list(order)] - PLACES).max()))
+    assert places[list(best)] == pytest.approx(PLACES, abs=0.01)
+    assert shares[list(best)] == pytest.approx(true, abs=0.1)
+    (written,) = (c for c in result_json(result, "1", TRAIN, range(len(TRAIN)))["priors"] if c["name"] == "three feet")
+    assert json.loads(json.dumps(written))["feet"][0]["share"] == pytest.approx(found[0].share)
+
+
+def test_feet_stay_where_pushes_leave_the_window() -> None:
+    """Summed-up pushes count in the unknowns of the kind that was more probable when the first one left."""
+    online = OnlineIdentifier(OnlineIdentifier.new(SHAPE), window=8)
+    for record in TRAIN:
+        online.add(record)
+    assert online.posterior.prior.feet == 3
+    for record in LATER:
+        result = online.add(record)
+        assert result.status is SolveStatus.CONVERGED
+        assert [candidate.name for candidate in result.candidates] == ["three feet"]
+    assert held_out_errors(online.posterior.model, TEST).mean() < 1.5e-3
+    again = OnlineIdentifier(OnlineIdentifier.known(online.posterior))
+    again.add(TRAIN[0])
+    assert again.posterior.prior.feet == 3
