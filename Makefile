@@ -31,8 +31,10 @@ bench: setup  ## time and error of engine, rivals and identification (six minute
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
-	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|endurance'); do \
+	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|endurance|supports|loads'); do \
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
+	$(VENV)/push-ident experiment supports --seed 1000 --models 50 --json docs/results/experiments/supports.json
+	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 40

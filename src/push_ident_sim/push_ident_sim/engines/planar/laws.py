@@ -13,7 +13,14 @@ from push_ident_sim.injected.contact import bearing_torque, friction_of_pusher, 
 from push_ident_sim.injected.table import push_height, tether_anchor
 from push_ident_sim.objects import SimObject
 
-__all__ = ["OUTSIDE", "Laws", "laws_of"]
+__all__ = ["OUTSIDE", "Laws", "laws_of", "plain_laws"]
+
+_CONTACT_STIFFNESS = 2e5
+"""[N/m]"""
+_CONTACT_TRAVEL = 2e-5
+"""Deflection at which the tangential bristle of a contact slides [m]."""
+_TRAVEL = 2e-5
+"""Deflection at which a bristle under a cell slides [m]."""
 
 
 def _outside(name: str, unit: str, typical: float, highest: float, what: str) -> InjectedEffect:
@@ -97,6 +104,21 @@ class Laws(NamedTuple):
     gust_phase: float
 
 
+def plain_laws(*, pusher_radius: float, pusher_friction: float, gravity: float) -> Laws:
+    """The laws without any effect: `pusher_radius` [m], `pusher_friction` [-], `gravity` [m/s^2]."""
+    acting = {
+        "pusher_radius": pusher_radius,
+        "pusher_friction": pusher_friction,
+        "contact_stiffness": _CONTACT_STIFFNESS,
+        "damping_ratio": _damping_ratio(0.0),
+        "contact_travel": _CONTACT_TRAVEL,
+        "gravity": gravity,
+        "travel": _TRAVEL,
+        "level": 1.0,
+    }
+    return Laws(**(dict.fromkeys(Laws._fields, 0.0) | acting))
+
+
 def laws_of(
     effects: InjectedEffects,
     outside: Mapping[str, float],
@@ -130,7 +152,7 @@ def laws_of(
     return Laws(
         **_contact_laws(effects, thing, pusher_radius),
         gravity=float(gravity * np.sqrt(1.0 - tilt @ tilt)),
-        travel=skin if skin > 0.0 else 2e-5,
+        travel=skin if skin > 0.0 else _TRAVEL,
         tilt_x=float(gravity * tilt[0]),
         tilt_y=float(gravity * tilt[1]),
         table_e1=effects["table_anisotropy"][0],
@@ -165,9 +187,9 @@ def _contact_laws(effects: InjectedEffects, thing: SimObject, pusher_radius: flo
         "pusher_radius": pusher_radius,
         "outline_offset": outline_growth(effects),
         "pusher_friction": friction_of_pusher(effects, thing.pusher_friction),
-        "contact_stiffness": 2e5,
+        "contact_stiffness": _CONTACT_STIFFNESS,
         "damping_ratio": _damping_ratio(restitution(effects)),
-        "contact_travel": 2e-5,
+        "contact_travel": _CONTACT_TRAVEL,
         "finger_radius": pusher_radius if rolls else 0.0,
         "bearing_torque": bearing_torque(effects) if rolls else 0.0,
     }

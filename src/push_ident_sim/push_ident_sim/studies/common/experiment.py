@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from push_ident.identification.budget import Budget
+from push_ident_sim.objects import OBJECT_NAMES
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
 from push_ident_sim.studies.common.base import Json, Study
 
@@ -19,7 +20,7 @@ class Case:
 
     object_name: str
     model: int
-    """Seed of the ground truth: `make_object(object_name, model)`."""
+    """Seed of the ground truth, as in `make_object(object_name, model)`."""
     variant: str
     """What the experiment varies, one of `Experiment.variants`."""
 
@@ -61,6 +62,8 @@ class CaseResult:
 class Experiment(Study):
     """One experiment; `summarise` gets a `CaseResult` for each case that gave one."""
 
+    objects: tuple[str, ...] = OBJECT_NAMES
+    """Objects, or kinds of objects, that it can take."""
     variants: tuple[str, ...]
     run: Callable[[Case, CaseSettings], Json]
     """One case. May raise PushIdentError: the case then counts as failed."""

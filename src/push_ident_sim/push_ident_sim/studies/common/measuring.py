@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,7 +18,10 @@ from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.experiment import CaseResult, CaseSettings
 
-__all__ = ["MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "history_with_end", "learning_curve", "micrometres", "pooled"]
+__all__ = [
+    "MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "history_with_end", "learning_curve", "micrometres", "pooled",
+    "solve_row", "solve_values",
+]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
 
@@ -37,13 +41,31 @@ def fit_errors(
     """Identify from `train`; the cell errors of `MODELS` on each push of `test` [m], and time and simulations of the solve."""
     result = identify(train, method=method, budget=settings.budget)
     models = dict(zip(MODELS, (result.model, result.scalar, result.uniform, true_model(thing)), strict=True))
-    values = {
+    return result, solve_values(result) | {
+        "errors_m": {name: micrometres(held_out_errors(model, test)) for name, model in models.items()},
+    }
+
+
+def solve_values(result: Identification) -> Json:
+    """How a solve ended, its simulations and its time, and the priors that it compared with their probabilities."""
+    return {
         "status": result.status.name.lower(),
         "n_simulations": result.n_simulations,
         "time_s": round(result.time_s, 4),
-        "errors_m": {name: micrometres(held_out_errors(model, test)) for name, model in models.items()},
+        "candidates": {candidate.name: round(candidate.probability, 4) for candidate in result.candidates},
     }
-    return result, values
+
+
+def solve_row(results: Sequence[CaseResult]) -> Json:
+    """Of `solve_values` of many solves: times [s], how many ended in which way, and how many preferred which prior."""
+    times = [r.values["time_s"] for r in results]
+    preferred = [max(own, key=own.__getitem__) for r in results if (own := r.values["candidates"])]
+    return {
+        "median_time_s": round(float(np.median(times)), 3),
+        "max_time_s": round(float(np.max(times)), 3),
+        "statuses": dict(Counter(r.values["status"] for r in results).most_common()),
+        "priors": dict(Counter(preferred).most_common()),
+    }
 
 
 def history_with_end(result: Identification) -> tuple[Checkpoint, ...]:

@@ -28,7 +28,7 @@ own load and a disc of 8 mm radius pushes the outline. Five objects (hammer, wre
 several ground truths (other masses, other frictions). Pushes are drawn as in the paper: contact uniform over the outline, direction
 within 40 degrees of its normal, 0.1 to 0.2 m/s, 6 to 10 cm, the object anywhere on the table in any heading; those that hardly move it
 are drawn again. A camera reports 30 poses a second with 1 mm and 0.5 degrees of noise. Identification knows the outline and the cells, not
-the masses, frictions, weight or friction of the pusher.
+the masses, frictions, weight or friction of the pusher. Plates, and objects with loads of their own, are pushed by a planar engine instead.
 
 **Cell error**: mean over the cells of the distance between predicted and observed cell centre at the end of a push; the observed pose is
 the mean of the frames at rest. Errors are means over pushes ± the standard error over ground truths. Times are those of the

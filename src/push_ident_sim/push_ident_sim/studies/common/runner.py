@@ -17,7 +17,6 @@ import push_ident
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.budget import Budget
 from push_ident_sim.code_digest import code_digest, files_behind
-from push_ident_sim.objects import OBJECT_NAMES
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, truth_file
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.benchmark import Benchmark, Settings
@@ -44,7 +43,8 @@ class RunOptions:
     """Of results: one file a case in FOLDER/NAME/."""
     truth_folder: Path
     """Of ground-truth pushes; they are simulated when they are not there."""
-    objects: tuple[str, ...] = OBJECT_NAMES
+    objects: tuple[str, ...] = ()
+    """Those of the experiment to take; all when empty."""
     n_models: int = 10
     """Ground truths of each object."""
     seed: int = 0
@@ -63,8 +63,6 @@ class RunOptions:
     """Of cases that run for a given time [min]."""
 
     def __post_init__(self) -> None:
-        if unknown := [name for name in self.objects if name not in OBJECT_NAMES]:
-            raise InputError(f"Object {unknown[0]!r} is not known, expected some of {', '.join(OBJECT_NAMES)}.")
         for name, lowest in (("n_models", 1), ("jobs", 1), ("seed", 0)):
             if getattr(self, name) < lowest:
                 raise InputError(f"`{name}` is {getattr(self, name)}, expected at least {lowest}.")
@@ -99,7 +97,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     n_before = len(cases) - len(missing)
     jobs = 1 if experiment.one_at_a_time else options.jobs
     with single_threads(jobs) as pool:
-        truths = _missing_truths(options) if experiment.needs_truth else []
+        truths = _missing_truths(experiment, options) if experiment.needs_truth else []
         _run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
         calls = [(_run_case, (experiment.name, case, settings, files[case])) for case in missing]
         report(experiment.name, n_before, len(cases))
@@ -111,7 +109,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         raise InputError(f"All {len(cases)} cases of {experiment.name} failed, the first with: {first}")
     return {
         "experiment": experiment.name,
-        "objects": list(options.objects),
+        "objects": list(options.objects or experiment.objects),
         "models": options.n_models,
         "seed": options.seed,
         "max_seconds": options.max_seconds,
@@ -158,15 +156,17 @@ def _run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, 
     return [future.result() for future in futures]
 
 
-def _models(options: RunOptions) -> list[tuple[str, int]]:
+def _models(experiment: Experiment, options: RunOptions) -> list[tuple[str, int]]:
     """Objects and seeds of the ground truths."""
-    return [(name, options.seed + i) for i in range(options.n_models) for name in options.objects]
+    return [(name, options.seed + i) for i in range(options.n_models) for name in options.objects or experiment.objects]
 
 
 def _cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
     if unknown := [v for v in options.variants if v not in experiment.variants]:
         raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
-    models = _models(options)
+    if unknown := [name for name in options.objects if name not in experiment.objects]:
+        raise InputError(f"Object {unknown[0]!r} is not known, expected some of {', '.join(experiment.objects)}.")
+    models = _models(experiment, options)
     return [
         Case(name, model, variant)
         for name, model in models
@@ -176,11 +176,11 @@ def _cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
     ]
 
 
-def _missing_truths(options: RunOptions) -> _Calls:
+def _missing_truths(experiment: Experiment, options: RunOptions) -> _Calls:
     """Calls that simulate the ground-truth pushes that are not there."""
     return [
         (generate_truth, (options.truth_folder, name, model, options.truth))
-        for name, model in _models(options)
+        for name, model in _models(experiment, options)
         if not truth_file(options.truth_folder, name, model, options.truth).exists()
     ]
 

@@ -7,17 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammainc
+from numpy.typing import NDArray
 
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prediction import cell_error, predict
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.solvers import DEFAULT_SOLVER
-from push_ident.physics.scenario import PushScenario
-from push_ident.types import ObjectModel, PushRecord, SolveStatus
+from push_ident.types import ObjectModel
 from push_ident_sim.recordings.truth import load_truth, true_model
 from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.calibration import gaussian_level, predicted_end
 from push_ident_sim.studies.common.drawing import label_below, markdown_table, millimetres, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import fit_errors, grouped
@@ -38,45 +35,27 @@ _QUANTITIES = {
 }
 
 
-def _level(squared_distance: ArrayLike, dimension: int) -> FloatArray:
-    """Smallest probability of a Gaussian region about the mean that holds a point at this Mahalanobis distance."""
-    return np.asarray(gammainc(dimension / 2, np.asarray(squared_distance, dtype=np.float64) / 2), dtype=np.float64)
-
-
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, thing = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
     _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
     result, values = fit_errors(train[:_N_TRAIN], test, thing, DEFAULT_SOLVER, settings)
     truth, posterior = true_model(thing), result.posterior
-    ends = [end for observed, true in zip(test, clean, strict=True) if (end := _end(posterior, observed, true))]
+    ends = [end for observed, true in zip(test, clean, strict=True) if (end := predicted_end(posterior, observed, true.poses.pose[-1]))]
     samples = _samples(posterior, np.random.default_rng([case.model, 2]))
     pusher = posterior.pusher_friction
     distance = np.log(truth.pusher_friction / pusher.value) * pusher.value / pusher.std
     return values | {
         "not_predicted": len(test) - len(ends),
         "levels": {
-            "ends": [level for level, _, _ in ends],
+            "ends": [end.level for end in ends],
             "centre": [_centre(truth, samples)],
-            "pusher_friction": [round(float(_level(distance**2, 1)), 4)],
+            "pusher_friction": [round(float(gaussian_level(distance**2, 1)), 4)],
             "cells": _cells(truth, samples, posterior),
         },
-        "expected_m": [expected for _, expected, _ in ends],
-        "actual_m": [actual for _, _, actual in ends],
+        "expected_m": [end.expected for end in ends],
+        "actual_m": [end.actual for end in ends],
     }
-
-
-def _end(posterior: ModelPosterior, observed: PushRecord, true: PushRecord) -> tuple[float, float, float] | None:
-    """Level of the true end of a push in its prediction, and the expected and the actual cell error [m]; None without a prediction."""
-    start = observe_push(observed)
-    time = np.append(start.time, observed.poses.time[-1])
-    prediction = predict(posterior, PushScenario(observed.pusher, start.pose[0], time), first_covariance=start.first_covariance)
-    if prediction.status is SolveStatus.SIMULATION_FAILED:
-        return None
-    end = true.poses.pose[-1]
-    error = end - prediction.pose[-1]
-    level = _level(error @ np.linalg.solve(prediction.covariance[-1], error), 3)
-    return round(float(level), 4), round(prediction.cell_error_std, 6), round(cell_error(observed.shape.cells, prediction.pose[-1], end), 6)
 
 
 def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
@@ -87,7 +66,7 @@ def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[Object
 def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:
     centres = np.array([model.centre_of_friction for model in samples])
     error = truth.centre_of_friction - centres.mean(axis=0)
-    return round(float(_level(error @ np.linalg.solve(np.cov(centres.T), error), 2)), 4)
+    return round(float(gaussian_level(error @ np.linalg.solve(np.cov(centres.T), error), 2)), 4)
 
 
 def _cells(truth: ObjectModel, samples: Sequence[ObjectModel], posterior: ModelPosterior) -> list[float]:
@@ -97,7 +76,7 @@ def _cells(truth: ObjectModel, samples: Sequence[ObjectModel], posterior: ModelP
     product = truth.mass * truth.friction
     with np.errstate(divide="ignore"):
         error = np.log(product / product.mean()) - shares.mean(axis=0)
-    return np.round(_level(error**2 / (shares.var(axis=0) + left_out), 1), 4).tolist()
+    return np.round(gaussian_level(error**2 / (shares.var(axis=0) + left_out), 1), 4).tolist()
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:

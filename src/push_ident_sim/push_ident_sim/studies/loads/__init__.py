@@ -1,0 +1,1 @@
+"""Experiment: objects whose loads differ from the weight of their cells."""
