@@ -65,7 +65,7 @@ def predict_command(
 
 
 def _compare(posterior: ModelPosterior, record: PushRecord) -> dict[str, Any]:
-    observed = observe_push(record)
+    observed = observe_push(record, posterior.noise())
     scenario = PushScenario(record.pusher, observed.pose[0], observed.time)
     prediction = predict(posterior, scenario, first_covariance=observed.first_covariance)
     difference = observed.pose[-1] - prediction.pose[-1]

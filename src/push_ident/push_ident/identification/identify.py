@@ -96,7 +96,6 @@ def identify(
         warm_starts=fit.warm_starts,
         history=_checkpoints(fit.problem),
         candidates=fit.candidates,
-        noise_factor=fit.noise_factor,
         explanation=explanation,
     )
 

@@ -57,6 +57,8 @@ class ModelContent(BaseModel):
     total_mass: float
     total_mass_std: float
     total_mass_identifiable: bool
+    pose_noise_factor: float | None = None
+    """On the stated noise of poses that no other frame checks, where the pushes set it."""
     mass: list[float]
     friction: list[float]
     pusher_friction: float
@@ -84,6 +86,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         total_mass=posterior.total_mass.value,
         total_mass_std=posterior.total_mass.std,
         total_mass_identifiable=posterior.total_mass_identifiable,
+        pose_noise_factor=posterior.pose_noise_factor,
         mass=model.mass.tolist(),
         friction=model.friction.tolist(),
         pusher_friction=model.pusher_friction,
@@ -166,6 +169,7 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
         covariance=covariance,
         total_mass=Estimate(content.total_mass, content.total_mass_std),
         total_mass_identifiable=content.total_mass_identifiable,
+        pose_noise_factor=content.pose_noise_factor,
     )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from push_ident.identification.explanation import Explanation
+from push_ident.identification.observation import NoiseModel
 from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
@@ -37,6 +38,8 @@ class ModelPosterior:
     """[kg]; the prior's where `total_mass_identifiable` is False."""
     total_mass_identifiable: bool
     """Whether a wrench or a given weight determines it; poses never do."""
+    pose_noise_factor: float | None = None
+    """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
 
     @classmethod
     def of_prior(cls, unknowns: Unknowns) -> ModelPosterior:
@@ -60,6 +63,11 @@ class ModelPosterior:
     @cached_property
     def _log_derivatives(self) -> tuple[Float64Array, Float64Array]:
         return self.unknowns.log_derivatives(self.z)
+
+    def noise(self, noise: NoiseModel | None = None) -> NoiseModel:
+        """A noise model, with the factor of unchecked poses that these pushes set unless the model has one."""
+        noise = noise or NoiseModel()
+        return replace(noise, single_frame_inflation=self.pose_noise_factor) if noise.single_frame_inflation is None else noise
 
     @property
     def prior(self) -> Prior:
@@ -181,8 +189,6 @@ class Identification:
     """Every improvement during the solve, the oldest first."""
     candidates: tuple[Candidate, ...] = ()
     """Priors that were compared."""
-    noise_factor: float | None = None
-    """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
     explanation: Explanation = field(default_factory=Explanation)
     """How well the fit explains its training pushes, also where `posterior` is the prior because it does not."""
 

@@ -61,7 +61,7 @@ def result_json(
         },
         "knowledge": knowledge_json(identifiability(posterior)),
         "priors": [_candidate(candidate) for candidate in result.candidates],
-        "pose_noise_factor": result.noise_factor,
+        "pose_noise_factor": posterior.pose_noise_factor,
         "misfit": result.reduced_chi2,
         "status": result.status.name.lower(),
         "notes": list(notes),

@@ -106,7 +106,7 @@ def score_push(
         noise: of observed poses.
         settings: numerics of the simulation.
     """
-    observed = observe_push(record, noise)
+    observed = observe_push(record, before.noise(noise))
     scenario = PushScenario(record.pusher, observed.pose[0], observed.time[-1:], record.order)
     prediction = predict(before, scenario, first_covariance=observed.first_covariance, noise=noise, settings=settings)
     plain = simulate(

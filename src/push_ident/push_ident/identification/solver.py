@@ -84,8 +84,6 @@ class MapFit:
     """Starts for a later fit to the same pushes and more."""
     candidates: tuple[Candidate, ...] = ()
     """Priors that were compared."""
-    noise_factor: float | None = None
-    """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
 
 
 @dataclass(frozen=True, slots=True)

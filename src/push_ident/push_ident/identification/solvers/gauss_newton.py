@@ -77,14 +77,13 @@ class GaussNewton(Solver):
         if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and candidates.reduced_chi2 > _POOR_FIT:
             status = SolveStatus.POOR_FIT
         return MapFit(
-            posterior=_posterior(fits),
+            posterior=replace(_posterior(fits), pose_noise_factor=candidates.noise_factor),
             status=status,
             problem=best.problem,
             x=best.x,
             cost=best.end.cost,
             reduced_chi2=candidates.reduced_chi2,
             warm_starts=tuple(candidates.warm_starts),
-            noise_factor=candidates.noise_factor,
             candidates=tuple(_candidate(entry, float(p)) for entry, p in zip(fits, _probabilities(fits), strict=True)),
         )
 
@@ -235,8 +234,9 @@ class _Candidates:
     @property
     def _expected_inflation(self) -> float:
         """Factor on the stated noise that the residuals of the best fit and the prior of the factor make most probable."""
-        best, own = self.best, self._inflation**2
-        squares = own * best.reduced_chi2 * best.degrees_of_freedom + _NOISE_FREEDOM
+        best = self.best
+        weight = best.problem.weigh(best.end.residual)[1]
+        squares = self._inflation**2 * float(weight @ np.sum(best.end.residual**2, axis=1)) + _NOISE_FREEDOM
         return float(np.sqrt(squares / (best.degrees_of_freedom + _NOISE_FREEDOM)))
 
     @property
@@ -261,7 +261,7 @@ class _Candidates:
         self._inflation = inflation
         noise = replace(self._task.options.noise or NoiseModel(), single_frame_inflation=inflation)
         first = self._task.scalar.problem
-        self._pushes = FitProblem(first.records, first.unknowns, noise=noise, settings=first.settings)
+        self._pushes = FitProblem(first.records, first.unknowns, noise=noise, settings=first.settings, steps=first.steps)
         return True
 
     def fit_feet(self, number: int) -> None:

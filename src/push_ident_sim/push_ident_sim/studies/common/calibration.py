@@ -55,7 +55,7 @@ def predicted_end(posterior: ModelPosterior, observed: PushRecord, true_end: Flo
     Returns:
         None where no motion could be predicted.
     """
-    start = observe_push(observed)
+    start = observe_push(observed, posterior.noise())
     time = np.append(start.time, observed.poses.time[-1])
     prediction = predict(posterior, PushScenario(observed.pusher, start.pose[0], time), first_covariance=start.first_covariance)
     if prediction.status is SolveStatus.SIMULATION_FAILED:
