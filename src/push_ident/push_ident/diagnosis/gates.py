@@ -36,7 +36,7 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
 
 
 def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePolicy) -> list[Gate]:
-    """Gates: number of pushes, missing frames, poses that jump, and correlated errors at rest."""
+    """Gates: number of pushes, missing frames, and poses that jump."""
     touched = [record for record in records if observe_push(record, noise).touched]
     gates = [
         Gate(
@@ -46,7 +46,7 @@ def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePol
         )
     ]
     gates += _missing_frames(records, policy)
-    return [*gates, _jumps(records, policy), _rest_correlation(records, policy)]
+    return [*gates, _jumps(records, policy)]
 
 
 def _missing_frames(records: Sequence[PushRecord], policy: GatePolicy) -> list[Gate]:
@@ -81,13 +81,3 @@ def _leaves_its_neighbours(record: PushRecord, policy: GatePolicy) -> BoolArray:
     limit = np.array(policy.jump_size) + policy.jump_deviations * deviation
     far = np.any(np.abs(around) > limit[:, :, None], axis=1)
     return np.asarray(far.sum(axis=1) >= 3)
-
-
-def _rest_correlation(records: Sequence[PushRecord], policy: GatePolicy) -> Gate:
-    correlation = noise_correlation(records)
-    found = f"errors of neighbouring frames at rest are correlated by {correlation:.2f}"
-    return Gate(
-        not correlation >= policy.max_rest_correlation,
-        found if np.isfinite(correlation) else "too few frames at rest to estimate the correlation of their errors",
-        "The poses are filtered or drift: publish unfiltered poses with their covariance.",
-    )

@@ -45,14 +45,11 @@ class GatePolicy:
     """Stated standard deviations that are added to `jump_size` [1]. Judgement."""
     max_jump_share: float = 0.02
     """Share of poses that jump, below which data are accepted. Judgement: a tracker that flips by half a turn exceeds it."""
-    max_rest_correlation: float = 0.8
-    """Correlation of the errors of neighbouring frames at rest, below which poses count as unfiltered. Judgement: the mean of a rest is
-    then nine times as uncertain in variance as with white noise."""
     min_rest_pairs: int = 80
     """Pairs of neighbouring frames at rest from which their correlation is known to a tenth: its standard error is 1/sqrt(n)."""
-    max_step_effect: float = 2e-4
-    """Median change of end positions under half the time step and half the smoothing speed, below which numerics are accepted [m]. A fifth
-    of a usual pose noise of 1 mm; judgement."""
+    max_step_effect: float = 0.2
+    """Median change of end poses under half the time steps and half the smoothing speed, below which numerics are accepted, in standard
+    deviations of the poses' noise [1]. Twice what the steps are chosen for (`physics/accuracy.py`); judgement."""
     max_outline_offset: float = 1.5e-3
     """Fitted distance of the surface from an outline that a camera traced, below which the outline is accepted [m]. Nearly four standard
     deviations of a traced outline (0.4 mm)."""
