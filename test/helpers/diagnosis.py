@@ -12,7 +12,7 @@ from helpers.objects import hammer, random_records
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.identification.fit import Fit
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import simulate
+from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord
 
 _HAMMER = hammer(1)
@@ -21,6 +21,9 @@ TRUTH = ObjectModel(_HAMMER.shape, _HAMMER.mass, _HAMMER.friction, 0.3)
 NOISE = np.array([1e-3, 1e-3, np.radians(0.5)])
 """Standard deviation of the poses [m, m, rad]."""
 
+_FINE = SimulationSettings(step=1 / 1920, resolve_events=True)
+"""Finer than the steps of any fit, so that their errors do not cancel."""
+
 
 def simulated_pushes(n: int, seed: int, effects: dict[str, list[float]] | None = None, *, noise: Float64Array = NOISE) -> list[PushRecord]:
     """Random pushes of `TRUTH` with some effects and white noise; their sources are "push 0", "push 1" and so on."""
@@ -28,7 +31,8 @@ def simulated_pushes(n: int, seed: int, effects: dict[str, list[float]] | None =
     records = []
     for order, record in enumerate(random_records(TRUTH, n, seed)):
         time = record.poses.time
-        pose = simulate(TRUTH, PushScenario(record.pusher, record.poses.pose[0], time, order), effects=effects).pose
+        scenario = PushScenario(record.pusher, record.poses.pose[0], time, order)
+        pose = simulate(TRUTH, scenario, settings=_FINE, effects=effects).pose
         observed = pose + rng.normal(size=pose.shape) * noise
         track = PoseTrack(time, observed, np.broadcast_to(np.diag(noise**2), (len(time), 3, 3)))
         records.append(replace(record, poses=track, order=order, source=f"push {order}"))

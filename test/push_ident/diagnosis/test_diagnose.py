@@ -149,6 +149,20 @@ def test_correlated_noise_is_no_effect_where_rests_are_too_short_to_show_it(
     assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
 
 
+@pytest.mark.parametrize(("effects", "names"), [(None, []), ({"pusher_lag": [0.05]}, ["pusher_lag"])])
+def test_filtered_poses_are_diagnosed(effects: dict[str, list[float]] | None, names: list[str]) -> None:
+    """Errors that hardly change from frame to frame, as of a tracking filter."""
+    records = with_correlated_noise(simulated_pushes(10, 4, effects, noise=0.01 * NOISE), 0.97, 4)
+    assert noise_correlation(records) > 0.9
+    found = diagnose(
+        [
+            replace(r, poses=replace(r.poses, covariance=np.broadcast_to(np.diag(4.0 * NOISE**2), (len(r.poses.time), 3, 3))))
+            for r in records
+        ]
+    )
+    assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
+
+
 def test_negligible_effect_joins_the_base_model_however_strong_its_evidence() -> None:
     precise = 0.03 * NOISE
     found = diagnose(simulated_pushes(5, 3, {"pose_latency": [0.0015]}, noise=precise))

@@ -92,7 +92,7 @@ def test_no_push_takes_knowledge_away() -> None:
 
 
 def test_covariance_expected_is_that_of_the_fit() -> None:
-    posterior, push, settings = prior_posterior(SHAPE), _candidates(1, 2)[0], SimulationSettings()
+    posterior, push, settings = prior_posterior(SHAPE), _candidates(1, 2)[0], SimulationSettings(step=1 / 240)
     sensor = PoseSensor()
     time = np.arange(push.pusher.time[0], push.pusher.time[-1], 1 / sensor.rate)
     motion = simulate(uniform_model(SHAPE), PushScenario(push.pusher, push.pose_object_in_table, time), settings=settings)

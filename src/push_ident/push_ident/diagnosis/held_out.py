@@ -174,7 +174,7 @@ def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
     for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
         motion = mechanics.simulate(
             PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time[-1:], record.order),
-            settings=problem.settings,
+            settings=problem.settings_of(push),
             jacobian=True,
         )
         by_first = motion.jacobian[-1, :, :3]

@@ -90,7 +90,7 @@ def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
     parts, draws = [], []
     for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
         scenario = PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time, record.order)
-        motion = mechanics.simulate(scenario, settings=problem.settings)
+        motion = mechanics.simulate(scenario, settings=problem.settings_of(push))
         columns, to_motion_frame = _push_residuals(motion, observation, push, policy)
         parts.append(columns[1:])
         draws.append(np.einsum("fij,dfj->dfi", to_motion_frame, next(drawn))[:, 1:])

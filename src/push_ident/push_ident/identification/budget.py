@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,6 +99,13 @@ class Meter:
     def count(self, n: int) -> None:
         """Add `n` simulated pushes."""
         self.n_simulations += n
+
+    def rebase(self, x: Float64Array, cost: float) -> None:
+        """Express all costs so far as finer numerics give them, with `cost` at `x`; only where `x` is the best point."""
+        if self.history and np.array_equal(self.history[-1].x, x):
+            change = float(cost) - self.history[-1].cost
+            last = replace(self.history[-1], n_simulations=self.n_simulations, time_s=self.seconds, cost=float(cost))
+            self.history = [*(replace(sample, cost=sample.cost + change) for sample in self.history[:-1]), last]
 
     def offer(self, x: Float64Array, cost: float, unknowns: Unknowns | None = None) -> bool:
         """Keep `x` if its cost is below the best so far; returns whether it is. `unknowns`: see `Sample`."""

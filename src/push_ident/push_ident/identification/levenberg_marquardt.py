@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
@@ -26,6 +28,12 @@ _CREEP_STEPS = 6
 and a solve could creep along one for long between points that the data cannot distinguish."""
 _REACH = 5.0
 """A cost is out of reach when it is further away than this many times the expected gain of the next full step."""
+_SMOOTH_STEPS = 20
+"""Evaluations after which a solve expects kinks; few smooth problems need as many."""
+_PIECES = 8
+"""Largest number of earlier points that describe the cost around a kink."""
+_REFINEMENTS = 3
+"""Largest number of times that a solve goes on with shorter time steps."""
 _STEPS_BEFORE_GIVING_UP = 3
 """Steps before a solve may end because the needed cost is out of reach."""
 
@@ -52,17 +60,36 @@ def minimise(
     Returns:
         The best point, its evaluation, and how the solve ended.
     """
-    x = np.array(x0, dtype=np.float64)
+    x, end, status = _descend(problem, np.array(x0, dtype=np.float64), max_iterations, tolerance, start, needed_cost)
+    for _ in range(_REFINEMENTS):
+        if status not in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.MAX_ITERATIONS) or not problem.refine_steps(x):
+            break
+        finer = problem.evaluate(x)
+        if not np.isfinite(finer.cost):
+            break
+        problem.meter.rebase(x, finer.cost)
+        x, end, status = _descend(problem, x, max_iterations, tolerance, finer, needed_cost)
+    return x, end, status
+
+
+def _descend(
+    problem: FitProblem, x: Float64Array, max_iterations: int, tolerance: float, start: Evaluation | None, needed_cost: float
+) -> tuple[Float64Array, Evaluation, SolveStatus]:
+    """As `minimise`, with the time steps as they are."""
     best = problem.evaluate(x) if start is None else start
     if not np.isfinite(best.cost):
         return x, best, SolveStatus.SIMULATION_FAILED
     problem.meter.offer(x, best.cost, problem.unknowns)
     damping = _FIRST_DAMPING
     costs = [best.cost]
+    pieces = _Pieces([], [], [])
     for _ in range(max_iterations):
         scale = np.diag(best.hessian)
-        step = -cho_solve(cho_factor(best.hessian + damping * np.diag(scale)), best.gradient)
+        factor = cho_factor(best.hessian + damping * np.diag(scale))
+        step = -cho_solve(factor, best.gradient)
         expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
+        if len(costs) > _SMOOTH_STEPS and pieces.gradients:
+            step, expected = pieces.step(best, factor)
         if expected < tolerance and damping <= _FAILED_DAMPING:
             return x, best, SolveStatus.CONVERGED
         if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance:
@@ -73,6 +100,7 @@ def minimise(
             return x, best, SolveStatus.BUDGET_SPENT
         trial = problem.evaluate(x + step)
         gained = best.cost - trial.cost
+        pieces.add(best if gained > 0 else trial, step, gained > 0)
         if gained > 0:
             x, best = x + step, trial
             problem.meter.offer(x, best.cost, problem.unknowns)
@@ -83,3 +111,57 @@ def minimise(
                 return x, best, SolveStatus.STALLED
         costs.append(best.cost)
     return x, best, SolveStatus.MAX_ITERATIONS
+
+
+@dataclass(slots=True)
+class _Pieces:
+    """Tangents of the cost at earlier points, which describe it on the other sides of kinks (bundle method with the Gauss-Newton metric).
+
+    With the gradient g_0 at the best point and g_1, g_2, ... at points s_i from it, the model
+
+        max_i (g_i' d - b_i) + 1/2 d' H d,      b_i = max(|cost - cost_i + g_i' s_i|, 1/2 s_i' H s_i), b_0 = 0
+
+    has its minimum at d = -H^-1 sum_i a_i g_i with weights a_i >= 0 of sum 1: a small quadratic problem, solved by exact descent along
+    pairs of weights. Source: Lemarechal, Bundle methods in nonsmooth optimization (1978); b_i is the subgradient locality measure of
+    Kiwiel, Methods of descent for nondifferentiable optimization (1985), for costs that are not convex.
+    """
+
+    gradients: list[Float64Array]
+    costs: list[float]
+    places: list[Float64Array]
+    """Relative to the best point."""
+
+    def add(self, point: Evaluation, step: Float64Array, moved: bool) -> None:
+        """Keep the tangent of a trial at `step`, or, where the best point moved by `step`, of the point that it left."""
+        if moved:
+            self.places = [place - step for place in self.places]
+        if np.isfinite(point.cost):
+            self.gradients.append(point.gradient)
+            self.costs.append(point.cost)
+            self.places.append(-step if moved else step)
+        for values in (self.gradients, self.costs, self.places):
+            del values[:-_PIECES]
+
+    def step(self, best: Evaluation, factor: tuple[Float64Array, bool]) -> tuple[Float64Array, float]:
+        """Minimum of the model, and by how much it is below the cost."""
+        gradients = np.array([best.gradient, *self.gradients])
+        behind = np.array(
+            [0.0]
+            + [
+                max(abs(best.cost - cost + float(g @ s)), 0.5 * float(s @ best.hessian @ s))
+                for g, cost, s in zip(self.gradients, self.costs, self.places, strict=True)
+            ]
+        )
+        solved = cho_solve(factor, gradients.T)
+        gram = gradients @ solved
+        weights = np.eye(len(behind))[0]
+        for _ in range(20 * len(behind)):
+            slope = gram @ weights + behind
+            low, high = int(np.argmin(slope)), int(np.argmax(np.where(weights > 0, slope, -np.inf)))
+            bend = gram[low, low] + gram[high, high] - 2 * gram[low, high]
+            if slope[high] - slope[low] < 1e-9 * (1.0 + abs(slope[low])) or bend <= 0:
+                break
+            moved = min(weights[high], (slope[high] - slope[low]) / bend)
+            weights[low] += moved
+            weights[high] -= moved
+        return -solved @ weights, float(0.5 * weights @ gram @ weights + behind @ weights)

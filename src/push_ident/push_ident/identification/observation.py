@@ -30,8 +30,8 @@ _ENOUGH = 12
 """Degrees of freedom from which the scatter of frames at rest is used."""
 _ENOUGH_PAIRS = 40
 """Pairs of neighbouring frames at rest from which their correlation is used."""
-_MAX_CORRELATION = 0.95
-"""Largest correlation of neighbouring frames that is assumed [-]."""
+_MAX_CORRELATION = 0.98
+"""Largest correlation of neighbouring frames that is assumed [-]: the mean of 100 frames is then as uncertain as a single one."""
 _OUTLIER = 6.0
 """A frame at rest this many standard deviations from the median is a wrong pose, not noise."""
 _CLEAR = 0.01
@@ -69,6 +69,11 @@ class NoiseModel:
     """Largest number of frames of the motion that are kept."""
     correlation: float = 0.0
     """Of the errors of neighbouring frames [-]; see `noise_correlation`."""
+
+    @property
+    def floor(self) -> Float64Array:
+        """Least covariance of an observed pose, shape (3, 3)."""
+        return np.diag([self.floor_position**2, self.floor_position**2, self.floor_yaw**2])
 
     @property
     def fit_discrepancy(self) -> Float64Array:
@@ -123,7 +128,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
 
     time = np.array([poses.time[g].mean() for g in groups])
     pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
-    floor = np.diag([noise.floor_position**2, noise.floor_position**2, noise.floor_yaw**2])
+    floor = noise.floor
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + _TRAVEL_PER_TURN * np.abs(pose[:, 2] - pose[0, 2]))
     growth = noise.fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)

@@ -18,6 +18,7 @@ from push_ident.identification.result import Identification, ModelPosterior, War
 from push_ident.identification.solver import FrameTask
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary, summarise
+from push_ident.physics.accuracy import quick_steps
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
@@ -90,6 +91,8 @@ class OnlineIdentifier:
         self.posterior: ModelPosterior = state.posterior
         """The latest estimate, in the middle of a push too."""
         self._options, self._solver, self._window = FitOptions(noise=noise, numerics=settings), solver_of(method), window
+        # An update in the middle of a push must be quick, and nothing of it is kept.
+        self._frame_options = replace(self._options, numerics=quick_steps(settings))
         self._budget, self._frame_budget = Budget(max_seconds=max_seconds), Budget(max_seconds=frame_seconds)
         self._under_way: tuple[float, Float64Array] | None = None
 
@@ -143,7 +146,7 @@ class OnlineIdentifier:
         start = float(partial.pusher.time[0])
         latest = self._under_way[1] if self._under_way and self._under_way[0] == start else None
         state = self.state
-        task = FrameTask(partial, state.posterior, state.records, self._options, self._frame_budget, state.warm_starts, latest)
+        task = FrameTask(partial, state.posterior, state.records, self._frame_options, self._frame_budget, state.warm_starts, latest)
         fit = self._solver.fit_frame(task)
         if fit is None:
             return None

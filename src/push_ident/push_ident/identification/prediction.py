@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.result import ModelPosterior
+from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import EffectsLike, true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -72,6 +74,7 @@ def predict(
     # A motion that switches (left or right of the centre of friction, stick or slip) is no linear function of the model: a few models from
     # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
     # two pushes can be compared.
+    settings = _settings_of(posterior, scenario, first_covariance, noise, settings)
     draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + 3))
     z_root, first_root = _root(posterior.covariance), _root(first_covariance)
     poses = []
@@ -91,6 +94,27 @@ def predict(
     covariance += np.einsum("f,i,ij->fij", travel**2, noise.model_discrepancy**2, np.eye(3))
     error_std = _cell_error_std(unknowns.shape.cells, centre.pose[-1], covariance[-1])
     return Prediction(centre.time, centre.pose, covariance, error_std, centre.status)
+
+
+def _settings_of(
+    posterior: ModelPosterior,
+    scenario: PushScenario,
+    first_covariance: Float64Array,
+    noise: NoiseModel,
+    settings: SimulationSettings | None,
+) -> SimulationSettings:
+    """Numerics with steps short enough for the last pose of the mean model, to the accuracy of the first pose and of the model."""
+    mechanics = posterior.unknowns.mechanics(posterior.z)
+    start = true_pose(mechanics.effects, scenario.pose_object_in_table)
+
+    @cache
+    def end_pose(numerics: SimulationSettings) -> Float64Array:
+        return mechanics.simulate(replace(scenario, pose_object_in_table=start), settings=numerics).pose[-1]
+
+    settings = settings or SimulationSettings()
+    travel = float(np.linalg.norm(end_pose(settings)[:2] - start[:2]))
+    covariance = first_covariance + noise.floor + np.diag(travel * noise.model_discrepancy if np.isfinite(travel) else np.zeros(3)) ** 2
+    return choose_steps(end_pose, settings, covariance, scenario.duration).settings
 
 
 def _covariance_of_draws(poses: Float64Array) -> Float64Array:
@@ -134,11 +158,12 @@ def held_out_errors(
     errors = []
     for record in records:
         observed = observe_push(record, noise)
-        motion = simulate(
-            model,
-            PushScenario(record.pusher, true_pose(effects, observed.pose[0]), observed.time[-1:], record.order),
-            settings=settings,
-            effects=effects,
-        )
+        scenario = PushScenario(record.pusher, true_pose(effects, observed.pose[0]), observed.time[-1:], record.order)
+
+        def end_pose(numerics: SimulationSettings, scenario: PushScenario = scenario) -> Float64Array:
+            return simulate(model, scenario, settings=numerics, effects=effects).pose[-1]
+
+        chosen = choose_steps(end_pose, settings or SimulationSettings(), observed.last_covariance, scenario.duration)
+        motion = simulate(model, scenario, settings=chosen.settings, effects=effects)
         errors.append(cell_error(record.shape.cells, motion.pose[-1], observed.pose[-1]))
     return np.array(errors)

@@ -10,6 +10,9 @@ where the quadratic `past` replaces pushes that are no longer simulated. Frozen 
 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
 the maps with it.
+
+The time steps of each push are chosen where it is simulated first (`physics/accuracy.py`) and then kept, so that the cost stays smooth.
+`refine_steps` looks again at the end of a fit.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +29,7 @@ from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknowns
+from push_ident.physics.accuracy import SHARE, StepChoice, choose_steps, step_error
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings
@@ -36,6 +41,11 @@ TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
 _FIRST_POSES = "first_poses"
 """Block of the nuisance parameters: three for each push."""
+_UNSTABLE = 1e6
+"""Derivative of a pose by the first pose [1, m/rad, rad/m] beyond which a motion is unstable, as of a pusher within the object; short
+steps would follow the instability."""
+_CLEAR = 0.3
+"""Share of the accepted error of the time steps below which a push is not looked at again after a fit [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +90,7 @@ class FitProblem:
         meter: counts the simulations and ends a solve when its budget is spent; by default without a limit, so that no clock decides a
             result.
         past: information from other pushes, in the unknowns of the object.
+        steps: time steps that another problem of the same pushes chose (`FitProblem.steps`).
 
     Raises:
         InputError: no push, or pushes of objects with different cells.
@@ -94,6 +105,7 @@ class FitProblem:
         settings: SimulationSettings | None = None,
         meter: Meter | None = None,
         past: Quadratic | None = None,
+        steps: Sequence[StepChoice | None] | None = None,
     ) -> None:
         if not records:
             raise InputError("There is no push to learn from; give at least one push record.")
@@ -108,18 +120,21 @@ class FitProblem:
         self.settings = settings or SimulationSettings()
         self.meter = meter or _unlimited()
         self.past = past or Quadratic.zero(unknowns.size)
+        self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
+        """Time steps of each push; None until it is simulated."""
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
 
     def of(self, unknowns: Unknowns, *, meter: Meter | None = None, past: Quadratic | None = None) -> FitProblem:
         """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others."""
         other = copy(self)
         other.unknowns, other.past, other.meter = unknowns, past or Quadratic.zero(unknowns.size), meter or _unlimited()
+        other.steps = list(self.steps)
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:
         """The same problem without some pushes, given by their numbers, and with an unlimited budget."""
         rest = copy(self)
-        for name in ("records", "observations", "first_scale"):
+        for name in ("records", "observations", "first_scale", "steps"):
             setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
         rest.meter = _unlimited()
         return rest
@@ -173,12 +188,58 @@ class FitProblem:
         return motions
 
     def _simulate_push(self, mechanics: Mechanics, x: Float64Array, push: int, jacobian: bool = False) -> Motion:
-        record = self.records[push]
+        choice = self.steps[push]
+        if choice is None:
+            choice = self.steps[push] = self._choose_steps(mechanics, x, push)
         self.meter.count(1)
-        return mechanics.simulate(
-            PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order),
-            settings=self.settings,
-            jacobian=jacobian,
+        motion = mechanics.simulate(self._scenario(x, push), settings=choice.settings, jacobian=jacobian)
+        if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, :PARAM_MASS])) > _UNSTABLE:
+            self.steps[push] = StepChoice(self.settings, 0, np.inf)
+            return self._simulate_push(mechanics, x, push, jacobian)
+        return motion
+
+    def _scenario(self, x: Float64Array, push: int) -> PushScenario:
+        record = self.records[push]
+        return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order)
+
+    def _end_pose(self, mechanics: Mechanics, x: Float64Array, push: int, settings: SimulationSettings) -> Float64Array:
+        """For the choice of steps. Not counted as a simulation of the fit; its time is."""
+        return mechanics.simulate(self._scenario(x, push), settings=settings).pose[-1]
+
+    def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0) -> StepChoice:
+        duration, covariance = self._scenario(x, push).duration, self.observations[push].last_covariance
+        return choose_steps(partial(self._end_pose, mechanics, x, push), self.settings, covariance, duration, least=least)
+
+    def settings_of(self, push: int) -> SimulationSettings:
+        """Numerics of one push, with the steps that were chosen for it."""
+        choice = self.steps[push]
+        return self.settings if choice is None else choice.settings
+
+    def refine_steps(self, x: Float64Array) -> bool:
+        """Shorten the time steps of pushes where they are too long at `x`, shape (size,); whether there was any.
+
+        Steps never become longer. A push that was far below the accepted error is not looked at.
+        """
+        mechanics = self.unknowns.mechanics(self.object_unknowns(x))
+        refined = False
+        for push, before in enumerate(self.steps):
+            if before is None or not _CLEAR * SHARE <= before.error < np.inf:
+                continue
+            choice = self.steps[push] = self._choose_steps(mechanics, x, push, before.level)
+            refined |= choice.level > before.level
+        return refined
+
+    def step_errors(self, x: Float64Array) -> Float64Array:
+        """Effect of halving the time steps and the smoothing speed on the end of each push, in standard deviations of its noise [-].
+
+        Shape (n_pushes,); infinite where a simulation fails.
+        """
+        mechanics = self.unknowns.mechanics(self.object_unknowns(x))
+        return np.array(
+            [
+                step_error(partial(self._end_pose, mechanics, x, push), self.settings_of(push), self.observations[push].last_covariance)
+                for push in range(len(self.records))
+            ]
         )
 
     def residual(self, motion: Motion, push: int) -> Float64Array:

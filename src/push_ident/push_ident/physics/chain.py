@@ -51,8 +51,8 @@ class Chain(NamedTuple):
     """Law of the support friction, with `eps` (`support.py`)."""
     eps: float
     """[m/s]"""
-    dt: float
-    """[s]"""
+    dt: Float64Array
+    """Length of each step [s], shape (n_steps,)."""
     frames: Frames
 
 
@@ -101,7 +101,7 @@ def _add_skew_columns(
 def _effect_columns(chain: Chain, n: int, columns: _Columns, n_values: int, memory: Float64Array, du: Float64Array) -> None:
     """Let effects change the part of the twist after step n that does not come from the state; `memory` is the derivative of the memory
     at the start of the step."""
-    tape, arms, eps, dt = chain.tape, chain.arms, chain.eps, chain.dt
+    tape, arms, eps, dt = chain.tape, chain.arms, chain.eps, chain.dt[n]
     own_arms, first, last = columns.arms, columns.first, columns.last
     block = tape.block[n]
     n_memory = tape.memory.shape[1]
@@ -155,7 +155,8 @@ def _advance_memory(by_inputs: Float64Array, s: Float64Array, first: int, last: 
 
 @fast_kernel
 def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
-    """Carry the derivative of the state, shape (6, n), over one step; `du` is the part of the twist that does not come from the state."""
+    """Carry the derivative of the state, shape (6, n), over one step; `du` is the part of the twist that does not come from the state,
+    and `dt` the time for which the body moves at the new velocity."""
     vx_table, vy_table = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
     for p in range(s.shape[1]):
         s0, s1, s2, s3, s4, s5 = s[0, p], s[1, p], s[2, p], s[3, p], s[4, p], s[5, p]
@@ -195,7 +196,7 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
         chain: the rollout.
         jacobian: filled, shape (n_frames, 3, 8 + n_cells + n_values), columns: `PARAM_...`.
     """
-    tape, centre, arms, dt = chain.tape, chain.centre, chain.arms, chain.dt
+    tape, centre, arms = chain.tape, chain.centre, chain.arms
     diamond, eps, frame_step, frame_fraction = chain.diamond, chain.eps, chain.frames.step, chain.frames.fraction
     n_parameters = jacobian.shape[2]
     n_frames = frame_step.shape[0]
@@ -209,6 +210,7 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
         columns = _Columns(first, last, own_arms)
         s = np.zeros((6, last - first))
         du = np.zeros((3, last - first))
+        velocity = np.zeros((3, last - first))
         memory = np.zeros((n_memory, last - first))
         if first == 0:
             cos, sin = tape.heading[0, 0], tape.heading[0, 1]
@@ -218,7 +220,7 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
             s[1, PARAM_CENTRE], s[1, PARAM_CENTRE + 1] = sin, cos
         frame = 0
         for n in range(tape.event.shape[0]):
-            cos, sin = tape.heading[n, 0], tape.heading[n, 1]
+            cos, sin, dt = tape.heading[n, 0], tape.heading[n, 1], chain.dt[n]
             begin = frame
             while frame < n_frames and frame_step[frame] == n:
                 _emit(s, cos, sin, centre, 1.0 - frame_fraction[frame], first, last, jacobian[frame])
@@ -235,7 +237,14 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
             if n_memory > 0:
                 _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
             if tape.event[n] != IDLE:
-                _advance(s, du, tape.block[n], tape.twist[n], cos, sin, dt)
+                before = tape.coasting[n]
+                if before > 0.0:
+                    velocity[:] = s[3:]
+                _advance(s, du, tape.block[n], tape.twist[n], cos, sin, (1.0 - before) * dt)
+                if before > 0.0:
+                    for i in range(3):
+                        for p in range(last - first):
+                            s[i, p] += before * dt * velocity[i, p]
             if tape.event[n] != MOVED:
                 s[3:] = 0.0
             for j in range(begin, frame):
@@ -305,7 +314,7 @@ def chain_backward(chain: Chain, by_pose: Float64Array, gradient: Float64Array) 
         by_pose: d loss / d pose at the frames, shape (n_frames, 3).
         gradient: filled, shape (8 + n_cells + n_values,), entries: `PARAM_...`.
     """
-    tape, centre, arms, dt = chain.tape, chain.centre, chain.arms, chain.dt
+    tape, centre, arms = chain.tape, chain.centre, chain.arms
     diamond, eps, frame_step, frame_fraction = chain.diamond, chain.eps, chain.frames.step, chain.frames.fraction
     gradient[:] = 0.0
     by_state = np.zeros(6)
@@ -319,7 +328,7 @@ def chain_backward(chain: Chain, by_pose: Float64Array, gradient: Float64Array) 
     by_limit = np.zeros(n_cells if n_values > 0 else 0)
     frame = frame_step.shape[0] - 1
     for n in range(tape.event.shape[0] - 1, -1, -1):
-        cos, sin = tape.heading[n, 0], tape.heading[n, 1]
+        cos, sin, dt = tape.heading[n, 0], tape.heading[n, 1], chain.dt[n]
         end = frame
         while frame >= 0 and frame_step[frame] == n:
             _take_frame(by_pose[frame], tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[frame], by_state, gradient)
@@ -331,11 +340,12 @@ def chain_backward(chain: Chain, by_pose: Float64Array, gradient: Float64Array) 
             by_memory[:] = 0.0
         if tape.event[n] != IDLE:
             block, twist = tape.block[n], tape.twist[n]
-            vx, vy = by_state[3] + dt * by_state[0], by_state[4] + dt * by_state[1]
+            before, after = tape.coasting[n] * dt, (1.0 - tape.coasting[n]) * dt
+            vx, vy = by_state[3] + after * by_state[0], by_state[4] + after * by_state[1]
             by_twist[0], by_twist[1] = cos * vx + sin * vy, -sin * vx + cos * vy
-            by_twist[2] = by_state[5] + dt * by_state[2]
+            by_twist[2] = by_state[5] + after * by_state[2]
+            by_state[3:] = before * by_state[:3]
             by_state[2] += vy * (cos * twist[0] - sin * twist[1]) - vx * (sin * twist[0] + cos * twist[1])
-            by_state[3:] = 0.0
             by_impulse[:] = 0.0
             for i in range(3):
                 for j in range(3):

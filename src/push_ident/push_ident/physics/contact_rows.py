@@ -85,6 +85,14 @@ class ContactEffects(NamedTuple):
 
 
 @kernel
+def _contact_share(gap: float, approach: float, dt: float) -> float:
+    """Share of a step that is left when a gap [m] has closed at the speed `approach` [m/s]; 0 where it does not close."""
+    if gap <= 0.0:
+        return 1.0
+    return 1.0 - gap / (approach * dt) if approach * dt > gap else 0.0
+
+
+@kernel
 def contact_rows(
     contact: Float64Array, k: int, geometry: StepGeometry, pusher: RelativePusher, face: Float64Array, rows: Float64Array
 ) -> None:
@@ -92,6 +100,10 @@ def contact_rows(
 
     N u >= b,   b = -n . v_pusher - max(gap / dt, -RECOVERY_SPEED)        v_pusher at the contact point
     T u - t . v_pusher                                                   slip
+
+    In the step that strikes an object at rest (`StepGeometry.is_struck`), contact lasts for the share `_contact_share` of the step only. N
+    takes this share of the pusher's normal velocity, by the gap; T takes the same share of its tangential velocity. Then this step and the
+    next one together give the impulse of one impact, wherever in a step it happens.
     """
     centre, dt = geometry.centre, geometry.dt
     velocity, spin = pusher.velocity, pusher.spin[0]
@@ -105,6 +117,8 @@ def contact_rows(
     rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
     rows[k, BOUND] = -(nx * vx + ny * vy) - max(contact[GAP] / dt, -RECOVERY_SPEED)
     rows[i, BOUND] = tx * vx + ty * vy
+    if geometry.is_struck:
+        rows[i, BOUND] *= _contact_share(contact[GAP], -(nx * vx + ny * vy), dt)
     rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= PARALLEL else 0.0
 
 
@@ -186,3 +200,9 @@ def contact_rows_seed(
     d_rows[i, 0], d_rows[i, 1] = dtx, dty
     d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx
     d_rows[i, BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy
+    if geometry.is_struck:
+        closing = -(nx * vx + ny * vy)
+        share = _contact_share(contact[GAP], closing, dt)
+        d_rows[i, BOUND] *= share
+        if 0.0 < share < 1.0:
+            d_rows[i, BOUND] += (tx * vx + ty * vy) * (contact[GAP] * d_bound / closing - d_gap) / (closing * dt)

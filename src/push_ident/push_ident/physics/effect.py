@@ -214,9 +214,9 @@ class OnContact:
 class OnPusherPath:
     """Acts on the path of the pusher."""
 
-    move: Callable[[ComplexArray, float, ComplexArray], ComplexArray]
+    move: Callable[[ComplexArray, Any, ComplexArray], ComplexArray]
     """move(values, dt, path): the driven path for the reported one; poses (x, y, yaw) at the steps' ends, shape (n_steps + 1, 3), table
-    frame."""
+    frame. `dt` is the length of the steps [s]: a number, or of shape (n_steps,) where they are not equal."""
 
 
 @dataclass(frozen=True, slots=True)

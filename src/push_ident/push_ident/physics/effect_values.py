@@ -149,8 +149,13 @@ def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64
     return np.ascontiguousarray(result().real), by_value
 
 
-def driven_path(effects: EffectValues, dt: float, path: Float64Array) -> tuple[Float64Array, Float64Array]:
+def driven_path(effects: EffectValues, dt: float | Float64Array, path: Float64Array) -> tuple[Float64Array, Float64Array]:
     """The path that the pusher drove where `path` was reported, poses at the steps' ends, shape (n_steps + 1, 3), table frame.
+
+    Args:
+        effects: active ones.
+        dt: length of the steps [s], a number or shape (n_steps,).
+        path: reported.
 
     Returns:
         The path, and its derivative by the values, shape (n_values, n_steps + 1, 3).
@@ -161,7 +166,7 @@ def driven_path(effects: EffectValues, dt: float, path: Float64Array) -> tuple[F
 
 
 def _move(
-    move: Callable[[ComplexArray, float, ComplexArray], ComplexArray], dt: float, values: ComplexArray, path: ComplexArray
+    move: Callable[[ComplexArray, Any, ComplexArray], ComplexArray], dt: float | Float64Array, values: ComplexArray, path: ComplexArray
 ) -> ComplexArray:
     return move(values, dt, path)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from push_ident.physics.effect_values import EffectValues, measurement_times, reported_poses
 from push_ident.physics.tape import PARAM_MU, Frames
-from push_ident.types import Float64Array
+from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Measurement", "ReportTimes", "StepClock"]
 
@@ -24,25 +24,60 @@ __all__ = ["Measurement", "ReportTimes", "StepClock"]
 class StepClock:
     """The steps of a rollout."""
 
-    start: float
-    """Of the first step [s]."""
-    step: float
-    """Length of a step [s]."""
-    n_steps: int
-
     ends: Float64Array
     """Start of the first step and ends of all [s], shape (n_steps + 1,)."""
+    lengths: Float64Array
+    """Of the steps [s], shape (n_steps,)."""
+    step: float | None
+    """Length of a step where all are equal [s]."""
 
     @classmethod
     def of(cls, start: float, end: float, step: float) -> StepClock:
-        """Steps from `start` until at least `end` [s], one at least."""
+        """Equal steps from `start` until at least `end` [s], one at least."""
         n_steps = max(1, int(np.ceil((end - start) / step)))
-        return cls(start, step, n_steps, np.asarray(start + step * np.arange(n_steps + 1), dtype=np.float64))
+        ends = np.asarray(start + step * np.arange(n_steps + 1), dtype=np.float64)
+        return cls(ends, np.full(n_steps, step), step)
+
+    @classmethod
+    def through(cls, times: Float64Array, end: float, step: float) -> StepClock:
+        """Steps no longer than `step` [s] that end at given `times` [s], ascending, shape (n,), the first being the start.
+
+        Of times that lie closer together than a step, one a step is met. After the last time, steps go on until `end`.
+        """
+        slot = np.floor((times - times[0]) / step + 1e-9)
+        met = times[np.flatnonzero(np.diff(slot, prepend=-1.0) > 0)]
+        met = np.unique(np.append(met, [times[-1], max(end, times[-1])]))
+        if len(met) < 2:
+            met = np.append(met, met[0] + step)
+        parts = np.maximum(1, np.ceil(np.diff(met) / step - 1e-9)).astype(np.int64)
+        lengths = np.repeat(np.diff(met) / parts, parts)
+        within = np.arange(len(lengths)) - np.repeat(np.cumsum(parts) - parts, parts)
+        return cls(np.append(np.repeat(met[:-1], parts) + within * lengths, met[-1]), lengths, None)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return len(self.lengths)
+
+    @property
+    def dt(self) -> float | Float64Array:
+        """Length of the steps [s]: one number where they are equal, otherwise shape (n_steps,)."""
+        return self.lengths if self.step is None else self.step
 
     @property
     def middles(self) -> Float64Array:
         """Of the steps [s], shape (n_steps,)."""
-        return np.asarray(self.ends[:-1] + self.step / 2)
+        return np.asarray(self.ends[:-1] + self.dt / 2)
+
+    def frames(self, time: Float64Array) -> tuple[Frames, BoolArray]:
+        """Step and fraction of it at which each time [s] lies, shape (n_frames,), and whether that is within the rollout."""
+        if self.step is not None:
+            at = np.clip((time - self.ends[0]) / self.step, 0.0, self.n_steps)
+            step = np.minimum(at.astype(np.int64), self.n_steps - 1)
+            return Frames(step, at - step), (at > 0.0) & (at < self.n_steps)
+        step = np.clip(np.searchsorted(self.ends, time, side="right") - 1, 0, self.n_steps - 1)
+        fraction = np.clip((time - self.ends[step]) / self.lengths[step], 0.0, 1.0)
+        return Frames(step, fraction), (time > self.ends[0]) & (time < self.ends[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +85,9 @@ class ReportTimes:
     """When the reported poses are measured."""
 
     clock: StepClock
-    at: Float64Array
-    """In steps since the start, within the rollout, shape (n_frames,)."""
     frames: Frames
-    """The same as step and fraction."""
+    within: BoolArray
+    """Whether each is within the rollout, so that it moves with the time, shape (n_frames,)."""
     by_value: Float64Array
     """Derivative of the times by the values of the effects [s], shape (n_values, n_frames)."""
 
@@ -61,9 +95,7 @@ class ReportTimes:
     def of(cls, time: Float64Array, clock: StepClock, effects: EffectValues) -> ReportTimes:
         """For poses that are reported for `time` [s], shape (n_frames,)."""
         measured, by_value = measurement_times(effects, time) if len(effects) > 0 else (time, np.zeros((0, len(time))))
-        at = np.clip((measured - clock.start) / clock.step, 0.0, clock.n_steps)
-        step = np.minimum(at.astype(np.int64), clock.n_steps - 1)
-        return cls(clock, at, Frames(step, at - step), by_value)
+        return cls(clock, *clock.frames(measured), by_value)
 
     @property
     def is_moved(self) -> bool:
@@ -75,15 +107,15 @@ class ReportTimes:
         """Frames to simulate: those reported, each after the ends of its step where the velocity is needed."""
         if not self.is_moved:
             return self.frames
-        fraction = np.column_stack([np.zeros_like(self.at), np.ones_like(self.at), self.frames.fraction]).ravel()
+        own = self.frames.fraction
+        fraction = np.column_stack([np.zeros_like(own), np.ones_like(own), own]).ravel()
         return Frames(np.repeat(self.frames.step, 3), fraction)
 
     def split(self, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Poses at the frames and their velocities, each shape (n_frames, 3), from those at the frames `wanted`."""
         if not self.is_moved:
-            return pose, np.zeros((len(self.at), 3))
-        moves = (self.at > 0.0) & (self.at < self.clock.n_steps)
-        velocity = (pose[1::3] - pose[::3]) / self.clock.step * moves[:, None]
+            return pose, np.zeros((len(self.frames.step), 3))
+        velocity = (pose[1::3] - pose[::3]) / self.clock.lengths[self.frames.step][:, None] * self.within[:, None]
         return np.ascontiguousarray(pose[2::3]), velocity
 
 

@@ -100,7 +100,7 @@ def reference_rollout(
     settings = settings or SimulationSettings()
     body = _PushedBody.of(shape, model, len(pushers))
     _check_pushes(pushers, poses_object_in_table, times)
-    drive = _Drive.of(pushers, times, force, settings.step)
+    drive = _Drive.of(pushers, times, force, settings.longest_step)
     state = _State.at_rest(body, poses_object_in_table)
     poses, forces = [poses_object_in_table], []
     for n in range(drive.n_steps):
@@ -108,7 +108,7 @@ def reference_rollout(
         poses.append(state.pose(body))
         forces.append(pusher_force)
     since_start = [time - p.time[0] for time, p in zip(times, pushers, strict=True)]
-    return _reported(torch.stack(poses, dim=1), torch.stack(forces, dim=1), state.failed, since_start, settings.step)
+    return _reported(torch.stack(poses, dim=1), torch.stack(forces, dim=1), state.failed, since_start, settings.longest_step)
 
 
 # The steps of a push -------------------------------------------------------------------------------------------------------------

@@ -89,14 +89,16 @@ class Push(NamedTuple):
 class Numerics(NamedTuple):
     """How a push is simulated."""
 
-    dt: float
-    """[s]"""
+    dt: Float64Array
+    """Length of each step [s], shape (n_steps,)."""
     eps: float
     """Smoothing speed of the circular cone [m/s]."""
     diamond: bool
     """The paper's friction pyramid instead of the circular cone."""
     quasi_static: bool
     """Without inertia."""
+    resolved: bool
+    """Resolve the first contact within its step, and coasting to second order."""
 
 
 class EffectScratch(NamedTuple):
@@ -229,7 +231,9 @@ def rollout(
     Returns:
         The step that did not converge, or -1; and the total number of iterations.
     """
-    dt, eps, derive = numerics.dt, numerics.eps, tape.event.shape[0] > 0
+    eps, derive = numerics.eps, tape.event.shape[0] > 0
+    # Without inertia, there are neither impacts nor coasting.
+    resolved = numerics.resolved and not numerics.quasi_static
     centre, arms, limit = push.centre, push.arms, push.limit
     rows, features = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)), np.zeros((MAX_CONTACTS, CONTACT_FIELDS))
     found = np.zeros((max_candidates(push.corners.shape[0], push.outline.shape[0]), CONTACT_FIELDS))
@@ -262,11 +266,13 @@ def rollout(
             limit = table.limit
         if effects.shifts:
             sum_limits(effects, arms, push.limit, table.inputs)
-    geometry = StepGeometry(arms, limit, inertia, reach_of_body, centre, heading, dt)
     n_steps, n_frames = push.pusher.shape[0] - 1, frames.step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
         heading[0], heading[1] = cos, sin
+        dt = numerics.dt[n]
+        coasts = not numerics.quasi_static and (state[3] != 0.0 or state[4] != 0.0 or state[5] != 0.0)
+        geometry = StepGeometry(arms, limit, inertia, reach_of_body, centre, heading, dt, resolved and not coasts)
         begin = frame
         while frame < n_frames and frames.step[frame] == n:
             _emit_pose(state, cos, sin, centre, 1.0 - frames.fraction[frame], poses[frame])
@@ -278,7 +284,6 @@ def rollout(
             shift_surface(features, n_contacts, offset)
             fill_inputs(state, push.inertia[0], centre, memory, effects.values, table.inputs)
 
-        coasts = not numerics.quasi_static and (state[3] != 0.0 or state[4] != 0.0 or state[5] != 0.0)
         untouched = n_contacts == 0 or (features[0, 0] >= -1e-9 and (speed == 0.0 or features[0, 0] > speed * dt))
         demand = 0.0
         if effects is not None and pulled:
@@ -337,9 +342,17 @@ def rollout(
                     return n, iterations
                 tape.twist[n] = twist
             vx, vy = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
-            state[0] += dt * vx
-            state[1] += dt * vy
-            state[2] += dt * twist[2]
+            if resolved and coasts and code == MODE_FREE:
+                # Friction slows the object evenly: the mean velocity is exact to second order.
+                state[0] += 0.5 * dt * (state[3] + vx)
+                state[1] += 0.5 * dt * (state[4] + vy)
+                state[2] += 0.5 * dt * (state[5] + twist[2])
+                if derive:
+                    tape.coasting[n] = 0.5
+            else:
+                state[0] += dt * vx
+                state[1] += dt * vy
+                state[2] += dt * twist[2]
             state[3], state[4], state[5] = vx, vy, twist[2]
         if effects is not None and effects.n_memory > 0:
             update_memory(effects, centre, dt, derive, memory, tape.memory[n] if derive else no_derivative, table)

@@ -29,6 +29,11 @@ class PushScenario:
     order: float = 0.0
     """Number of pushes made before this one."""
 
+    @property
+    def duration(self) -> float:
+        """From the first sample of the pusher until it is at rest and the last pose is reported [s]."""
+        return max(float(self.time[-1]), float(self.pusher.time[-1])) - float(self.pusher.time[0])
+
     def __post_init__(self) -> None:
         pose, time = np.array(self.pose_object_in_table, dtype=np.float64), np.array(self.time, dtype=np.float64)
         if pose.shape != (3,) or not np.isfinite(pose).all():

@@ -27,9 +27,12 @@ from push_ident.physics.tape import N_BODY_PARAMETERS, PARAM_LIMIT, PARAM_MU, PA
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = [
-    "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings",
+    "DEFAULT_STEP", "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings",
     "body_of_cells", "cell_gradient", "compile_kernels", "loss_gradient", "simulate", "simulate_body", "simulate_body_with_pullback",
 ]  # fmt: skip
+
+DEFAULT_STEP = 1.0 / 240.0
+"""Length of a time step where none is given and nothing asks for a shorter one [s]."""
 
 PoseLoss = Callable[[Float64Array], tuple[float, Float64Array]]
 """Takes the poses at the frames, shape (n_frames, 3), and gives the loss and its derivative by them, same shape."""
@@ -39,8 +42,12 @@ PoseLoss = Callable[[Float64Array], tuple[float, Float64Array]]
 class SimulationSettings:
     """How a push is simulated."""
 
-    step: float = 1.0 / 240.0
-    """Length of a time step [s]."""
+    step: float | None = None
+    """Length of a time step [s]. None: 1/240 s, and where poses are compared with observations as short as their noise demands, for each
+    push (`accuracy.py`)."""
+    resolve_events: bool = False
+    """End steps at the samples of the pusher's path, no step longer than `step`; resolve the first contact within its step, and coasting to
+    second order. False: equal steps, as in the paper."""
     smoothing_speed: float = 1e-4
     """Speed below which the support friction of a cell grows linearly [m/s]; only for the circular cone."""
     friction_cone: Literal["circle", "pyramid"] = "circle"
@@ -51,7 +58,7 @@ class SimulationSettings:
     def __post_init__(self) -> None:
         for name in ("step", "smoothing_speed"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
+            if value is not None and not (np.isfinite(value) and value > 0):
                 raise InputError(f"SimulationSettings.{name} is {value}, expected a positive number.")
         if self.friction_cone not in ("circle", "pyramid"):
             raise InputError(f"SimulationSettings.friction_cone is {self.friction_cone!r}, expected 'circle' or 'pyramid'.")
@@ -60,6 +67,11 @@ class SimulationSettings:
                 "A quasi-static push with the friction pyramid has no unique motion: many directions meet the same corner of the "
                 "limit surface. Take friction_cone='circle' with quasi_static=True."
             )
+
+    @property
+    def longest_step(self) -> float:
+        """`step`, or its default [s]."""
+        return DEFAULT_STEP if self.step is None else self.step
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,23 +282,23 @@ def _run(
     """Simulate, with what the derivative needs where `derive`."""
     check_body(shape, body, pusher_friction)
     mu, mu_by_value = _pusher_friction(float(pusher_friction), settings, effects)
-    clock = _clock(scenario, settings.step)
+    clock = _clock(scenario, settings)
     path = _pusher_on_steps(scenario.pusher, clock)
     arms = owned((shape.cells.centres - owned(body.centre)).T)
     active = None
     if len(effects) > 0:
-        path, d_path = driven_path(effects, settings.step, path)
+        path, d_path = driven_path(effects, clock.dt, path)
         active = active_effects(effects, d_path, arms, float(shape.cells.size), scenario.order)
     times = ReportTimes.of(scenario.time, clock, effects)
     push = _push(shape, body, mu, scenario, path, arms)
-    pose, force, tape, status = _roll(push, settings, active, times.wanted, derive)
+    pose, force, tape, status = _roll(push, settings, clock, active, times.wanted, derive)
     measurement = None
     if len(effects) > 0:
         pose, measurement = Measurement.of(effects, times, pose, mu_by_value)
     motion = Motion(scenario.time, pose, np.empty((len(scenario.time), 3, 0)), clock.middles, force, status)
     diamond = settings.friction_cone == "pyramid"
     eps = FINAL_NU if diamond else settings.smoothing_speed
-    return _Run(motion, Chain(tape, push.centre, push.arms, diamond, eps, settings.step, times.frames), len(effects), measurement)
+    return _Run(motion, Chain(tape, push.centre, push.arms, diamond, eps, clock.lengths, times.frames), len(effects), measurement)
 
 
 def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: EffectValues) -> tuple[float, Float64Array]:
@@ -300,14 +312,16 @@ def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: 
     return mu, mu_by_value
 
 
-def _clock(scenario: PushScenario, step: float) -> StepClock:
+def _clock(scenario: PushScenario, settings: SimulationSettings) -> StepClock:
     """Steps until the pusher is at rest and the last pose is reported.
 
     The object is at rest before the first contact, so the clock starts with the pusher.
     """
     start = float(scenario.pusher.time[0])
     end = max(float(scenario.time[-1]), float(scenario.pusher.time[-1]))
-    return StepClock.of(start, end, step)
+    if settings.resolve_events:
+        return StepClock.through(scenario.pusher.time, end, settings.longest_step)
+    return StepClock.of(start, end, settings.longest_step)
 
 
 def _pusher_on_steps(pusher: PusherPath, clock: StepClock) -> Float64Array:
@@ -338,11 +352,12 @@ def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushSce
 
 
 def _roll(
-    push: Push, settings: SimulationSettings, active: ActiveEffects | None, frames: Frames, derive: bool
+    push: Push, settings: SimulationSettings, clock: StepClock, active: ActiveEffects | None, frames: Frames, derive: bool
 ) -> tuple[Float64Array, Float64Array, Tape, SolveStatus]:
     """The rollout: poses at the frames (NaN where it failed), force of the pusher at each step, tape, status."""
-    n_steps, n_cells = len(push.pusher) - 1, push.arms.shape[1]
-    numerics = Numerics(settings.step, settings.smoothing_speed, settings.friction_cone == "pyramid", settings.quasi_static)
+    n_steps, n_cells = clock.n_steps, push.arms.shape[1]
+    diamond, quasi_static = settings.friction_cone == "pyramid", settings.quasi_static
+    numerics = Numerics(clock.lengths, settings.smoothing_speed, diamond, quasi_static, settings.resolve_events)
     tape = new_tape(n_steps if derive else 0)
     if active is not None:
         n_loaded, n_sums = n_cells if active.loads else 0, N_SUMS if active.shifts else 0

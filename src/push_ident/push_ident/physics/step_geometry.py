@@ -25,4 +25,6 @@ class StepGeometry(NamedTuple):
     heading: Float64Array
     """cos and sin of the yaw at the start of this step, shape (2,)."""
     dt: float
-    """Length of a step [s]."""
+    """Length of this step [s]."""
+    is_struck: bool = False
+    """The object was at rest before this step, which resolves the time of the first contact within it (`contact_rows.py`)."""

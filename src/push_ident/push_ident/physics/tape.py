@@ -4,6 +4,8 @@ The state is s = (centre of mass x, y, yaw; velocity x, y, yaw rate), table axes
 
     s+ = (x + dt v, y.., yaw + dt omega, v, omega),      du = B ds + C dp + A sum_i (d impulse_i / d limit_i) d limit_i
 
+(with the mean of the velocities before and after in place of v and omega where `Tape.coasting` says so)
+
 where the 3 x 14 block [A B C] of a step is all that a rollout must keep. Active effects (`table.py`) add to it the response E to their
 memory m and their values q, and where an effect shifts the load to the sums of the limits of all cells that it depends on. The memory
 evolves by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
@@ -76,6 +78,9 @@ class Tape(NamedTuple):
     """cos and sin of the yaw at the start of each step and at the end of the last, shape (n_steps + 1, 2)."""
     factor: Float64Array
     """Of the friction limit of each cell, shape (n_steps, n_cells); of no cells where no effect changes them."""
+    coasting: Float64Array
+    """Share of the velocity before a step in its motion: 1/2 where the object coasts and events are resolved, otherwise 0, shape
+    (n_steps,)."""
     skew: Float64Array
     """Of the friction's direction, (a, b) in object axes, shape (n_steps, 2); of no steps where there is none."""
     memory: Float64Array
@@ -87,6 +92,6 @@ def new_tape(n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 
     n_inputs = N_FIXED_INPUTS + n_memory + n_values
     return Tape(
         np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, BLOCK_EFFECTS + n_memory + n_values + n_sums)), np.zeros((n_steps, 3)),
-        np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros((n_steps if skewed else 0, 2)),
+        np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros(n_steps), np.zeros((n_steps if skewed else 0, 2)),
         np.zeros((n_steps, n_memory, n_inputs)),
     )  # fmt: skip

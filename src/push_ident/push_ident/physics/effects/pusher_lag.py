@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
@@ -11,21 +13,21 @@ __all__ = ["EFFECT"]
 
 
 @kernel
-def _follow(path: ComplexArray, behind: complex, decay: complex, driven: ComplexArray) -> None:
-    """Exact response to a path that is linear between samples; `behind` is the steady lag per step of travel."""
+def _follow(path: ComplexArray, behind: ComplexArray, decay: ComplexArray, driven: ComplexArray) -> None:
+    """Exact response to a path that is linear between samples; `behind` is the steady lag per travel in a step, shape (n_steps,)."""
     for axis in range(path.shape[1]):
         lag = 0.0j
         driven[0, axis] = path[0, axis]
         for n in range(path.shape[0] - 1):
-            steady = -behind * (path[n + 1, axis] - path[n, axis])
-            lag = steady + (lag - steady) * decay
+            steady = -behind[n] * (path[n + 1, axis] - path[n, axis])
+            lag = steady + (lag - steady) * decay[n]
             driven[n + 1, axis] = path[n + 1, axis] + lag
 
 
-def _move(values: ComplexArray, dt: float, path: ComplexArray) -> ComplexArray:
-    tau = values[0]
+def _move(values: ComplexArray, dt: Any, path: ComplexArray) -> ComplexArray:
+    tau, steps = values[0], np.ones(len(path) - 1, dtype=np.complex128)
     driven = np.empty_like(path)
-    _follow(path, complex(tau / dt), complex(np.exp(-dt / tau)) if tau.real > 0 else 0j, driven)
+    _follow(path, tau / dt * steps, np.exp(-dt / tau) * steps if tau.real > 0 else 0.0 * steps, driven)
     return driven
 
 

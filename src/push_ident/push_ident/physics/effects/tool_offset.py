@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 
 __all__ = ["EFFECT"]
 
 
-def _move(values: ComplexArray, dt: float, path: ComplexArray) -> ComplexArray:
+def _move(values: ComplexArray, dt: Any, path: ComplexArray) -> ComplexArray:
     driven = path.copy()
     driven[:, :2] += values
     return driven

@@ -96,7 +96,7 @@ def _against_cells(cells_along: Sequence[int], rounds: int, seed: int) -> Json:
             }
             for n, model in models.items()
         ],
-        "steps_of_a_push": round(FRAMES[-1] / settings.step),
+        "steps_of_a_push": round(FRAMES[-1] / settings.longest_step),
     }
 
 

@@ -1,0 +1,117 @@
+"""Time steps of a fit: chosen by the noise, kept while it runs, and fine enough for fast pushes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.prior import Prior
+from push_ident.identification.problem import FitProblem
+from push_ident.identification.unknowns import Unknowns
+from push_ident.physics.accuracy import SHARE
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
+
+SQUARE = np.array([[-0.045, -0.045], [0.045, -0.045], [0.045, 0.045], [-0.045, 0.045]])
+SHAPE = ObjectShape(cells_in_outline(SQUARE, 0.015), SQUARE)
+FRICTION, PUSHER_FRICTION = 0.17, 0.35
+FINE = SimulationSettings(step=1 / 30720, resolve_events=True)
+
+
+def _model() -> ObjectModel:
+    n = len(SHAPE.cells)
+    return ObjectModel(SHAPE, np.full(n, 0.8 / n), np.full(n, FRICTION), PUSHER_FRICTION)
+
+
+def _pushes(speed: float, n: int, noise: float, path_noise: float = 0.0) -> list[PushRecord]:
+    """Pushes of an even square, known by their end poses, with truth at very short steps."""
+    rng = np.random.default_rng(7)
+    deviation = np.array([noise, noise, noise / 0.05])
+    records = []
+    for number in range(n):
+        side, along, turn = number * np.pi / 2, rng.uniform(-0.03, 0.03), rng.uniform(-0.4, 0.4)
+        towards = np.array([np.cos(side + turn), np.sin(side + turn)])
+        face = np.array([[np.cos(side), -np.sin(side)], [np.sin(side), np.cos(side)]]) @ np.array([-0.045 - 0.00475, along])
+        duration, coast = 0.035 / speed, 0.1 + 1.5 * speed / (9.81 * FRICTION)
+        time = np.arange(0.0, 0.2 + duration + coast, 1 / 250)
+        position = face - 0.008 * towards + np.clip(speed * (time - 0.1), 0.0, 0.035)[:, None] * towards
+        position = position + path_noise * rng.normal(size=position.shape)
+        pusher = PusherPath(time, position, 0.00475)
+        ends = time[[0, -1]]
+        pose = simulate(_model(), PushScenario(pusher, np.zeros(3), ends), settings=FINE).pose + deviation * rng.normal(size=(2, 3))
+        covariance = np.broadcast_to(np.diag(deviation**2), (2, 3, 3))
+        records.append(PushRecord("o1", SHAPE, PoseTrack(ends, pose, covariance), pusher, source=f"push {number}"))
+    return records
+
+
+def _fit(records: list[PushRecord], settings: SimulationSettings | None = None) -> tuple[FitProblem, Float64Array, SolveStatus]:
+    problem = FitProblem(records, Unknowns(SHAPE, Prior(), maps=False), settings=settings)
+    x, _, status = minimise(problem, np.zeros(problem.size))
+    return problem, x, status
+
+
+def _friction(problem: FitProblem, x: Float64Array) -> float:
+    return float(problem.unknowns.model(problem.object_unknowns(x)).friction.mean())
+
+
+def _end_error(records: list[PushRecord], problem: FitProblem, x: Float64Array) -> float:
+    """Mean error of the ends of pushes by the fitted model, simulated at very short steps [m]."""
+    model = problem.unknowns.model(problem.object_unknowns(x))
+    errors = []
+    for record in records:
+        scenario = PushScenario(record.pusher, np.zeros(3), record.poses.time[-1:])
+        difference = simulate(model, scenario, settings=FINE).pose[-1] - simulate(_model(), scenario, settings=FINE).pose[-1]
+        errors.append(float(np.linalg.norm(difference[:2])))
+    return float(np.mean(errors))
+
+
+def test_fit_to_fast_pushes_recovers_the_truth_at_very_short_steps() -> None:
+    records = _pushes(0.3, 8, 2e-4)
+    problem, x, status = _fit(records)
+    coarse, x_coarse, _ = _fit(records, SimulationSettings(step=1 / 240))
+    assert status is SolveStatus.CONVERGED
+    # The objects coast by 27 mm, which is known to 0.2 mm a push. With steps of 1/240 s, friction takes up their error.
+    assert _friction(problem, x) == pytest.approx(FRICTION, rel=0.01)
+    assert abs(_friction(coarse, x_coarse) / FRICTION - 1) > 0.04
+    assert _end_error(records, problem, x) < 1e-4
+    assert _end_error(records, coarse, x_coarse) > 1e-3
+    assert np.median(problem.step_errors(x)) < SHARE
+
+
+def test_slow_pushes_keep_the_default_step_to_the_last_bit() -> None:
+    records = _pushes(0.03, 4, 1e-3)
+    problem, x, _ = _fit(records)
+    given, x_given, _ = _fit(records, SimulationSettings(step=1 / 240))
+    assert [choice.level for choice in problem.steps if choice is not None] == [0, 0, 0, 0]
+    np.testing.assert_array_equal(x, x_given)
+    assert problem.meter.n_simulations == given.meter.n_simulations
+
+
+def test_cost_does_not_jump_while_a_fit_runs() -> None:
+    problem = FitProblem(_pushes(0.3, 4, 2e-4), Unknowns(SHAPE, Prior(), maps=False))
+    problem.cost(np.zeros(problem.size))
+    before = list(problem.steps)
+    assert any(choice is not None and choice.level > 0 for choice in before)
+    problem.evaluate(np.full(problem.size, 0.5))
+    assert problem.steps == before
+    assert problem.of(problem.unknowns).steps == before
+    assert problem.without([0]).steps == before[1:]
+
+
+@pytest.mark.parametrize("wrong", [0.0, 1e-3])
+def test_fit_across_kinks_of_the_cost_converges(wrong: float) -> None:
+    # A jerky path strikes the object at each sample; poses that are worse than stated leave large residuals.
+    records = _pushes(0.05, 8, 1e-4, path_noise=5e-5)
+    rng = np.random.default_rng(3)
+    moved = []
+    for record in records:
+        poses = PoseTrack(record.poses.time, record.poses.pose + wrong * rng.normal(size=(2, 3)), record.poses.covariance)
+        moved.append(PushRecord("o1", SHAPE, poses, record.pusher, source=record.source))
+    unknowns = Unknowns(SHAPE, Prior())
+    problem = FitProblem(moved, unknowns, settings=SimulationSettings(step=1 / 240))
+    x, end, status = minimise(problem, np.zeros(problem.size))
+    assert status is SolveStatus.CONVERGED
+    assert end.cost == pytest.approx(problem.cost(x))
