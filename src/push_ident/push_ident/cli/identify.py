@@ -43,6 +43,8 @@ CameraOption = Annotated[
         show_default=False,
     ),
 ]
+_SHOWN_PROBABILITY = 0.01
+"""Priors that are less probable stand in the report and the JSON only [-]."""
 
 
 def identify_command(
@@ -193,7 +195,8 @@ def _show_identifiability(result: Identification) -> None:
         highlight=False,
     )
     if result.candidates:
-        odds = ", ".join(f"{c.name} {c.probability:.0%}" for c in sorted(result.candidates, key=lambda c: -c.probability))
+        likely = [c for c in sorted(result.candidates, key=lambda c: -c.probability) if c.probability >= _SHOWN_PROBABILITY]
+        odds = ", ".join(f"{c.name} {c.probability:.0%}" for c in likely)
         console.print(f"priors: {odds}", highlight=False)
     for label, value, std in zip(
         result.posterior.effects.labels, result.posterior.effects.values, result.posterior.effects_std, strict=True

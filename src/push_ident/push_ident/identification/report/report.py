@@ -92,7 +92,7 @@ def write_report(
         "held_out": bool(test.pushes),
         "record": _record(record),
         "quantities": [_quantity(q.name, q.unit, q.value, q.std, q.prior_std, q.knowledge.value) for q in known.quantities],
-        "priors": [_candidate(candidate) for candidate in sorted(result.candidates, key=lambda c: -c.log_evidence)],
+        "priors": _candidates(result.candidates),
         "n_combinations": len(known.combinations),
         "n_pinned": known.n_pinned,
         "n_open": known.n_open,
@@ -131,11 +131,18 @@ def _error_row(name: str, errors: PushErrors) -> dict[str, Any]:
     return {"name": name, "n": len(errors.pushes), **means, "identified": identified}
 
 
-def _candidate(candidate: Candidate) -> dict[str, str]:
+def _candidates(candidates: Sequence[Candidate]) -> list[dict[str, str]]:
+    """The best one first."""
+    in_order = sorted(candidates, key=lambda c: -c.log_evidence)
+    return [_candidate(candidate, in_order[0].log_evidence) for candidate in in_order]
+
+
+def _candidate(candidate: Candidate, best: float) -> dict[str, str]:
     maps = candidate.maps
     return {
         "name": candidate.name,
         "probability": f"{candidate.probability:.0%}",
+        "log_bayes_factor": f"{candidate.log_evidence - best:.1f}",
         "mass": "–" if maps is None else f"{maps.mass_std:.2f}",
         "load": "–" if maps is None else f"{maps.pressure_std:.2f}",
         "friction": "–" if maps is None else f"{maps.friction_std:.2f}",
