@@ -91,7 +91,7 @@ def replay_command(
             object_id = client.wait_for_object(60.0)
             supervisor.wait_for("bag_player_node", seconds + 120.0)
             status.update("waiting for the last push to be identified")
-            latest = client.wait_until_settled(object_id, quiet=4.0, timeout=60.0)
+            latest = client.wait_until_settled(object_id, quiet=1.0, timeout=300.0)
             if out is not None:
                 client.save_model(object_id, str((out / "model.json").resolve()))
             counts = {v.key: v.value for s in client.diagnostics.values() if "identification" in s.name for v in s.values}

@@ -6,7 +6,7 @@ import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
@@ -72,6 +72,8 @@ class CellClient:
         self._outlines: dict[str, PolygonStamped] = {}
         self.pusher_radius = 0.0
         self.diagnostics: dict[str, DiagnosticStatus] = {}
+        self._diagnosed = -np.inf
+        """When identification's diagnostics came [s], `time.monotonic`."""
         self._topics = ObjectTopics(self.node, self._on_new_object)
         self._push = ActionClient(self.node, ExecutePush, "execute_push")
         self._diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
@@ -178,10 +180,18 @@ class CellClient:
         )
 
     def wait_until_settled(self, object_id: str, quiet: float, timeout: float) -> MassFrictionMap:
-        """The latest map once none has come for `quiet` [s] of wall time."""
+        """The latest map once none has come for `quiet` [s] of wall time, and all that was sent has been learned or refused.
+
+        Identification says so in its diagnostics: its streams are at rest, and no push is waiting.
+        """
+        started = time.monotonic()
 
         def settled() -> MassFrictionMap | None:
-            return self._maps.get(object_id) if time.monotonic() - self._map_received > quiet else None
+            since = max(self._map_received, started) + quiet
+            said: Sequence[Any] = next((status.values for name, status in self.diagnostics.items() if "identification" in name), [])
+            values = {value.key: value.value for value in said}
+            done = values.get("streams") == "at rest" and values.get("pushes waiting") == "0"
+            return self._maps.get(object_id) if done and self._diagnosed > since else None
 
         return self.wait(settled, timeout, f"no map of object {object_id} came; see identification's log")
 
@@ -300,3 +310,5 @@ class CellClient:
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         self.diagnostics.update({status.name: status for status in msg.status})
+        if any("identification" in status.name for status in msg.status):
+            self._diagnosed = time.monotonic()

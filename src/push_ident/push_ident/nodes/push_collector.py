@@ -259,6 +259,11 @@ class PushCollector:
         self._flushed = False
         return taken
 
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether nothing has come for so long that all buffered pushes were handed on."""
+        return self._flushed
+
     def _collect(self) -> None:
         with self._lock:
             patience = _HIDDEN if self._cutter.is_awaiting else _SILENCE

@@ -193,7 +193,7 @@ class _Identification(Component):
                 self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
                 if self._closing:
                     return
-                ended = self._finished.popleft() if self._finished else None
+                ended = self._finished[0] if self._finished else None
                 frames: dict[str, float] = {}
                 if ended is None:
                     frames, self._frames = self._frames, {}
@@ -202,6 +202,10 @@ class _Identification(Component):
                     ended()
                 for object_id, received in frames.items():
                     self._update(object_id, received)
+            if ended is not None:
+                # Only now: a push that is being solved is waiting, too.
+                with self._wake:
+                    self._finished.popleft()
 
     def _drop_updates(self) -> None:
         """Go back to the finished pushes: the one under way is left out."""
@@ -350,7 +354,8 @@ class _Identification(Component):
             level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
         else:
             level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
-        values |= {"pushes waiting": len(self._finished), "last solve [s]": f"{self._solve_time:.3f}"}
+        values |= {"streams": "at rest" if self._collector.is_at_rest else "running", "pushes waiting": len(self._finished)}
+        values |= {"last solve [s]": f"{self._solve_time:.3f}"}
         for object_id, session in list(self._sessions.items()):
             record = session.record.summary
             if record.n:
