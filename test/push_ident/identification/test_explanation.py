@@ -72,7 +72,7 @@ def backwards(records: list[PushRecord]) -> list[PushRecord]:
 
 
 def test_ordinary_pushes_are_explained(pushes: list[PushRecord]) -> None:
-    result = identify(pushes)
+    result = identify(pushes, budget=Budget(max_seconds=None))
     assert result.status is SolveStatus.CONVERGED
     assert result.explanation.failure == "" and result.explanation.unexplained == ()
     assert sum(push.moved for push in result.explanation.pushes) > len(pushes) / 2

@@ -46,6 +46,7 @@ def minimise(
     tolerance: float = _TOLERANCE,
     start: Evaluation | None = None,
     needed_cost: float = np.inf,
+    refine: bool = True,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """Minimise the cost of `problem` from `x0`, shape (problem.size,).
 
@@ -55,13 +56,14 @@ def minimise(
         max_iterations: largest number of evaluations, beside the first.
         tolerance: the solve has converged when a full step is expected to lower the cost by less [nat].
         start: evaluation at `x0`, where it is known already.
+        refine: look at the time steps at the end, and go on with shorter ones where the noise demands it.
         needed_cost: the result matters only at this cost or below; the solve ends early (`OUT_OF_REACH`) when it cannot get there.
 
     Returns:
         The best point, its evaluation, and how the solve ended.
     """
     x, end, status = _descend(problem, np.array(x0, dtype=np.float64), max_iterations, tolerance, start, needed_cost)
-    for _ in range(_REFINEMENTS):
+    for _ in range(_REFINEMENTS if refine else 0):
         if status not in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.MAX_ITERATIONS) or not problem.refine_steps(x):
             break
         finer = problem.evaluate(x)

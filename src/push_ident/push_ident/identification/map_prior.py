@@ -101,7 +101,7 @@ def fit_by_evidence(
         problem = problem_of(unknowns.under(maps), transform)
         x0 = start.copy()
         x0[:n] = solve_triangular(transform, start[:n], lower=True)
-        fit = Fit(problem, *minimise(problem, x0, max_iterations, tolerance=_COARSE))
+        fit = Fit(problem, *minimise(problem, x0, max_iterations, tolerance=_COARSE, refine=False))
         linear = LinearEvidence(unknowns, fit, transform, centre) if np.isfinite(fit.end.cost) else None
         following, gain = linear.maximum(logs) if linear and not last else (logs, 0.0)
         if gain < _NO_GAIN:

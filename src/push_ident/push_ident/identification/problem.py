@@ -29,7 +29,7 @@ from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknowns
-from push_ident.physics.accuracy import SHARE, StepChoice, choose_steps, step_error
+from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings
@@ -44,6 +44,8 @@ _FIRST_POSES = "first_poses"
 _UNSTABLE = 1e6
 """Derivative of a pose by the first pose [1, m/rad, rad/m] beyond which a motion is unstable, as of a pusher within the object; short
 steps would follow the instability."""
+_FIRST_LEVEL = 2
+"""Finest level of the time steps before a fit has ended: a motion of a poor model may need steps that the right one does not."""
 _CLEAR = 0.3
 """Share of the accepted error of the time steps below which a push is not looked at again after a fit [-]."""
 
@@ -128,7 +130,7 @@ class FitProblem:
         """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others."""
         other = copy(self)
         other.unknowns, other.past, other.meter = unknowns, past or Quadratic.zero(unknowns.size), meter or _unlimited()
-        other.steps = list(self.steps)
+        other.steps = [None if choice is None else choice.at_most(_FIRST_LEVEL, self.settings) for choice in self.steps]
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:
@@ -190,7 +192,7 @@ class FitProblem:
     def _simulate_push(self, mechanics: Mechanics, x: Float64Array, push: int, jacobian: bool = False) -> Motion:
         choice = self.steps[push]
         if choice is None:
-            choice = self.steps[push] = self._choose_steps(mechanics, x, push)
+            choice = self.steps[push] = self._choose_steps(mechanics, x, push, most=_FIRST_LEVEL)
         self.meter.count(1)
         motion = mechanics.simulate(self._scenario(x, push), settings=choice.settings, jacobian=jacobian)
         if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, :PARAM_MASS])) > _UNSTABLE:
@@ -206,9 +208,9 @@ class FitProblem:
         """For the choice of steps. Not counted as a simulation of the fit; its time is."""
         return mechanics.simulate(self._scenario(x, push), settings=settings).pose[-1]
 
-    def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0) -> StepChoice:
+    def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0, most: int = MAX_LEVEL) -> StepChoice:
         duration, covariance = self._scenario(x, push).duration, self.observations[push].last_covariance
-        return choose_steps(partial(self._end_pose, mechanics, x, push), self.settings, covariance, duration, least=least)
+        return choose_steps(partial(self._end_pose, mechanics, x, push), self.settings, covariance, duration, least=least, most=most)
 
     def settings_of(self, push: int) -> SimulationSettings:
         """Numerics of one push, with the steps that were chosen for it."""

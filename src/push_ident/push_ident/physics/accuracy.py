@@ -45,6 +45,10 @@ class StepChoice:
     error: float
     """Effect of halving the steps on the last pose, in standard deviations of its noise [-]; NaN where it was not asked for."""
 
+    def at_most(self, level: int, given: SimulationSettings) -> StepChoice:
+        """This choice, or a level of the grid of the `given` settings that is no finer and still to be judged."""
+        return self if self.level <= level else StepChoice(at_level(given, level), level, 1.0)
+
 
 def at_level(settings: SimulationSettings, level: int) -> SimulationSettings:
     """The settings on one level of the grid; those of level 0 are the given ones."""
@@ -82,7 +86,7 @@ def step_error(end_pose: EndPose, settings: SimulationSettings, covariance: Floa
 
 
 def choose_steps(
-    end_pose: EndPose, settings: SimulationSettings, covariance: Float64Array, duration: float, *, least: int = 0
+    end_pose: EndPose, settings: SimulationSettings, covariance: Float64Array, duration: float, *, least: int = 0, most: int = MAX_LEVEL
 ) -> StepChoice:
     """The lowest level at which the steps are short enough for the noise.
 
@@ -92,6 +96,7 @@ def choose_steps(
         covariance: of the observed last pose (x, y, yaw) [m, m, rad], shape (3, 3).
         duration: of the push [s], which bounds the number of steps.
         least: level to begin with.
+        most: level to end with, at most.
 
     Returns:
         The choice. Where no level is fine enough, that of the smallest error, which is then `SHARE` or more; and `least` where no level
@@ -107,7 +112,7 @@ def choose_steps(
             poses[level] = end_pose(at_level(settings, level))
         return poses[level]
 
-    finest = min(MAX_LEVEL, 1 + int(np.log2(max(1.0, _MAX_STEPS * DEFAULT_STEP / duration))))
+    finest = min(most, 1 + int(np.log2(max(1.0, _MAX_STEPS * DEFAULT_STEP / duration))))
     best = first = StepChoice(at_level(settings, least), least, np.inf)
     for level in range(least, max(finest, least) + 1):
         error = _distance(pose(level), pose(max(level + 1, 2)), whitening)

@@ -277,7 +277,7 @@ class _Candidates:
         while not warm and len(starts) < _FOOT_STARTS:
             starts.append(flat.copy())
             starts[-1][own.slice_of("foot_places")] = own.foot_place_unknowns(self._clusters(number, rng))
-        first = min((Fit(problem, *minimise(problem, start, _SCREENING)) for start in starts), key=lambda fit: fit.end.cost)
+        first = min((Fit(problem, *minimise(problem, start, _SCREENING, refine=False)) for start in starts), key=lambda fit: fit.end.cost)
         if not np.isfinite(first.end.cost):
             return
         needed = self._needed_cost(first)
