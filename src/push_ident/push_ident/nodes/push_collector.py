@@ -260,6 +260,12 @@ class PushCollector:
         return taken
 
     @property
+    def n_ended(self) -> int:
+        """Pushes that have ended and are not handed on yet."""
+        with self._lock:
+            return self._cutter.n_ended
+
+    @property
     def is_at_rest(self) -> bool:
         """Whether nothing has come for so long that all buffered pushes were handed on."""
         return self._flushed

@@ -335,6 +335,11 @@ class PushCutter:
         return self._open is not None
 
     @property
+    def n_ended(self) -> int:
+        """Pushes that have ended and are not handed on yet: their last poses, or a record, may still come."""
+        return len(self._ended)
+
+    @property
     def is_awaiting(self) -> bool:
         """Whether a push has ended after which no object was observed yet."""
         return bool(self._ended) and not self._observed_after(self._interval(self._ended[0]).end)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,6 +22,9 @@ __all__ = ["FaultResult", "run_faults", "try_fault"]
 
 _LEARNED: Final = 30.0
 """For identification to answer with a model [s]."""
+_IDLE: Final = 15.0
+"""For identification to learn or refuse what came before: a push without a record is refused after 10 s [s]."""
+_IDENTIFICATION: Final = "identification_node"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +120,29 @@ def try_fault(fault: Fault, cell: Cell | None, folder: Path) -> FaultResult:
 
 def _learned(cell: Cell) -> int:
     """Pushes in the model; an identification that was just started again first has to see the object."""
-    if "identification_node" not in cell.plan.nodes:
+    if _IDENTIFICATION not in cell.plan.nodes:
         return 0
     until(lambda: oracles.learned_pushes(cell) is not None, _LEARNED, "identification did not come back before the fault")
     return oracles.learned_pushes(cell) or 0
 
 
+def _settle(cell: Cell) -> None:
+    """Wait until identification has learned or refused the pushes of the fault before: what comes late would count for the next one."""
+    if _IDENTIFICATION not in cell.plan.nodes:
+        return
+    since = time.monotonic()
+
+    def settled() -> bool:
+        reports = cell.monitor.reports_of(_IDENTIFICATION, since)
+        return bool(reports) and reports[-1].values.get("pushes waiting") == "0"
+
+    with suppress(PushIdentError):  # the fault shows what is wrong with a node that does not speak
+        until(settled, _IDLE, "identification did not settle")
+
+
 def _in_cell(fault: Fault, trial: Trial, cell: Cell) -> None:
     cell.recover()
+    _settle(cell)
     cell.monitor.forget()
     trial.learned = _learned(cell)
     try:

@@ -354,7 +354,10 @@ class _Identification(Component):
             level, text = DiagnosticStatus.OK, "waiting for a push: nothing on pusher/pose yet"
         else:
             level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
-        values |= {"streams": "at rest" if self._collector.is_at_rest else "running", "pushes waiting": len(self._finished)}
+        values |= {
+            "streams": "at rest" if self._collector.is_at_rest else "running",
+            "pushes waiting": self._collector.n_ended + len(self._finished),
+        }
         values |= {"last solve [s]": f"{self._solve_time:.3f}"}
         for object_id, session in list(self._sessions.items()):
             record = session.record.summary

@@ -15,7 +15,7 @@ from push_ident_sim.faults.harness.process import TRACEBACK
 
 __all__ = ["check", "learned_pushes"]
 
-_SETTLED: Final = 8.0
+_SETTLED: Final = 20.0
 """Longest wait for the model to contain the pushes that were acknowledged [s]."""
 _LEAST: Final = -1e-9
 """A covariance has no eigenvalue below this share of its largest one: what rounding leaves."""
