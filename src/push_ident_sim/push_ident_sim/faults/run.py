@@ -25,6 +25,8 @@ _LEARNED: Final = 30.0
 _IDLE: Final = 15.0
 """For identification to learn or refuse what came before: a push without a record is refused after 10 s [s]."""
 _IDENTIFICATION: Final = "identification_node"
+_COUNTING: Final = (_IDENTIFICATION, "push_executor_node")
+"""Nodes whose counts the faults read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,17 +129,19 @@ def _learned(cell: Cell) -> int:
 
 
 def _settle(cell: Cell) -> None:
-    """Wait until identification has learned or refused the pushes of the fault before: what comes late would count for the next one."""
-    if _IDENTIFICATION not in cell.plan.nodes:
-        return
-    since = time.monotonic()
+    """Wait until each node has reported anew, and identification has learned or refused the pushes of the fault before.
+
+    What comes late would count for the next fault; counts of a node that was started again begin at zero.
+    """
+    since, nodes = time.monotonic(), [name for name in _COUNTING if name in cell.plan.nodes]
 
     def settled() -> bool:
-        reports = cell.monitor.reports_of(_IDENTIFICATION, since)
-        return bool(reports) and reports[-1].values.get("pushes waiting") == "0"
+        reports = {name: cell.monitor.reports_of(name, since) for name in nodes}
+        waiting = [own[-1].values.get("pushes waiting", "0") for own in reports.values() if own]
+        return all(reports.values()) and all(count == "0" for count in waiting)
 
     with suppress(PushIdentError):  # the fault shows what is wrong with a node that does not speak
-        until(settled, _IDLE, "identification did not settle")
+        until(settled, _IDLE, "the nodes did not settle")
 
 
 def _in_cell(fault: Fault, trial: Trial, cell: Cell) -> None:

@@ -87,7 +87,7 @@ def _poses(trial: Trial) -> None:
     for _, msg in _pose_faults(cell.proxy.latest(_POSE)):
         cell.monitor.publish(_POSE, msg)
         number += 1
-        trial.wait(0.03)  # the executor keeps the latest few only
+        trial.wait(0.1)  # the executor keeps the latest few only
     result = cell.end(sent)
     trial.expect(result.error_code == PushCode.NONE, f"the push ended with {result.error_code} {result.error_text}")
     for node, count in before.items():
