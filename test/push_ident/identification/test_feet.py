@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -15,6 +16,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.prior import Prior
+from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.identification.result_json import result_json
 from push_ident.identification.supports import supports
 from push_ident.identification.unknowns import Unknowns
@@ -114,3 +116,20 @@ def test_feet_stay_where_pushes_leave_the_window() -> None:
     again = OnlineIdentifier(OnlineIdentifier.known(online.posterior))
     again.add(TRAIN[0])
     assert again.posterior.prior.feet == 3
+
+
+@pytest.mark.parametrize("summed_up", [False, True], ids=["any kind", "on feet for sure"])
+def test_pushes_that_cannot_be_simulated_end_in_a_status(monkeypatch: pytest.MonkeyPatch, summed_up: bool) -> None:
+    online = OnlineIdentifier(OnlineIdentifier.new(SHAPE), window=8)
+    for record in TRAIN if summed_up else TRAIN[:2]:
+        online.add(record)
+    assert not summed_up or online.posterior.prior.feet == 3
+    failed = Evaluation(np.inf, np.zeros(0), np.zeros((0, 0)), np.empty((0, 3)))
+
+    def evaluate(problem: FitProblem, x: Float64Array) -> Evaluation:
+        return replace(failed, gradient=np.zeros(problem.size), hessian=np.eye(problem.size))
+
+    monkeypatch.setattr(FitProblem, "evaluate", evaluate)
+    result = online.add(LATER[0])
+    assert result.status is SolveStatus.SIMULATION_FAILED
+    assert not result.candidates and np.isnan(result.reduced_chi2)

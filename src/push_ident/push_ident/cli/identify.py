@@ -92,7 +92,8 @@ def identify_command(
             options=FitOptions(seed=seed),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
-        scores = [] if out is None else _scores(loaded, prior, report)
+        # Predictions before each push are made without nuisances: they would be of another model.
+        scores = [] if out is None or loaded.nuisances else _scores(loaded, prior, report)
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     content = result_json(result, loaded.object_id, loaded.records, chosen, [*loaded.notes, *found])
     _show_errors(content, loaded)

@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.identification.balance import balance
 from push_ident.types import Float64Array
 
 __all__ = ["Feet", "FeetDerivative", "FeetLoad", "feet_load", "feet_load_derivative"]
@@ -30,16 +31,6 @@ _FLOATING: Final = 1e-3
 """Share f of the load that the rest of the base bears [-]."""
 _SOFTNESS: Final = 1e-3
 """Of the balance [-]: the centre of the load misses that of mass by 2e-3 r per unit of tilt, which is about 1 where a load balances."""
-_BALANCED: Final = 1e-12
-"""Slope of the potential at which the balance is found, relative to the radius [-]."""
-_MAX_STEPS: Final = 100
-"""Newton's method on a convex function needs some ten."""
-_SHORTEST: Final = 1e-9
-"""Shortest share of a step: below it the decrease is lost in rounding [-]."""
-_ROUNDING: Final = 1e-14
-"""Relative error of the potential: near its minimum a step is not refused for less [-]."""
-_ARMIJO: Final = 1e-4
-"""Share of the expected decrease that a step must make (Nocedal & Wright, Numerical Optimization, ch. 3) [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,41 +96,9 @@ def feet_load(weight: Float64Array, cells: Float64Array, feet: Feet) -> FeetLoad
     effective = spread.T @ cells
     radius = float(np.sqrt(np.mean((cells - cells.mean(axis=0)) ** 2)))
     arms = (effective - weight @ cells) / radius
-    tilt = _balance(arms, feet.preference)
-    share = _shares(feet.preference + arms @ tilt)[0]
+    share, tilt = balance(feet.preference, arms, _SOFTNESS)
     load = (1.0 - _FLOATING) * (spread @ share) + _FLOATING * weight
     return FeetLoad(feet, weight, cells, load, share, effective, spread, arms, radius, tilt)
-
-
-def _shares(exponent: Float64Array) -> tuple[Float64Array, float]:
-    """Softmax, and the logarithm of its sum."""
-    top = float(exponent.max())
-    share = np.exp(exponent - top)
-    total = float(share.sum())
-    return share / total, top + float(np.log(total))
-
-
-def _balance(arms: Float64Array, preference: Float64Array) -> Float64Array:
-    """The tilt of least potential, shape (2,), by Newton's method with a line search."""
-    tilt = np.zeros(2)
-    share, value = _shares(preference)
-    for _ in range(_MAX_STEPS):
-        centre = share @ arms
-        slope = centre + 2.0 * _SOFTNESS * tilt
-        if np.max(np.abs(slope)) < _BALANCED:
-            break
-        curvature = (arms * share[:, None]).T @ arms - np.outer(centre, centre) + 2.0 * _SOFTNESS * np.eye(2)
-        step = -np.linalg.solve(curvature, slope)
-        part = 1.0
-        while part > _SHORTEST:
-            trial = tilt + part * step
-            share, raw = _shares(preference + arms @ trial)
-            reached = raw + _SOFTNESS * float(trial @ trial)
-            if reached <= value + _ARMIJO * part * float(slope @ step) + _ROUNDING * (1.0 + abs(value)):
-                break
-            part *= 0.5
-        tilt, value = tilt + part * step, reached
-    return tilt
 
 
 def feet_load_derivative(at: FeetLoad, d_weight: Float64Array, d_feet: FeetDerivative) -> Float64Array:

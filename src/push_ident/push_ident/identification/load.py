@@ -13,26 +13,12 @@ order in t it is the planar pressure under a rigid base on a bed of equal spring
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
+from push_ident.identification.balance import balance
 from push_ident.types import Float64Array
 
 __all__ = ["balanced_load", "balanced_load_derivative"]
-
-_BALANCED: Final = 1e-12
-"""Distance of the centre of the load from that of mass at which they are one, relative to the size of the object [-]."""
-_MAX_STEPS: Final = 100
-"""Newton's method on a convex function needs some ten."""
-_ARMIJO: Final = 1e-4
-"""Share of the expected decrease that a step must make (Nocedal & Wright, Numerical Optimization, ch. 3) [-]."""
-_REGULAR: Final = 1e-12
-"""Added to the spread, which is about 1 unless the load is on one line or cell [-]."""
-_LONGEST: Final = 10.0
-"""Step of the tilt: it changes ratios of loads by a factor of e^10 over the size of the object [-]."""
-_SHORTEST: Final = 1e-9
-"""Shortest share of a step: below it the decrease is lost in rounding [-]."""
 
 
 def balanced_load(weight: Float64Array, excess: Float64Array, places: Float64Array) -> Float64Array:
@@ -47,36 +33,7 @@ def balanced_load(weight: Float64Array, excess: Float64Array, places: Float64Arr
     size = float(np.sqrt(np.mean(arms**2)))
     if size == 0.0:  # a single cell
         return weight
-    arms = arms / size
-    exponent = np.log(weight) + excess
-    tilt = np.zeros(2)
-    load, potential = _tilted(exponent, arms, tilt)
-    for _ in range(_MAX_STEPS):
-        # The potential is convex in the tilt, its gradient the centre of the load, its Hessian the spread of the load.
-        centre = load @ arms
-        if np.max(np.abs(centre)) < _BALANCED:
-            break
-        spread = (arms * load[:, None]).T @ arms - np.outer(centre, centre)
-        step = -np.linalg.solve(spread + _REGULAR * np.eye(2), centre)
-        # Where nearly all of the load is on one cell, the potential is a plane, and Newton's step without end.
-        step *= min(1.0, _LONGEST / float(np.linalg.norm(step)))
-        share = 1.0
-        while share > _SHORTEST:
-            load, reached = _tilted(exponent, arms, tilt + share * step)
-            if reached <= potential + _ARMIJO * share * float(centre @ step):
-                break
-            share *= 0.5
-        tilt, potential = tilt + share * step, reached
-    return load
-
-
-def _tilted(exponent: Float64Array, arms: Float64Array, tilt: Float64Array) -> tuple[Float64Array, float]:
-    """Load and potential (logarithm of its sum before it was normalised)."""
-    value = exponent + arms @ tilt
-    top = float(value.max())
-    load = np.exp(value - top)
-    total = float(load.sum())
-    return load / total, top + float(np.log(total))
+    return balance(np.log(weight) + excess, arms / size)[0]
 
 
 def balanced_load_derivative(

@@ -82,8 +82,8 @@ def fit_by_evidence(
     prior: MapPrior,
     start: Float64Array,
     max_iterations: int,
-) -> EvidenceFit:
-    """Fit the unknowns and the prior of their maps.
+) -> EvidenceFit | None:
+    """Fit the unknowns and the prior of their maps; None where the pushes cannot be simulated.
 
     Args:
         name: of the start in `STARTS`, whose prior of the hyperparameters holds.
@@ -102,20 +102,21 @@ def fit_by_evidence(
         x0 = start.copy()
         x0[:n] = solve_triangular(transform, start[:n], lower=True)
         fit = Fit(problem, *minimise(problem, x0, max_iterations, tolerance=_COARSE, refine=False))
-        linear = LinearEvidence(unknowns, fit, transform, centre) if np.isfinite(fit.end.cost) else None
-        following, gain = linear.maximum(logs) if linear and not last else (logs, 0.0)
+        if not np.isfinite(fit.end.cost):
+            break
+        linear = LinearEvidence(unknowns, fit, transform, centre)
+        following, gain = (logs, 0.0) if last else linear.maximum(logs)
         if gain < _NO_GAIN:
             fit = Fit(problem, *minimise(problem, fit.x, max_iterations, tolerance=_FINE, start=fit.end))
         evidence = fit.log_evidence - 0.5 * float(np.sum(((logs - centre) / _WIDTH) ** 2))
         if best is None or evidence > best.log_evidence:
-            is_complete = linear is not None and gain < _NO_GAIN and not problem.meter.spent
+            is_complete = gain < _NO_GAIN and not problem.meter.spent
             covariance = transform @ fit.covariance @ transform.T
             best, around = EvidenceFit(name, maps, fit, transform, evidence, covariance, is_complete), linear
-        if linear is None or gain < _NO_GAIN or problem.meter.spent:
+        if gain < _NO_GAIN or problem.meter.spent:
             break
         logs, start = following, linear.minimum(following)
-    assert best is not None
-    return best if around is None else replace(best, covariance=around.covariance(best.prior.logs))
+    return None if best is None or around is None else replace(best, covariance=around.covariance(best.prior.logs))
 
 
 class LinearEvidence:

@@ -11,8 +11,8 @@ where the quadratic `past` replaces pushes that are no longer simulated. Frozen 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
 the maps with it.
 
-The time steps of each push are chosen where it is simulated first (`physics/accuracy.py`) and then kept, so that the cost stays smooth.
-`refine_steps` looks again at the end of a fit.
+The time steps of each push are chosen where it is simulated first (`physics/accuracy.py`), not finer than `_FIRST_LEVEL`, and then kept, so
+that the cost stays smooth. `refine_steps` looks again at the end of a fit, without that bound.
 """
 
 from __future__ import annotations

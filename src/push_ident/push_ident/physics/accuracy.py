@@ -6,8 +6,8 @@ contact moves by v dt between two steps. The steps are therefore chosen for each
     level 0: equal steps of 1/240 s                         level k: steps of 1/240 s / 2^(k - 1) at most, with `resolve_events`
 
 The level is the lowest at which halving the steps moves the last pose by less than `SHARE` of the standard deviation of its noise (step
-doubling: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.4). It is chosen before a fit and kept during
-it, so that the cost stays smooth.
+doubling: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.4). It is chosen before a fit, where it is 2 at
+most, and kept during it, so that the cost stays smooth; finer levels are taken at its end (`identification/problem.py`).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ _UNEVEN_MATERIAL, _UNEVEN_LOAD = STARTS
 _ADOPTED: Final = "adopted model"
 _EQUAL: Final = "equal cells"
 _NOMINAL: Final = "equal cells, nominal friction"
-_FEET: Final = {"two feet": 2, "three feet": 3}
+_FEET: Final = {2: "two feet", 3: "three feet"}
 _FOOT_STARTS: Final = 3
 """Places of the feet that a fit may start from: the cost has more than one minimum."""
 _SCREENING: Final = 3
@@ -70,9 +70,12 @@ class GaussNewton(Solver):
             candidates.fit_maps()
             candidates.fit_equal_cells()
             if candidates.may_stand_on_feet:
-                for number in _FEET.values():
+                for number in _FEET:
                     candidates.fit_feet(number)
-        fits, best = candidates.fits, candidates.best
+        fits = candidates.fits
+        if not fits:
+            return _failed(task)
+        best = candidates.best
         status = best.status if candidates.is_complete else SolveStatus.BUDGET_SPENT
         if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and candidates.reduced_chi2 > _POOR_FIT:
             status = SolveStatus.POOR_FIT
@@ -135,6 +138,7 @@ class _Candidates:
         """The pushes with the noise that the fits assume."""
         self._inflation = UNCHECKED
         self.fits: list[_Entry] = []
+        """Those whose pushes could be simulated."""
         self.warm_starts: list[WarmStart] = []
         self.is_complete = True
         """Whether no search was ended by the budget."""
@@ -156,7 +160,7 @@ class _Candidates:
 
         One push gives three numbers, too few for places of feet; and summed-up pushes count in the unknowns of maps only.
         """
-        evidence = {entry.name: entry.log_evidence for entry in self.fits}
+        evidence = {_UNEVEN_LOAD: -np.inf, _UNEVEN_MATERIAL: -np.inf} | {entry.name: entry.log_evidence for entry in self.fits}
         return evidence[_UNEVEN_LOAD] > evidence[_UNEVEN_MATERIAL] and len(self._task.records) > 1 and self._task.past is None
 
     @property
@@ -178,6 +182,8 @@ class _Candidates:
         if warm := _warm_start(task.warm_starts, _ADOPTED, problem.size):
             start[: len(warm.x)] = warm.x
         fit = Fit(problem, *minimise(problem, start, task.options.max_iterations))
+        if not np.isfinite(fit.end.cost):
+            return
         self.fits.append(_Entry(_ADOPTED, own, fit.log_evidence, None, fit, fit.z, fit.covariance))
         self.warm_starts.append(WarmStart(_ADOPTED, fit.x))
 
@@ -215,7 +221,7 @@ class _Candidates:
             self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
             for name in STARTS:
                 self._fit_maps_from(name, earlier)
-            if remaining == 0 or not self._set_inflation(self._expected_inflation):
+            if remaining == 0 or not self.fits or not self._set_inflation(self._expected_inflation):
                 break
 
     def _fit_maps_from(self, name: str, warm_starts: Sequence[WarmStart]) -> None:
@@ -225,6 +231,8 @@ class _Candidates:
         if warm is not None and warm.prior is not None:
             start[: len(warm.x)], prior = warm.x, warm.prior
         found = fit_by_evidence(name, own, self._problem, prior, start, task.options.max_iterations)
+        if found is None:
+            return
         fit = found.fit
         self.is_complete &= found.is_complete or not task.meter.spent
         z = found.transform @ fit.z
@@ -242,7 +250,7 @@ class _Candidates:
     @property
     def noise_factor(self) -> float | None:
         """Factor on the stated noise that the pushes set; None where they do not."""
-        return self._inflation if self._noise_is_open else None
+        return None if self._pushes is self._task.scalar.problem else self._inflation
 
     @property
     def _noise_is_open(self) -> bool:
@@ -266,8 +274,8 @@ class _Candidates:
 
     def fit_feet(self, number: int) -> None:
         """On feet whose places the pushes set, unless the first steps show that this explains them far worse."""
-        name = next(key for key, value in _FEET.items() if value == number)
-        own, flat = self._on(number), self._flat(self._on(number))
+        name, own = _FEET[number], self._on(number)
+        flat = self._flat(own)
         problem = self._problem(own, np.eye(own.size))
         starts = []
         if warm := _warm_start(self._task.warm_starts, name, len(flat)):
@@ -311,6 +319,12 @@ class _Candidates:
 def _warm_start(earlier: Sequence[WarmStart], name: str, size: int) -> WarmStart | None:
     """Of an earlier fit to the same pushes or the first of them."""
     return next((warm for warm in earlier if warm.name == name and len(warm.x) <= size), None)
+
+
+def _failed(task: FitTask) -> MapFit:
+    prior = ModelPosterior.of_prior(Unknowns(task.shape, task.prior, effects=task.effects))
+    scalar = task.scalar
+    return MapFit(prior, SolveStatus.SIMULATION_FAILED, scalar.problem, scalar.x, np.inf, np.nan, tuple(task.warm_starts))
 
 
 def _candidate(entry: _Entry, probability: float) -> Candidate:
