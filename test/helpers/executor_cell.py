@@ -200,7 +200,8 @@ def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
 def begin_push(cell: Cell, **fields: object) -> Call:
     """A push whose tool is on its way through the box."""
     call = send(cell, **(CONTACT | fields))
-    wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+    wait_for(lambda: call.result.done() or (cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback))
+    assert not call.result.done(), call.end()
     return call
 
 

@@ -6,15 +6,30 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from push_ident.physics.effect_folders import VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMAND = "import sys; from push_ident.cli.main import main; sys.exit(main())"
+COMMANDS = """
+import json, sys
+from push_ident.cli.main import main
+for arguments in json.load(sys.stdin):
+    sys.argv = ["push-ident", *arguments]
+    try:
+        main()
+    except SystemExit as ended:
+        if ended.code:
+            raise
+"""
+"""In one process: each would compile the kernels of the effect anew."""
 TORQUE = 0.04
+MASS, FRICTION = 0.969949, 0.382953
+"""Of the simulated toolbox [kg], [-]."""
 EFFECT = """
 from push_ident.physics.effect import Effect, EffectParameter, Law, OnTable, equation
 
@@ -62,20 +77,20 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {**os.environ, VARIABLE: str(folder), "OMP_NUM_THREADS": "1"}
 
 
-def run(environment: dict[str, str], *arguments: str | Path) -> str:
+def run(environment: dict[str, str], *arguments: str | Path, text: str = "") -> str:
     call = [sys.executable, *map(str, arguments)]
-    done = subprocess.run(call, env=environment, capture_output=True, text=True, timeout=1800, check=False)
+    done = subprocess.run(call, env=environment, input=text, capture_output=True, text=True, timeout=1800, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def push_ident(environment: dict[str, str], *arguments: str | Path) -> str:
-    return run(environment, "-c", COMMAND, *arguments)
+def push_ident(environment: dict[str, str], *commands: Sequence[str | Path]) -> str:
+    return run(environment, "-c", COMMANDS, text=json.dumps([[str(argument) for argument in command] for command in commands]))
 
 
 def test_effect_of_a_new_file_is_documented_and_offered_for_injection(environment: dict[str, str]) -> None:
     assert "A turn to one side in every push." in run(environment, ROOT / "tools" / "document_effects.py")
-    listed = push_ident(environment, "simulate", "--effects")
+    listed = push_ident(environment, ("simulate", "--effects"))
     assert "swirl: A constant torque turns the object about the vertical." in listed and "torque [N m]" in listed
 
 
@@ -86,17 +101,20 @@ def test_effect_of_a_new_file_acts_in_the_planar_engine(environment: dict[str, s
 def test_effect_of_a_new_file_is_simulated_diagnosed_and_exported(environment: dict[str, str], tmp_path: Path) -> None:
     bag, truth, out = tmp_path / "bag", tmp_path / "truth.json", tmp_path / "out"
     simulate = ("--object", "toolbox", "--effect", f"swirl={TORQUE}", "--pushes", "5", "--seed", "3")
-    push_ident(environment, "simulate", *simulate, "--out", bag, "--truth", truth)
+    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
+    known = ("--nominal-mass", str(MASS), "--friction", str(FRICTION))
+    push_ident(
+        environment,
+        ("simulate", *simulate, "--out", bag, "--truth", truth),
+        ("diagnose", bag, *known, "--out", out, "--json", out / "result.json"),
+        ("export", out / "model.json", "--format", "mjcf", "--out", out / "model.xml"),
+    )
     injected = json.loads(truth.read_text())
     assert injected["effects"] == {"swirl": [TORQUE]}
-    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
-    mass = sum(injected["mass_kg"])
-    friction = sum(m * f for m, f in zip(injected["mass_kg"], injected["friction"], strict=True)) / mass
-    known = ("--nominal-mass", str(mass), "--friction", str(friction))
-    push_ident(environment, "diagnose", bag, *known, "--out", out, "--json", out / "result.json")
+    assert sum(injected["mass_kg"]) == pytest.approx(MASS)
+    assert np.average(injected["friction"], weights=injected["mass_kg"]) == pytest.approx(FRICTION)
     result = json.loads((out / "result.json").read_text())
     (found,) = result["effects"]
     assert result["verdict"] == "named" and found["name"] == "swirl"
     assert found["parameters"]["torque"] == pytest.approx(TORQUE, rel=0.35)
-    push_ident(environment, "export", out / "model.json", "--format", "mjcf", "--out", out / "model.xml")
     assert "swirl (torque = " in (out / "model.xml").read_text()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 import signal
+import time
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,10 @@ from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceSta
 from nav_msgs.msg import OccupancyGrid
 from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
+from rclpy.executors import Executor, TimeoutException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -220,33 +226,55 @@ class _Picky(Component):
         return Health(DiagnosticStatus.OK, "")
 
 
-def test_messages_with_damaged_bytes_do_not_keep_the_next_one_away() -> None:
+@pytest.fixture
+def picky() -> Iterator[tuple[Picky, Executor, Publisher]]:
+    """The node, its executor, and a publisher that it hears."""
     context = Context()
     rclpy.init(context=context, domain_id=own_domain())
     sender, node = Node("sender", context=context), Picky(context)
     executor = make_executor(1, context=context)
     executor.add_node(node)
     publisher = sender.create_publisher(PoseStamped, "pose", 10)
-    try:
-        for _ in range(500):
-            if publisher.get_subscription_count():
-                break
-            executor.spin_once(timeout_sec=0.02)
-        for data in (b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + b"\xff" * 40, b""):
-            publisher.publish(data)
+    for _ in range(500):
+        if publisher.get_subscription_count():
+            break
+        executor.spin_once(timeout_sec=0.02)
+    yield node, executor, publisher
+    node.close()
+    executor.shutdown()
+    node.destroy_node()
+    sender.destroy_node()
+    context.try_shutdown()
+
+
+def test_messages_with_damaged_bytes_do_not_keep_the_next_one_away(picky: tuple[Picky, Executor, Publisher]) -> None:
+    node, executor, publisher = picky
+    for data in (b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + b"\xff" * 40, b""):
+        publisher.publish(data)
+    publisher.publish(PoseStamped())
+    for _ in range(100):
+        executor.spin_once(timeout_sec=0.02)
+        if node.component.n_heard:
+            break
+    assert node.component.n_heard == 1
+    assert "/pose" in node.guard.values()["last refusal"] and "IndexError" in node.guard.values()["last refusal"]
+
+
+def test_a_subscription_destroyed_before_its_message_is_taken_does_not_block_the_others(picky: tuple[Picky, Executor, Publisher]) -> None:
+    node, executor, publisher = picky
+    deadline = time.monotonic() + 20.0
+    while True:
+        assert time.monotonic() < deadline
         publisher.publish(PoseStamped())
-        for _ in range(100):
-            executor.spin_once(timeout_sec=0.02)
-            if node.component.n_heard:
+        with suppress(TimeoutException):
+            work, entity, _ = executor.wait_for_ready_callbacks(timeout_sec=0.1)
+            if isinstance(entity, Subscription) and entity.topic_name == "/pose":
                 break
-        assert node.component.n_heard == 1
-        assert "/pose" in node.guard.values()["last refusal"] and "IndexError" in node.guard.values()["last refusal"]
-    finally:
-        node.close()
-        executor.shutdown()
-        node.destroy_node()
-        sender.destroy_node()
-        context.try_shutdown()
+            work()
+    node.destroy_subscription(entity)
+    work()
+    assert work.exception() is None and node.guard.refused == 0
+    assert all(service.callback_group.can_execute(service) for service in node.services)
 
 
 def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:
@@ -317,14 +345,26 @@ def test_a_wrong_pose_in_the_middle_of_a_push_ends_neither_the_push_nor_the_exec
         process = start_node(domain)
         try:
             wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
+            wrong, (first, *others) = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10), wrong_poses().values()
+
+            def refusal() -> str:
+                return next(v.value for v in cell.diagnostics[-1].status[0].values if v.key == "last refusal")
+
+            def is_heard() -> bool:
+                # A publisher may know its subscriber before that knows it, and is not heard until then.
+                wrong.publish(first)
+                time.sleep(0.2)
+                return refusal() != "none"
+
+            wait_for(is_heard)
+            before = refusal()
             call = send(cell, **CONTACT)
             wait_for(lambda: cell.pusher)
-            wrong = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
-            wait_for(lambda: wrong.get_subscription_count() > 0)
-            for message in wrong_poses().values():
+            for message in others:
                 wrong.publish(message)
             assert call.end().error_code == 0
-            wait_for(lambda: "last refusal: /objects/box/pose" in summary(cell.diagnostics[-1]))
+            wait_for(lambda: refusal() != before)
+            assert refusal().startswith("/objects/box/pose")
             assert process.poll() is None
         finally:
             process.send_signal(signal.SIGINT)

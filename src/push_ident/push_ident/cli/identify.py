@@ -92,8 +92,7 @@ def identify_command(
             options=FitOptions(seed=seed),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
-        # Predictions before each push are made without nuisances: they would be of another model.
-        scores = [] if out is None or loaded.nuisances else _scores(loaded, prior, report)
+        scores = [] if out is None else _scores(loaded, prior, report)
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     content = result_json(result, loaded.object_id, loaded.records, chosen, [*loaded.notes, *found])
     _show_errors(content, loaded)
@@ -111,7 +110,9 @@ def identify_command(
 
 
 def _scores(loaded: LoadedPushes, prior: Prior, report: Callable[[str], None]) -> list[PushScore]:
-    """Predictions of each push from the pushes before it."""
+    """Predictions of each push from the pushes before it; none with nuisances, which those predictions lack: they would be of another model."""
+    if loaded.nuisances:
+        return []
     total = len(loaded.records)
     return running_record(loaded.records, prior, on_push=lambda n: report(f"predicting push {n} of {total} from those before"))
 

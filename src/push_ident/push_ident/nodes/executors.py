@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 
 __all__ = ["make_executor"]
@@ -33,7 +35,7 @@ def make_executor(n_threads: int, *, context: Context | None = None) -> Executor
 
 
 def _guarded(entity: Any, guard: Any, take: Callable[[Any], Any]) -> Any:
-    source = str(getattr(entity, "topic_name", "") or getattr(entity, "srv_name", "") or type(entity).__name__)
+    source = _source(entity)
     work = None
     with guard.watch(source):
         work = take(entity)
@@ -45,3 +47,11 @@ def _guarded(entity: Any, guard: Any, take: Callable[[Any], Any]) -> Any:
             await work()
 
     return guarded
+
+
+def _source(entity: Any) -> str:
+    """Topic, service or type. Another thread may have destroyed the entity since it was found ready: then its name is gone."""
+    with suppress(InvalidHandle):
+        if name := getattr(entity, "topic_name", "") or getattr(entity, "srv_name", ""):
+            return str(name)
+    return type(entity).__name__
