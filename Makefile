@@ -56,7 +56,7 @@ faults: setup  ## the fault suite against live nodes (twenty minutes; root for f
 # own: Linux schedules sessions against each other first, and niceness alone counts only within one.
 test: setup lint  ## lint, types and all tests
 	@mkdir -p log; \
-	OMP_NUM_THREADS=1 setsid bash -c 'echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 $(VENV)/pytest -m "not alone" -n 2 --dist loadfile' \
+	OMP_NUM_THREADS=1 setsid bash -c 'echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 $(VENV)/pytest -m "not alone" -n 2 --dist loadfile --no-loadscope-reorder' \
 	  >log/tests.log 2>&1 & others=$$!; \
 	trap 'kill -- -$$others 2>/dev/null' EXIT; \
 	$(VENV)/pytest -m alone; alone=$$?; \

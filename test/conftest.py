@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 
+import pytest
+
 from helpers.domains import own_domain
 
 # Without the check a value of a wrong type is corrupted silently.
@@ -13,3 +15,8 @@ os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())
 # A shell starts what it runs in the background deaf to Ctrl-C, and so would be all processes of the tests that are ended by it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, so that all workers are done at the same time."""
+    items.sort(key=lambda item: "system" not in item.path.parts)
