@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.diagnosis import NOISE, simulated_pushes, with_correlated_noise
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.observation import observe_push
+from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
+from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.prediction import held_out_errors, predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
@@ -142,3 +146,17 @@ def _with_wrench(record: PushRecord, truth) -> PushRecord:  # type: ignore[no-un
     motion = simulate(truth, PushScenario(record.pusher, record.poses.pose[0], record.pusher.time[-1:]))
     force = np.column_stack([np.interp(record.pusher.time, motion.force_time, motion.force[:, a]) for a in (0, 1)])
     return PushRecord("1", record.shape, record.poses, record.pusher, WrenchTrack(record.pusher.time, force))
+
+
+def test_errors_of_poses_are_as_correlated_as_frames_at_rest_show() -> None:
+    records = with_correlated_noise(simulated_pushes(3, 1, noise=0.01 * NOISE), 0.9, 1)
+    records = [replace(r, poses=replace(r.poses, covariance=4e4 * r.poses.covariance / 5.0)) for r in records]
+    correlation = noise_correlation(records)
+    assert correlation == pytest.approx(0.9, abs=0.08)
+    found = identify(records).posterior
+    told = identify(records, options=FitOptions(noise=NoiseModel(correlation=correlation))).posterior
+    np.testing.assert_array_equal(found.covariance, told.covariance)
+    online = OnlineIdentifier(OnlineIdentifier.new(records[0].shape))
+    for record in records:
+        online.add(record)
+    assert np.median(online.posterior.mass_friction_std / found.mass_friction_std) == pytest.approx(1.0, abs=0.05)

@@ -110,7 +110,7 @@ def identify_command(
 
 
 def _scores(loaded: LoadedPushes, prior: Prior, report: Callable[[str], None]) -> list[PushScore]:
-    """Predictions of each push from the pushes before it; none with nuisances, which those predictions lack: they would be of another model."""
+    """Predictions of each push from the pushes before it; none with nuisances, which the model of those predictions would lack."""
     if loaded.nuisances:
         return []
     total = len(loaded.records)

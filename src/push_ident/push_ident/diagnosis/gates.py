@@ -12,7 +12,7 @@ from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
+from push_ident.identification.observation import NoiseModel, noise_at_rest, noise_correlation, observe_push
 from push_ident.types import BoolArray, PushRecord
 
 __all__ = ["check_data", "check_pushes"]
@@ -23,13 +23,10 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
     settings, records = state.settings, state.records
     policy, noise = settings.policy.gates, settings.noise
     gates = check_data(records, noise, policy)
-    correlation = noise_correlation(records)
-    if correlation > noise.correlation:
-        settings = replace(settings, noise=replace(noise, correlation=correlation))
     return replace(
         state,
         records=tuple(record for record in records if observe_push(record, noise).touched),
-        settings=settings,
+        settings=replace(settings, noise=noise_at_rest(records, noise)),
         rest_noise_known=bool(np.isfinite(noise_correlation(records, enough_pairs=policy.min_rest_pairs))),
         data_gates=tuple(gates),
     )

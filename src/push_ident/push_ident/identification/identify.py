@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from push_ident.identification.evidence import explain
 from push_ident.identification.explanation import Explanation
 from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.observation import noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Checkpoint, Identification, ModelPosterior, WarmStart
@@ -60,7 +61,7 @@ def identify(
         prior: nominal values and their standard deviations.
         method: name of a solver in `SOLVERS`.
         effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`).
-        options: noise, numerics, iterations and seed.
+        options: noise, numerics, iterations and seed. Errors of poses count as at least as correlated as the frames at rest show.
         budget: limits of the solve; 30 s by default.
         earlier: results to start from.
         on_progress: called with every better point.
@@ -77,6 +78,7 @@ def identify(
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
     prior, options, earlier = prior or Prior(), options or FitOptions(), earlier or Earlier()
+    options = replace(options, noise=noise_at_rest(records, options.noise))
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options)
     past = earlier.past if solver.capabilities.takes_past else None

@@ -12,7 +12,7 @@ frame to frame (`NoiseModel.correlation`) average out more slowly, and neighbour
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import BoolArray, Float64Array, PushRecord
 
-__all__ = ["UNCHECKED", "NoiseModel", "Observation", "noise_correlation", "observe_push", "pusher_gaps"]
+__all__ = ["UNCHECKED", "NoiseModel", "Observation", "noise_at_rest", "noise_correlation", "observe_push", "pusher_gaps"]
 
 UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
@@ -147,6 +147,12 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     discrepancy = travel[:, None] * noise.model_discrepancy
     unchecked = len(before) == len(after) == 1
     return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, unchecked)
+
+
+def noise_at_rest(records: Sequence[PushRecord], noise: NoiseModel | None = None) -> NoiseModel:
+    """The noise, with errors at least as correlated as the frames at rest of the records show."""
+    noise, correlation = noise or NoiseModel(), noise_correlation(records)
+    return replace(noise, correlation=correlation) if correlation > noise.correlation else noise
 
 
 def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENOUGH_PAIRS) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import Earlier, identify
-from push_ident.identification.observation import NoiseModel
+from push_ident.identification.observation import NoiseModel, noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import without_first_pose
 from push_ident.identification.quadratic import Quadratic
@@ -92,7 +92,7 @@ class OnlineIdentifier:
         """The latest estimate, in the middle of a push too."""
         self._options, self._solver, self._window = FitOptions(noise=noise, numerics=settings), solver_of(method), window
         # An update in the middle of a push must be quick, and nothing of it is kept.
-        self._frame_options = replace(self._options, numerics=quick_steps(settings))
+        self._frame_options = replace(self._options, noise=noise_at_rest(state.records, noise), numerics=quick_steps(settings))
         self._budget, self._frame_budget = Budget(max_seconds=max_seconds), Budget(max_seconds=frame_seconds)
         self._under_way: tuple[float, Float64Array] | None = None
 
@@ -124,7 +124,7 @@ class OnlineIdentifier:
         records, past, starts = state.records, state.past, state.warm_starts
         options = self._options
         while len(records) >= self._window:
-            oldest = summarise(records[0], state.posterior, options.noise, options.numerics)
+            oldest = summarise(records[0], state.posterior, noise_at_rest(records, options.noise), options.numerics)
             starts = tuple(replace(start, x=without_first_pose(start.x, len(records))) for start in starts)
             records, past = records[1:], oldest if past is None else past + oldest
         records = (*records, record)
@@ -132,6 +132,7 @@ class OnlineIdentifier:
             records, state.prior, method=self._solver.name, options=options, budget=self._budget, earlier=Earlier(starts, past)
         )
         self.result, self.posterior, self._under_way = result, result.posterior, None
+        self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, options.noise))
         self.state = OnlineState(state.shape, state.prior, records, past, result.warm_starts, result.posterior, result.status)
         return result
 
