@@ -13,6 +13,7 @@ from push_ident.perception.depth import depth_from_buffer, points_in_table
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, label_pixels
 from push_ident.perception.pipeline import Perception, observe_offline
+from push_ident.perception.refusals import Reason
 from push_ident.perception.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import SegmentedView, median_depth, trace_object
@@ -191,7 +192,8 @@ def test_an_object_beside_the_robot_is_no_whole_segment():
     points = points_in_table(frame, CAMERA)
     segments, counts = find_segments(frame, points, label_pixels(points, (Cylinder(*touching, RADIUS),), SETTINGS), SETTINGS)
     assert not any(segment.whole for segment in segments)
-    assert counts["beside_robot_or_cut"] == len(segments) > 0
+    assert counts["segments"] == len(segments) > 0
+    assert {segment.fault for segment in segments} == {Reason.BESIDE_ROBOT}
     frame = render(hammer(FIRST), rng=rng)
     points = points_in_table(frame, CAMERA)
     segments, _ = find_segments(frame, points, label_pixels(points, (), SETTINGS), SETTINGS)
@@ -336,7 +338,7 @@ def test_two_objects_keep_their_ids_and_the_occupancy_comes_at_its_own_rate():
     assert [observation.occupancy is not None for observation in observations] == [True, False, True, False, True]
     areas = [polygon_area(shape.outline) for shape in observations[1].new_shapes.values()]
     assert areas == pytest.approx([0.008, 0.00712], rel=0.05)
-    assert observations[0].why_no_pose() == "2 new objects are not at rest yet"
+    assert observations[0].why_no_pose() == "2 segments: not at rest yet"
     assert observations[-1].why_no_pose() == ""
 
 
@@ -397,4 +399,4 @@ def test_settings_that_contradict_each_other_are_refused():
     with pytest.raises(InputError, match="low must be below high"):
         PerceptionSettings(workspace_low=(0.1, 0.1), workspace_high=(0.0, 0.2))
     with pytest.raises(InputError, match="0 < min < max"):
-        PerceptionSettings(min_object_height=0.2)
+        PerceptionSettings(min_object_height=0.6)

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError, PerceptionError
 from push_ident.geometry.se2 import rotation
 from push_ident.perception.depth import points_in_table
-from push_ident.perception.further_camera import FurtherCamera
-from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
+from push_ident.perception.refusals import Reason, Refusal, summary_of
+from push_ident.perception.registration import NewObject, Registration, refusal_of
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SegmentedView, TracedObject, median_depth, trace_object
+from push_ident.perception.shape import TracedObject
 from push_ident.perception.table import TablePlane, fit_table
 from push_ident.perception.topdown import TopDownGrid, top_down
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose, relocate
@@ -64,8 +64,10 @@ class Observation:
     """Shapes of the objects registered with this frame, or remembered and found again, by id."""
     counts: dict[str, int]
     """Counts of each stage: `pixels`, `valid`, `tracked`, `lost`, and of the last search `table`, `robot`, `object_pixels`,
-    `segments`, `too_small`, `beside_robot_or_cut`, `behind_another`, `waiting`; `table_hidden` counts the checks of the plane that
-    found too little of it."""
+    `segments`, and refusals by their reason in small letters; `table_hidden` counts the checks of the plane that found too little of
+    it."""
+    refused: tuple[Refusal, ...]
+    """What the last search found on the table that is no object, and why."""
     occupancy: TopDownGrid | None
     """None between two occupancy grids; they have a lower rate."""
     further_views: dict[str, str]
@@ -79,16 +81,9 @@ class Observation:
             return ""
         if self.objects:
             return "; ".join(f"object {known.object_id}: {known.status.value}" for known in self.objects)
-        counts = self.counts
-        if counts["waiting"]:
-            return f"{counts['waiting']} new objects are not at rest yet"
-        if counts["beside_robot_or_cut"]:
-            return f"{counts['beside_robot_or_cut']} segments touch the robot, the image border or the workspace border"
-        if counts["behind_another"]:
-            return f"{counts['behind_another']} segments are partly hidden behind another one; move the nearer one out of the way"
-        if counts["too_small"]:
-            return f"{counts['too_small']} segments are smaller than min_object_area"
-        return f"nothing on the table is higher than min_object_height ({counts['table']} pixels show the table)"
+        if self.refused:
+            return summary_of(self.refused)
+        return f"nothing on the table is higher than min_object_height ({self.counts['table']} pixels show the table)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,14 +131,6 @@ class _TrackedObject:
         self.pose, self.stamp = fit.pose, stamp
 
 
-@dataclass(slots=True)
-class _Candidate:
-    """A segment that may become an object, and the frames in which it was at rest."""
-
-    segment: Segment
-    frames: list[DepthFrame]
-
-
 class Perception:
     """Perception with memory: the table plane, the objects and their latest poses.
 
@@ -163,13 +150,10 @@ class Perception:
         self._plane: TablePlane | None = None
         self._camera = self._extrinsics
         self._tracked: dict[str, _TrackedObject] = {}
-        self._candidates: list[_Candidate] = []
-        self._search_counts = dict.fromkeys(
-            ("table", "robot", "object_pixels", "segments", "too_small", "beside_robot_or_cut", "behind_another", "waiting"), 0
-        )
+        self._registration = Registration()
+        self._refused: tuple[Refusal, ...] = ()
+        self._search_counts = dict.fromkeys(("table", "robot", "object_pixels", "segments"), 0)
         self._table_hidden = 0
-        self._further: dict[str, FurtherCamera] = {}
-        self._further_views: dict[str, str] = {}
         self._last_stamp = self._last_search = self._last_occupancy = -np.inf
 
     @property
@@ -228,21 +212,29 @@ class Perception:
         if occupancy_due and self._tracked:
             search_due = False  # both in one frame would delay the next one
         new_shapes: dict[str, ObjectShape] = {}
+        further_views: dict[str, str] = {}
         occupancy = None
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
-            labels = label_pixels(points, robot, self.settings)
+            labels = label_pixels(points, robot, self._limits)
             if search_due:
-                fits.update(self._search(frame, points, labels, robot))
-                new_shapes = self._announce() | self._register(frame.stamp)
-                self._search_counts["waiting"] = len(self._candidates)
+                found, new = self._search(frame, points, labels, robot)
+                fits.update(found)
+                new_shapes = self._announce() | {self._add(thing, frame.stamp): thing.traced.shape for thing in new}
+                further_views = self._registration.further_views
             if occupancy_due:
-                occupancy = top_down(points, labels, self.settings)
+                occupancy = top_down(points, labels, self._limits)
                 self._last_occupancy = frame.stamp
                 self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
-        return Observation(frame.stamp, objects, new_shapes, counts, occupancy, self._further_views, restarted)
+        return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted)
+
+    @property
+    def _limits(self) -> PerceptionSettings:
+        """The settings, with a least height of objects that the noise of the table allows."""
+        assert self._plane is not None
+        return replace(self.settings, min_object_height=max(self.settings.min_object_height, self._plane.least_height))
 
     def _begin(self, frame: DepthFrame) -> tuple[bool, int]:
         """Check the frame and fit the table plane before the first one; whether time went back, and the number of valid pixels."""
@@ -251,7 +243,6 @@ class Perception:
         restarted = frame.stamp < self._last_stamp
         if restarted:
             self.reset()
-        self._further_views = {}
         n_valid = int(np.count_nonzero(np.isfinite(frame.depth)))
         if n_valid == 0:
             raise PerceptionError(f"Depth image has 0 valid of {frame.depth.size} pixels; check the camera and its range.")
@@ -268,6 +259,7 @@ class Perception:
             "tracked": n_tracked,
             "lost": len(objects) - n_tracked,
             **self._search_counts,
+            **{reason.name.lower(): sum(refusal.reason is reason for refusal in self._refused) for reason in Reason},
             "table_hidden": self._table_hidden,
         }
 
@@ -279,7 +271,7 @@ class Perception:
             camera_in_table: Its optical frame in the table frame, shape (4, 4), from its extrinsics.
             robot: Parts of the robot when the frame was taken.
         """
-        self._further.setdefault(name, FurtherCamera()).add(frame, camera_in_table, robot)
+        self._registration.add_further_view(name, frame, camera_in_table, robot)
 
     def fit(self, object_id: str, frame: DepthFrame, robot: Sequence[RobotPart] = ()) -> PoseFit:
         """Pose of a known object in another frame near its latest pose, for frames taken before the object was registered."""
@@ -319,10 +311,11 @@ class Perception:
 
     def _search(
         self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]
-    ) -> dict[str, PoseFit]:
-        """Look for lost and new objects in the whole image; fits of the objects found again."""
+    ) -> tuple[dict[str, PoseFit], list[NewObject]]:
+        """Look for lost and new objects in the whole image; fits of the objects found again, and the new ones."""
+        assert self._plane is not None
         self._last_search = frame.stamp
-        segments, counts = find_segments(frame, points, labels, self.settings)
+        segments, counts = find_segments(frame, points, labels, self._limits)
         unexplained = [segment for segment in segments if not self._explained(segment, points)]
         found: dict[str, PoseFit] = {}
         for name, known in self._tracked.items():
@@ -333,10 +326,13 @@ class Perception:
                 known.accept(fit, frame.stamp)
                 found[name] = fit
                 unexplained = [segment for segment in unexplained if not self._explained(segment, points)]
-        self._candidates = [self._candidate(segment, frame) for segment in unexplained if segment.whole]
+        whole = [segment for segment in unexplained if segment.whole]
+        new, waiting = self._registration.update(whole, frame, points, self._camera, self._plane, self._limits)
+        cut = [refusal_of(segment, points, segment.fault) for segment in unexplained if segment.fault is not None]
+        self._refused = (*cut, *waiting)
         table, on_robot = int(np.count_nonzero(labels == TABLE)), int(np.count_nonzero(labels == ROBOT))
-        self._search_counts = {"table": table, "robot": on_robot, **counts, "waiting": 0}
-        return found
+        self._search_counts = {"table": table, "robot": on_robot, **counts}
+        return found, new
 
     def _find_again(
         self, name: str, known: _TrackedObject, segments: Sequence[Segment], frame: DepthFrame, robot: Sequence[RobotPart]
@@ -359,14 +355,6 @@ class Perception:
 
         return any(share_on(known) > 0.5 for known in self._tracked.values() if known.status is TrackStatus.TRACKED)
 
-    def _candidate(self, segment: Segment, frame: DepthFrame) -> _Candidate:
-        """The segment with all frames in which it was at the same place, this one included."""
-        for candidate in self._candidates:
-            moved = float(np.linalg.norm(segment.centre - candidate.segment.centre))
-            if moved < self.settings.rest_distance and abs(segment.area - candidate.segment.area) < 0.15 * segment.area:
-                return _Candidate(segment, [*candidate.frames, frame])
-        return _Candidate(segment, [frame])
-
     def _announce(self) -> dict[str, ObjectShape]:
         """Shapes of the remembered objects that were just found."""
         found = {name: own for name, own in self._tracked.items() if not own.announced and own.status is TrackStatus.TRACKED}
@@ -374,36 +362,11 @@ class Perception:
             own.announced = True
         return {name: own.traced.shape for name, own in found.items()}
 
-    def _register(self, stamp: float) -> dict[str, ObjectShape]:
-        """Turn candidates that were at rest for long enough into objects; their shapes by id."""
-        assert self._plane is not None
-        new_shapes = {}
-        for candidate in [c for c in self._candidates if len(c.frames) >= self.settings.rest_frames]:
-            self._candidates.remove(candidate)
-            last = candidate.frames[-1]
-            frame = DepthFrame(last.stamp, median_depth(candidate.frames), last.intrinsics, last.frame_id)
-            main = SegmentedView(frame, self._camera, candidate.segment, self._plane.noise / np.sqrt(len(candidate.frames)))
-            traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp)
-            traced = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
-            name = f"o{1 + max((int(name[1:]) for name in self._tracked), default=0)}"
-            self._tracked[name] = _TrackedObject(traced, Template(traced), candidate.segment.area, traced.pose, traced.pose, stamp)
-            new_shapes[name] = traced.shape
-        return new_shapes
-
-    def _trace(self, views: Sequence[SegmentedView]) -> TracedObject:
-        return trace_object(views, min_height=self.settings.min_object_height, cell_count=self.settings.cell_count)
-
-    def _trace_with_all(self, main: SegmentedView, began: float, ended: float) -> tuple[TracedObject, list[SegmentedView]]:
-        """The object traced from the main camera's view and those of further cameras that agree with it, and all these views."""
-        traced, views = self._trace([main]), [main]
-        for name, camera in self._further.items():
-            try:
-                more = [*views, camera.view_of(traced, began, ended, self.settings)]
-                traced, views = self._trace(more), more
-                self._further_views.setdefault(name, "")
-            except (FrameError, PerceptionError) as error:
-                self._further_views[name] = str(error)
-        return traced, views
+    def _add(self, new: NewObject, stamp: float) -> str:
+        """Follow a new object from now on; its id."""
+        name = f"o{1 + max((int(name[1:]) for name in self._tracked), default=0)}"
+        self._tracked[name] = _TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, new.traced.pose, stamp)
+        return name
 
     def _use_plane(self, plane: TablePlane) -> None:
         self._plane = plane

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from push_ident.perception.labels import OBJECT, ROBOT, UNKNOWN
+from push_ident.perception.refusals import Reason
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.surfaces import split_surfaces
 from push_ident.types import BoolArray, DepthFrame, Float64Array
@@ -19,11 +20,15 @@ __all__ = ["Segment", "find_segments"]
 
 _NEAR: Final = 4
 """Distance at which a robot pixel or the image border counts as touching [px]."""
-_UNKNOWN: Final = 0.5
-"""Fraction of the surrounding pixels that may be unknown: structured light leaves a shadow along one side of each object."""
+_SHADOW: Final = 0.05
+"""Width up to which unmeasured pixels may surround an object [m]: the shadow that the projector or the second imager of a depth camera
+leaves is baseline * height / (distance - height), 5 cm for an object of 0.4 m seen from 1 m at a baseline of 75 mm."""
+_UNMEASURED: Final = 0.15
+"""Largest fraction of the surrounding pixels beside which nothing is measured for further than that: half of one of four sides."""
+_SKIRT: Final = 0.004
+"""Distance from the border of the workspace at which a segment counts as cut by it [m]."""
 _SMALLEST: Final = 12
 """Patches with fewer pixels are noise."""
-_COUNTS: Final = ("segments", "too_small", "beside_robot_or_cut", "behind_another")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +44,19 @@ class Segment:
     """Mean of its points [m], shape (2,), table frame."""
     area: float
     """Approximate area that it covers on the table [m^2]."""
-    whole: bool
-    """Whether all of it is visible: not cut by the image border or the workspace, not beside robot or unknown pixels, not behind another
-    surface."""
+    fault: Reason | None
+    """Why it cannot be an object as it is seen; None where all of it is visible."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether all of it is visible."""
+        return self.fault is None
 
 
 def find_segments(
     frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], settings: PerceptionSettings
 ) -> tuple[list[Segment], dict[str, int]]:
-    """Surfaces among the object pixels that are large enough, largest first.
+    """Surfaces among the object pixels, largest first.
 
     Args:
         frame: The depth image.
@@ -55,37 +64,73 @@ def find_segments(
         labels: As `label_pixels` returns them.
 
     Returns:
-        The segments and the counts `object_pixels`, `segments`, `too_small`, `beside_robot_or_cut`, `behind_another`.
+        The segments, those that cannot be objects included, and the counts `object_pixels` and `segments`, which leaves out the small.
     """
     surfaces = _surfaces(frame, labels == OBJECT, settings.min_step)
-    counts = {"object_pixels": int(np.count_nonzero(labels == OBJECT)), **dict.fromkeys(_COUNTS, 0)}
+    counts = {"object_pixels": int(np.count_nonzero(labels == OBJECT)), "segments": 0}
     segments = []
-    low, high = np.array(settings.workspace_low), np.array(settings.workspace_high)
-    height, width = labels.shape
     for index, box in enumerate(_boxes(surfaces), start=1):
         if box is None:
             continue
         mask = surfaces[box] == index
         own_points = points[box][mask].astype(np.float64)
         area = _area_from_above(own_points)
-        if area < settings.min_object_area:
-            counts["too_small"] += 1
-            continue
-        rows, columns = box
-        wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
-        own = surfaces[wide] == index
-        near = cv2.dilate(own.astype(np.uint8), np.ones((2 * _NEAR + 1, 2 * _NEAR + 1), np.uint8)) > 0
-        beside_robot = bool(np.any(near & (labels[wide] == ROBOT)))
-        beside_unknown = np.count_nonzero(near & (labels[wide] == UNKNOWN)) > _UNKNOWN * np.count_nonzero(near & ~own)
-        behind = _behind_another(frame.depth[wide], own, near & (surfaces[wide] > 0) & ~own, settings.min_step)
-        in_image = min(rows.start, columns.start) >= _NEAR and rows.stop <= height - _NEAR and columns.stop <= width - _NEAR
-        in_workspace = bool(np.all(own_points[:, :2].min(axis=0) > low + 0.004) and np.all(own_points[:, :2].max(axis=0) < high - 0.004))
-        cut = bool(not in_image or not in_workspace or beside_robot or beside_unknown)
-        counts["segments"] += 1
-        counts["beside_robot_or_cut"] += cut
-        counts["behind_another"] += behind and not cut
-        segments.append(Segment(*box, mask, own_points[:, :2].mean(axis=0), area, not cut and not behind))
+        small = area < settings.min_object_area
+        fault = Reason.TOO_SMALL if small else _fault(frame, labels, surfaces, index, box, own_points, settings)
+        counts["segments"] += not small
+        segments.append(Segment(*box, mask, own_points[:, :2].mean(axis=0), area, fault))
     return sorted(segments, key=lambda segment: -segment.area), counts
+
+
+def _fault(
+    frame: DepthFrame,
+    labels: NDArray[np.int8],
+    surfaces: NDArray[np.int32],
+    index: int,
+    box: tuple[slice, slice],
+    own_points: Float64Array,
+    settings: PerceptionSettings,
+) -> Reason | None:
+    """Why a surface, number `index` in `box` with points (n, 3), is not visible as a whole; None where it is."""
+    rows, columns = box
+    height, width = labels.shape
+    if min(rows.start, columns.start) < _NEAR or rows.stop > height - _NEAR or columns.stop > width - _NEAR:
+        return Reason.AT_IMAGE_BORDER
+    low, high = np.array(settings.workspace_low) + _SKIRT, np.array(settings.workspace_high) - _SKIRT
+    if np.any(own_points[:, :2].min(axis=0) <= low) or np.any(own_points[:, :2].max(axis=0) >= high):
+        return Reason.AT_WORKSPACE_BORDER
+    wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
+    own = surfaces[wide] == index
+    near = cv2.dilate(own.astype(np.uint8), np.ones((2 * _NEAR + 1, 2 * _NEAR + 1), np.uint8)) > 0
+    if np.any(near & (labels[wide] == ROBOT)):
+        return Reason.BESIDE_ROBOT
+    if _behind_another(frame.depth[wide], own, near & (surfaces[wide] > 0) & ~own, settings.min_step):
+        return Reason.BEHIND_ANOTHER
+    if _beside_unmeasured(frame, labels, box, own, near & ~own):
+        return Reason.BESIDE_UNMEASURED
+    return None
+
+
+def _beside_unmeasured(frame: DepthFrame, labels: NDArray[np.int8], box: tuple[slice, slice], own: BoolArray, around: BoolArray) -> bool:
+    """Whether nothing is measured over a wide strip along much of the border of a segment, so that it may be larger than it seems.
+
+    `own`, `around`: the pixels of the segment and those around it, over its box grown by `_NEAR`.
+    """
+    enough = _UNMEASURED * np.count_nonzero(around)
+    rows, columns = box
+    pixel = float(np.nanmedian(frame.depth[box])) / frame.intrinsics.fx
+    reach = _NEAR + int(np.ceil(_SHADOW / pixel))
+    wide = (slice(max(0, rows.start - reach), rows.stop + reach), slice(max(0, columns.start - reach), columns.stop + reach))
+    top, left = rows.start - _NEAR - wide[0].start, columns.start - _NEAR - wide[1].start
+    inner = (slice(top, top + own.shape[0]), slice(left, left + own.shape[1]))
+    others = labels[wide] != UNKNOWN
+    if np.count_nonzero(around & ~others[inner]) <= enough:
+        return False
+    others[inner] &= ~own
+    # A line of single pixels is the foot of a wall of the segment itself.
+    areas = cv2.morphologyEx(others.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    to_others = cv2.distanceTransform(1 - areas, cv2.DIST_L2, 3)[inner]
+    return bool(np.count_nonzero(around & (to_others * pixel > _SHADOW)) > enough)
 
 
 def _surfaces(frame: DepthFrame, mask: BoolArray, step: float) -> NDArray[np.int32]:

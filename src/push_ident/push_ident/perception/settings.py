@@ -17,10 +17,10 @@ class PerceptionSettings:
     """Smallest x and y of the workspace [m], table frame."""
     workspace_high: tuple[float, float] = (0.4, 0.4)
     """Largest x and y of the workspace [m], table frame."""
-    min_object_height: float = 0.008
-    """Anything lower is table [m]; keep it above four times the noise of a height."""
-    max_object_height: float = 0.12
-    """Anything higher is robot [m]."""
+    min_object_height: float = 0.003
+    """Anything lower is table [m], as is anything lower than four times the noise of a height, which the table shows."""
+    max_object_height: float = 0.5
+    """Anything higher is robot, or what stands around the table [m]. Parts of the robot that are lower are known by its pose."""
     min_object_area: float = 4e-4
     """Anything smaller is ignored [m^2]."""
     min_step: float = 0.02

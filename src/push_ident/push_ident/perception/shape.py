@@ -45,6 +45,8 @@ _SHADOW: Final = 13
 """Window around a passing line of sight in which a lower level may begin behind a higher one [px]."""
 _WINDOW: Final = 7
 """Window in which the levels of the upper side beside a pixel are looked for [px]."""
+_AREA: Final = 3
+"""Least width of an unmeasured area that counts as a shadow [px]: wider than the pixels that are lost on both sides of an edge."""
 _PAD: Final = 16
 """Margin around a segment in which pixels are used [px]."""
 
@@ -173,6 +175,7 @@ def _lines_of_sight(view: SegmentedView, *, min_height: float) -> tuple[_Lines, 
     # Beside two levels a line of sight proves only its crossing of the lower one empty: the upper one may end earlier.
     lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((_SHADOW, _SHADOW), np.uint8))
     passing = valid & ~stopped & (z < np.minimum(foot, beside) - step) & (distance < _REACH)
+    passing |= _shadow(valid) & (distance < _REACH)
     beside = np.minimum(lower, beside)
 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
@@ -185,6 +188,15 @@ def _lines_of_sight(view: SegmentedView, *, min_height: float) -> tuple[_Lines, 
         lines(passing, beside),
         points[body & ~stopped, :2].astype(np.float64),
     )
+
+
+def _shadow(valid: BoolArray) -> BoolArray:
+    """Unmeasured pixels of an area, not of a line: the shadow that the projector or the second imager leaves beside an object.
+
+    The object ends where its shadow begins, since all of its upper side up to the edge is lit. Single unmeasured pixels along an edge may
+    belong to either side and prove nothing.
+    """
+    return cv2.morphologyEx((~valid).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8)) > 0
 
 
 def _inner_walls(walls: Float64Array, full: Float64Array, camera: Float64Array) -> Float64Array:

@@ -28,6 +28,14 @@ _MIN_POINTS: Final = 125
 """Least number of points on the plane, after the stride."""
 _MIN_SHARE: Final = 0.2
 """Fraction of the points in the workspace that must lie on the plane."""
+_MAX_NOISE: Final = 0.006
+"""A larger deviation of the points from their plane is no flat table [m]: a Kinect has 5 mm at 1.8 m (Nguyen et al., 2012)."""
+_UNDER: Final = 0.01
+"""Points that are further below the plane lie under the table [m], unless noise is larger."""
+_MAX_UNDER: Final = 0.1
+"""Largest fraction of the points in the workspace that may lie under the table: more is a reflection, or a rim taken for the table."""
+_HEIGHTS_OF_NOISE: Final = 4.0
+"""An object is at least that many deviations of a height high: one pixel in 16,000 of a flat table is further off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +48,11 @@ class TablePlane:
     noise: float
     """Standard deviation of the heights of single points about the plane [m]."""
     n_points: int
+
+    @property
+    def least_height(self) -> float:
+        """Height below which nothing can be told from the table [m]."""
+        return _HEIGHTS_OF_NOISE * self.noise
 
     def height(self, x: float, y: float) -> float:
         """Height of the plane above the expected one at (x, y) [m]."""
@@ -65,7 +78,8 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was measured.
 
     Raises:
-        PerceptionError: No valid pixel, too few points on a plane, or a correction larger than the error of usable extrinsics.
+        PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
+            extrinsics.
     """
     sample = points[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
     valid = sample[np.isfinite(sample[:, 2])]
@@ -95,6 +109,18 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         raise PerceptionError(
             f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
             f"expected at most {_MAX_TILT} rad and {_MAX_OFFSET * 1e3:.0f} mm; calibrate the camera."
+        )
+    if noise > _MAX_NOISE:
+        raise PerceptionError(
+            f"The points of the table deviate by {noise * 1e3:.1f} mm from a plane, expected at most {_MAX_NOISE * 1e3:.0f} mm; "
+            "it is not flat, or glossy, or too far from the camera."
+        )
+    everything = valid[in_workspace]
+    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(_UNDER, _HEIGHTS_OF_NOISE * noise)))
+    if under > _MAX_UNDER:
+        raise PerceptionError(
+            f"{under:.0%} of the points in the workspace lie more than {_UNDER * 1e3:.0f} mm under the table, expected at most "
+            f"{_MAX_UNDER:.0%}: a reflection, or the rim of a bin taken for the table; check extrinsics and workspace."
         )
     return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4), int(np.count_nonzero(inliers)))
 

@@ -22,6 +22,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_polic
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
@@ -37,6 +38,7 @@ from push_ident.nodes.convert import (
     shape_to_msgs,
     transform_to_msg,
 )
+from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.depth_input import DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
@@ -46,6 +48,7 @@ from push_ident.nodes.run import run_node
 from push_ident.nodes.stamps import StampCheck
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
+from push_ident.perception.refusals import Refusal
 from push_ident.perception.robot_history import RobotHistory
 from push_ident.types import DepthFrame, Float64Array
 
@@ -109,6 +112,8 @@ class _Perception(Component):
         self._camera_publisher = self._node.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
         self._camera_published: Float64Array | None = None
         self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
+        self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", _LATCHED)
+        self._refused: tuple[Refusal, ...] = ()
         self._add_cameras()
         self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(JointState, "joint_states", self._on_joints, qos_profile_sensor_data)
@@ -193,6 +198,7 @@ class _Perception(Component):
                 return
             assert self._perception is not None
             if frame.stamp < self._last_stamp:
+                self._check_publishers(frame.stamp)
                 self._restart(frame.stamp)
                 self._perception.reset()
                 self._remember()
@@ -329,6 +335,10 @@ class _Perception(Component):
         if observation.occupancy is not None:
             grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
+        if observation.refused is not self._refused:
+            if observation.refused or self._refused:
+                self._refused_publisher.publish(refusals_to_msg(observation.refused, stamp))
+            self._refused = observation.refused
         self._last_observation = observation
         self._keep(observation.new_shapes, observation.objects)
 
@@ -341,6 +351,16 @@ class _Perception(Component):
             else:
                 self._counter[f"{name}_views_used"] += 1
                 self._notes[f"camera_{name}"] = ""
+
+    def _check_publishers(self, stamp: float) -> None:
+        """Raises PerceptionError where time goes back because several nodes publish images: a bag that starts again is one."""
+        topic = self._main.input.image_topic
+        publishers = self._node.count_publishers(topic)
+        if publishers > 1:
+            raise PerceptionError(
+                f"{publishers} nodes publish images, and this one is {self._last_stamp - stamp:.3f} s older than the latest; "
+                "stop all but one"
+            )
 
     def _restart(self, stamp: float) -> None:
         """Time went back, as when a bag starts again: `Perception` forgets all objects, and so do the topics."""
@@ -418,7 +438,7 @@ class _Perception(Component):
         if self._perception is None and source != "parameters" and waited > self._configured["extrinsics_timeout"]:
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_observation is None:
-            return self._last_error or "no depth frame has been processed yet"
+            return self._last_error or f"none of {self._main.input.n_images} depth images has been processed yet"
         return self._last_observation.why_no_pose()
 
     def _silence_of(self, camera: _Camera) -> str:

@@ -35,6 +35,8 @@ _OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
     [204, 121, 167],
 )
 """Colours for all kinds of colour vision (Okabe and Ito)."""
+_REFUSED: Final = [86, 180, 233]
+"""Of what is no object; from the same colours."""
 _SHOWN: Final = 0.25
 """Half the edge of the part of the table that the picture shows [m]."""
 _STEADY: Final = 0.1
@@ -163,6 +165,17 @@ class RerunScene:
         placed = self._rr.Transform3D(translation=[pose[0], pose[1], top + _LIFT], mat3x3=turn)
         for name in ("load", "uncertainty"):
             self._log(f"table/{name}/{object_id}", placed)
+
+    def refused(self, refusals: list[tuple[Float64Array, str]]) -> None:
+        """What perception did not take in as an object: outlines (n, 3) in `table`, with the reason; they replace those shown before."""
+        name = "table/objects/refused"
+        if not refusals:
+            self._log(name, self._rr.Clear(recursive=True))
+            return
+        lines = self._rr.LineStrips3D(
+            [outline for outline, _ in refusals], labels=[why for _, why in refusals], colors=_REFUSED, radii=_WIDTH, show_labels=True
+        )
+        self._log(name, lines)
 
     def map(self, object_id: str, cells: CellMap) -> None:
         """Friction load of each cell and its relative standard deviation; both follow the object."""

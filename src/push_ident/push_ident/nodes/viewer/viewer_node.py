@@ -13,6 +13,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
+from visualization_msgs.msg import MarkerArray
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import transform_points
@@ -27,6 +28,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     transform_from_msg,
 )
+from push_ident.nodes.convert_refusals import refusals_from_msg
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
@@ -132,6 +134,7 @@ class _Viewer(Component):
         self._node.create_subscription(
             Image, "depth/image_rect", self._on_image, QoSProfile(depth=1, reliability=qos_profile_sensor_data.reliability)
         )
+        self._node.create_subscription(MarkerArray, "workspace/refused", self._on_refused, _LATCHED)
         self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(PoseStamped, "pusher/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
@@ -194,6 +197,9 @@ class _Viewer(Component):
                 continue
             if (top := height_inside(points, transform_points(latest.pose, latest.shape.outline))) is not None:
                 self._tops[object_id] = top
+
+    def _on_refused(self, msg: MarkerArray) -> None:
+        self._scene.refused(refusals_from_msg(msg))
 
     def _on_tool(self, msg: PoseStamped) -> None:
         stamp, position = position_from_msg(msg)

@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushRecord
 
@@ -49,6 +50,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "depth/image_rect": Topic(Image, best_effort=True),
     "depth/camera_info": Topic(CameraInfo, best_effort=True),
     "workspace/occupancy": Topic(OccupancyGrid, latched=True),
+    "workspace/refused": Topic(MarkerArray, latched=True),
     f"objects/{OBJECT}/pose": Topic(PoseWithCovarianceStamped),
     f"objects/{SEEN}/pose": Topic(PoseWithCovarianceStamped),
     f"objects/{OBJECT}/cells": Topic(OccupancyGrid, latched=True),

@@ -1,0 +1,44 @@
+"""Why something on the table is not taken in as an object."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+from push_ident.types import Float64Array
+
+__all__ = ["Reason", "Refusal", "summary_of"]
+
+
+class Reason(Enum):
+    """Kind of a refusal; the value says what was seen and what to do about it."""
+
+    AT_IMAGE_BORDER = "cut by the border of the image; move it into view"
+    AT_WORKSPACE_BORDER = "reaches over the border of the workspace; move it inside, or enlarge workspace_low and workspace_high"
+    BESIDE_ROBOT = "touches the robot, or something higher than max_object_height, in the image; move the robot away"
+    BESIDE_UNMEASURED = "the camera measures nothing beside it; move camera, light or object, or make it less dark and glossy"
+    BEHIND_ANOTHER = "partly hidden behind another one; move the nearer one out of the way"
+    TOO_SMALL = "smaller than min_object_area"
+    NOT_AT_REST = "not at rest yet"
+    NO_SHAPE = "its shape cannot be traced"
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """One segment that is no object, and why."""
+
+    reason: Reason
+    why: str
+    """For people: the reason, with numbers where there are any."""
+    outline: Float64Array
+    """Convex outline of its points [m], shape (n, 2), table frame."""
+    height: float
+    """Of its highest points above the table [m]."""
+
+
+def summary_of(refusals: Iterable[Refusal]) -> str:
+    """One line for people: how many segments were refused for each reason, most frequent first."""
+    counts = Counter(refusal.why for refusal in refusals)
+    return "; ".join(f"{n} {'segment' if n == 1 else 'segments'}: {why}" for why, n in counts.most_common())
