@@ -30,7 +30,7 @@ _WIDTH: Final = 0.0015
 """Width of the step from stopped to passing [m], as in the tracker."""
 _CORNER: Final = 0.004
 """Lines of sight within this distance of the end of an edge are left out, as they depend on both edges of the corner [m]."""
-_LEAST_OUTSIDE: Final = 0.4
+_LEAST_OUTSIDE: Final = 0.25
 """Least number of lines of sight on the outer side of an edge that is moved, relative to the inner side."""
 _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
