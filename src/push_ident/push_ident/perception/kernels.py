@@ -1,8 +1,9 @@
 """Loops over pixels and over lines of sight, compiled.
 
 Each kernel declares its argument types. Numba therefore compiles it, or reads it from its cache, when this module is imported: a node
-that subscribes never waits for the compiler. All kernels stay in this file, because numba's cache detects changes of a kernel's own file
-only. The loops stay whole: numba compiles each kernel for one set of types, and splitting the loops would cost speed.
+that subscribes never waits for the compiler. A kernel and what it calls stay in one file, because numba's cache detects changes of a
+kernel's own file only: here those of every frame, in `shape_kernels` those of segments and shapes. The loops stay whole: numba compiles
+each kernel for one set of types, and splitting the loops would cost speed.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ __all__ = [
     "innermost_points",
     "interpolate",
     "intersect_object",
+    "kernel",
     "label_heights",
     "nearest_values",
     "place_points",
     "points_in_rods",
     "project_down",
+    "read_only",
 ]
 
 
@@ -40,20 +43,20 @@ class Grid(NamedTuple):
     """Distance between nodes [m]."""
 
 
-def _array(element: Any, n_axes: int, layout: str = "C") -> Any:
+def read_only(element: Any, n_axes: int, layout: str = "C") -> Any:
     """Type of an array that the kernel only reads."""
     return types.Array(element, n_axes, layout, readonly=True)
 
 
 _REAL: Final = types.float64
-_REALS: Final = _array(types.float64, 1)
-_ROWS: Final = _array(types.float64, 2)
+_REALS: Final = read_only(types.float64, 1)
+_ROWS: Final = read_only(types.float64, 2)
 _GRID: Final = types.NamedTuple((types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C"), types.float64), Grid)
-_IMAGE: Final = _array(types.float32, 2, "A")
-_POINTS: Final = _array(types.float32, 3)
+_IMAGE: Final = read_only(types.float32, 2, "A")
+_POINTS: Final = read_only(types.float32, 3)
 
 
-def _kernel(*arguments: Any) -> Any:
+def kernel(*arguments: Any) -> Any:
     """Compile for these argument types; division by zero gives infinity, as in numpy."""
     return njit([arguments], cache=True, error_model="numpy")
 
@@ -102,7 +105,7 @@ def _innermost(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any
     return lower_x, lower_y
 
 
-@_kernel(_GRID, _ROWS)
+@kernel(_GRID, _ROWS)
 def nearest_values(grid: Any, points: Any) -> Any:
     """Values, shape (n,), of the nodes nearest to points (n, 2)."""
     result = np.empty(len(points))
@@ -111,7 +114,7 @@ def nearest_values(grid: Any, points: Any) -> Any:
     return result
 
 
-@_kernel(_GRID, _ROWS)
+@kernel(_GRID, _ROWS)
 def interpolate(grid: Any, points: Any) -> Any:
     """Bilinear values, shape (n,), and gradients, shape (n, 2), at points (n, 2)."""
     value, gradient = np.empty(len(points)), np.empty((len(points), 2))
@@ -120,7 +123,7 @@ def interpolate(grid: Any, points: Any) -> Any:
     return value, gradient
 
 
-@_kernel(_GRID, _ROWS, _ROWS, _REALS)
+@kernel(_GRID, _ROWS, _ROWS, _REALS)
 def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     """For each line the end that lies further inside the outline at `pose`, object frame, shape (n, 2)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -130,7 +133,7 @@ def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     return result
 
 
-@_kernel(_GRID, _GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
+@kernel(_GRID, _GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
 def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, pose: Any, box: Any, limits: Any) -> Any:
     """Intersect the lines of sight of the pixels in `box` with the heights of the object at `pose`.
 
@@ -182,7 +185,7 @@ def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, 
     return upper[:n], lower[:n], point[:n], stopped[:n], informative[:n]
 
 
-@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
+@kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
 def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any) -> Any:
     """Compare the observed lines of sight with those expected at `pose`.
 
@@ -232,7 +235,7 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     )
 
 
-@_kernel(_IMAGE, _POINTS, _REALS)
+@kernel(_IMAGE, _POINTS, _REALS)
 def place_points(depth: Any, rays: Any, centre: Any) -> Any:
     """centre + depth * ray of each pixel, shape (height, width, 3), single precision."""
     x, y, z = np.float32(centre[0]), np.float32(centre[1]), np.float32(centre[2])
@@ -246,7 +249,7 @@ def place_points(depth: Any, rays: Any, centre: Any) -> Any:
     return points
 
 
-@_kernel(_POINTS, _IMAGE, types.UniTuple(_REAL, 4), types.UniTuple(_REAL, 4), types.UniTuple(types.int64, 4))
+@kernel(_POINTS, _IMAGE, types.UniTuple(_REAL, 4), types.UniTuple(_REAL, 4), types.UniTuple(types.int64, 4))
 def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes: Any) -> Any:
     """Label every pixel by its height.
 
@@ -280,7 +283,7 @@ def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes:
     return labels, raised
 
 
-@_kernel(_array(types.float32, 2), _ROWS, _REAL)
+@kernel(read_only(types.float32, 2), _ROWS, _REAL)
 def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     """Which points (n, 3) lie in a rod grown by `margin` [m]; each rod is a row of start, unit direction, length and radius."""
     inside = np.zeros(len(points), dtype=np.bool_)
@@ -295,7 +298,7 @@ def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     return inside
 
 
-@_kernel(_POINTS, _array(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
+@kernel(_POINTS, read_only(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
 def project_down(points: Any, labels: Any, table: Any, target: Any, low: Any, size: Any, rows: Any, columns: Any) -> Any:
     """Project labelled points onto cells of edge `size` [m], the first of which has its low corner at `low`.
 
