@@ -65,9 +65,14 @@ _inline = njit(inline="always", error_model="numpy")
 
 
 @_inline
-def _nearest(grid: Any, x: Any, y: Any) -> Any:
-    """Value of the nearest node; outside the grid, and for NaN, of a node on the border."""
-    row, column = (y - grid.origin[1]) / grid.step, (x - grid.origin[0]) / grid.step
+def _place(grid: Any, x: Any, y: Any) -> Any:
+    """Row and column of a place, in nodes, with fractions."""
+    return (y - grid.origin[1]) / grid.step, (x - grid.origin[0]) / grid.step
+
+
+@_inline
+def _nearest_node(grid: Any, row: Any, column: Any) -> Any:
+    """Value of the node nearest to a row and column; outside the grid, and for NaN, of a node on the border."""
     last_row, last_column = grid.values.shape[0] - 1, grid.values.shape[1] - 1
     i = 0 if not row > 0.0 else last_row if row >= last_row else int(row + 0.5)
     j = 0 if not column > 0.0 else last_column if column >= last_column else int(column + 0.5)
@@ -75,10 +80,16 @@ def _nearest(grid: Any, x: Any, y: Any) -> Any:
 
 
 @_inline
-def _bilinear(grid: Any, x: Any, y: Any) -> Any:
-    """Bilinear value and its gradient; outside the grid, those at the border."""
+def _nearest(grid: Any, x: Any, y: Any) -> Any:
+    """Value of the node nearest to a place."""
+    row, column = _place(grid, x, y)
+    return _nearest_node(grid, row, column)
+
+
+@_inline
+def _bilinear(grid: Any, row: Any, column: Any) -> Any:
+    """Bilinear value and its gradient at a row and column; outside the grid, those at the border."""
     values, step = grid.values, grid.step
-    row, column = (y - grid.origin[1]) / step, (x - grid.origin[0]) / step
     row = 0.0 if not row > 0.0 else min(row, values.shape[0] - 1.001)
     column = 0.0 if not column > 0.0 else min(column, values.shape[1] - 1.001)
     i, j = int(row), int(column)
@@ -97,12 +108,17 @@ def _to_object(x: Any, y: Any, pose: Any, cos: Any, sin: Any) -> Any:
 
 @_inline
 def _innermost(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any) -> Any:
-    """The end of a line segment that lies further inside, object frame."""
+    """The end of a line segment that lies further inside, object frame, and its row and column in the field.
+
+    Choices between values cost less here than a branch, which the processor cannot predict; so does a row that is computed once.
+    """
     upper_x, upper_y = _to_object(upper[0], upper[1], pose, cos, sin)
     lower_x, lower_y = _to_object(lower[0], lower[1], pose, cos, sin)
-    if _nearest(field, upper_x, upper_y) < _nearest(field, lower_x, lower_y):
-        return upper_x, upper_y
-    return lower_x, lower_y
+    upper_row, upper_column = _place(field, upper_x, upper_y)
+    lower_row, lower_column = _place(field, lower_x, lower_y)
+    is_upper = _nearest_node(field, upper_row, upper_column) < _nearest_node(field, lower_row, lower_column)
+    x, y = upper_x if is_upper else lower_x, upper_y if is_upper else lower_y
+    return x, y, upper_row if is_upper else lower_row, upper_column if is_upper else lower_column
 
 
 @kernel(_GRID, _ROWS)
@@ -119,7 +135,8 @@ def interpolate(grid: Any, points: Any) -> Any:
     """Bilinear values, shape (n,), and gradients, shape (n, 2), at points (n, 2)."""
     value, gradient = np.empty(len(points)), np.empty((len(points), 2))
     for i in range(len(points)):
-        value[i], gradient[i, 0], gradient[i, 1] = _bilinear(grid, points[i, 0], points[i, 1])
+        row, column = _place(grid, points[i, 0], points[i, 1])
+        value[i], gradient[i, 0], gradient[i, 1] = _bilinear(grid, row, column)
     return value, gradient
 
 
@@ -129,7 +146,7 @@ def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     result = np.empty((len(upper), 2))
     for i in range(len(upper)):
-        result[i, 0], result[i, 1] = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        result[i, 0], result[i, 1], _, _ = _innermost(field, upper[i], lower[i], pose, cos, sin)
     return result
 
 
@@ -200,32 +217,40 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     width, at_edge, off_edge = widths
-    normal, gradient, slope = np.zeros((3, 3)), np.zeros(3), np.empty(3)
+    # Sums in variables of their own: in arrays each would be written to memory and read again for every line.
+    xx, xy, xt, yy, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    x_residual, y_residual, t_residual = 0.0, 0.0, 0.0
     square, square_at_edge = 0.0, 0.0
     n_at_edge, n_off_edge, n_contradicting = 0, 0, 0
     for i in range(len(upper)):
-        x, y = _innermost(field, upper[i], lower[i], pose, cos, sin)
-        distance, along_x, along_y = _bilinear(field, x, y)
+        x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        distance, along_x, along_y = _bilinear(field, row, column)
         expected = 1.0 / (1.0 + math.exp(distance / width))
         residual = stopped[i] - expected
         square += residual**2
-        if abs(distance) < at_edge:
-            n_at_edge += 1
-            square_at_edge += residual**2
-        if abs(distance) > off_edge:
-            n_off_edge += 1
-            n_contradicting += (distance < 0.0) != (stopped[i] > 0.5)
+        near, far = abs(distance) < at_edge, abs(distance) > off_edge
+        n_at_edge += near
+        square_at_edge += residual**2 if near else 0.0
+        n_off_edge += far
+        n_contradicting += far & ((distance < 0.0) != (stopped[i] > 0.5))
         steepness = expected * (1.0 - expected) / width
-        slope[0] = steepness * (cos * along_x - sin * along_y)
-        slope[1] = steepness * (sin * along_x + cos * along_y)
-        slope[2] = -steepness * (along_x * y - along_y * x)
-        for row in range(3):
-            gradient[row] += slope[row] * residual
-            for column in range(row + 1):
-                normal[row, column] += slope[row] * slope[column]
-    for row in range(3):
-        for column in range(row):
-            normal[column, row] = normal[row, column]
+        by_x = steepness * (cos * along_x - sin * along_y)
+        by_y = steepness * (sin * along_x + cos * along_y)
+        by_turn = -steepness * (along_x * y - along_y * x)
+        x_residual += by_x * residual
+        y_residual += by_y * residual
+        t_residual += by_turn * residual
+        xx += by_x * by_x
+        xy += by_x * by_y
+        xt += by_x * by_turn
+        yy += by_y * by_y
+        yt += by_y * by_turn
+        tt += by_turn * by_turn
+    normal, gradient = np.empty((3, 3)), np.empty(3)
+    normal[0, 0], normal[1, 1], normal[2, 2] = xx, yy, tt
+    normal[0, 1], normal[0, 2], normal[1, 2] = xy, xt, yt
+    normal[1, 0], normal[2, 0], normal[2, 1] = xy, xt, yt
+    gradient[0], gradient[1], gradient[2] = x_residual, y_residual, t_residual
     return (
         normal,
         gradient,
