@@ -207,7 +207,7 @@ def test_folds_lie_behind_a_chord_of_one_patch(steps):
 
 
 def test_surfaces_grow_by_rings_to_the_neighbour_nearest_in_depth(steps):
-    depth, mask = steps
+    depth, mask = np.round(steps[0] * 512) / np.float32(512), steps[1]  # so that neighbours are equally near
     seeds = np.zeros(mask.shape, dtype=np.int32)
     seeds[10:14, 8:12], seeds[10:14, 20:24], seeds[40:44, 40:44] = 1, 2, 3
     seeds[~mask] = 0
@@ -237,3 +237,17 @@ def test_the_median_of_frames_is_that_of_the_measured_values(n_frames):
     assert np.array_equal(
         median_depth([DepthFrame(0.0, image, INTRINSICS) for image in depth]), np.where(rare, np.float32(np.nan), expected), equal_nan=True
     )
+
+
+def test_the_field_of_a_template_is_exact_near_the_outline_and_linear_between_every_fourth_node_further_out():
+    outline = star()
+    traced = TracedObject(
+        ObjectShape(CellGrid(np.zeros((1, 2)), 0.03), outline), np.zeros(3), np.full((3, 3), 0.03, np.float32), outline[0], 0.1
+    )
+    field = Template(traced).field
+    rows, columns = field.values.shape
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    exact = signed_distance((field.origin + field.step * np.stack([x, y], axis=-1)).reshape(-1, 2), outline).reshape(rows, columns)
+    along_x = np.array([np.interp(np.arange(columns), np.arange(0, columns, 4), row) for row in exact[::4, ::4]])
+    linear = np.array([np.interp(np.arange(rows), np.arange(0, rows, 4), column) for column in along_x.T]).T
+    assert np.array_equal(field.values, np.where(np.abs(linear) < 0.012, exact, linear))
