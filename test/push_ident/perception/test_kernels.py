@@ -8,11 +8,13 @@ import pytest
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, render
 from push_ident.errors import FrameError
 from push_ident.geometry.arm_shape import Rod
+from push_ident.geometry.outline import signed_distance
 from push_ident.perception.depth import points_in_table, rays_in_table
 from push_ident.perception.kernels import Grid, compare_lines, interpolate, nearest_values
 from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, in_robot, label_pixels
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import TracedObject
+from push_ident.perception.shape import TracedObject, median_depth
+from push_ident.perception.shape_kernels import edges_nearest, grow_surfaces, mark_folds, mark_jumps, outline_distances
 from push_ident.perception.topdown import top_down
 from push_ident.perception.tracking import Scene, Template, fit_pose
 from push_ident.types import CellGrid, DepthFrame, ObjectShape
@@ -127,3 +129,125 @@ def test_images_of_another_size_than_their_camera_are_refused_before_any_loop_ov
         fit_pose(Template(traced), Scene(small, CAMERA), np.zeros(3))
     with pytest.raises(FrameError, match="one image"):
         top_down(points_in_table(render([]), CAMERA), np.zeros((2, 2), np.int8), SETTINGS)
+
+
+# Loops that replace arrays, against those arrays: equal to the last bit
+
+
+def star(n=40, seed=2):
+    """A polygon with corners that point inwards, edges of many lengths and one vertical and one horizontal edge."""
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.uniform(0.0, 2 * np.pi, n))
+    outline = rng.uniform(0.02, 0.1, n)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    outline[5, 0], outline[9, 1] = outline[6, 0], outline[10, 1]
+    return outline
+
+
+def shifted(image, rows, columns):
+    """The image moved by so many pixels; NaN where nothing moved to."""
+    height, width = image.shape
+    padded = np.pad(image.astype(np.float32), 9, constant_values=np.nan)
+    return padded[9 - rows : 9 - rows + height, 9 - columns : 9 - columns + width]
+
+
+@pytest.fixture(scope="module")
+def steps():
+    """Depth with steps and noise, and a mask with holes, shape (60, 70)."""
+    rng = np.random.default_rng(4)
+    depth = 0.8 + 0.03 * (rng.random((6, 7)) < 0.5).repeat(10, axis=0).repeat(10, axis=1) + rng.normal(scale=0.004, size=(60, 70))
+    return depth.astype(np.float32), rng.random((60, 70)) < 0.9
+
+
+@pytest.mark.parametrize("turned", [1, -1])
+def test_distances_to_an_outline_are_those_of_geometry(turned):
+    outline = np.ascontiguousarray(star()[::turned])
+    points = np.vstack([np.random.default_rng(3).uniform(-0.12, 0.12, size=(3000, 2)), outline, 0.5 * (outline[:-1] + outline[1:])])
+    assert np.array_equal(outline_distances(points, outline), signed_distance(points, outline))
+    assert np.isnan(outline_distances(np.array([[np.nan, 0.0]]), outline)).all()
+
+
+def test_the_nearest_edge_is_the_first_of_the_nearest():
+    outline = star()
+    points = np.vstack([np.random.default_rng(3).uniform(-0.12, 0.12, size=(3000, 2)), outline])
+    edge = np.roll(outline, -1, axis=0) - outline
+    length = np.linalg.norm(edge, axis=1)
+    from_start = points[:, None] - outline
+    along = np.sum(from_start * edge, axis=2) / length
+    foot = np.clip(along, 0.0, length)
+    nearest = np.argmin(np.linalg.norm(from_start - foot[..., None] * (edge / length[:, None]), axis=2), axis=1)
+    index, position = edges_nearest(points, outline)
+    assert np.array_equal(index, nearest)
+    assert np.array_equal(position, along[np.arange(len(points)), nearest])
+
+
+def test_jumps_are_marked_on_both_sides_at_both_distances(steps):
+    depth, mask = steps
+    masked = np.where(mask, depth, np.float32(np.nan))
+    expected = np.zeros(mask.shape, dtype=bool)
+    for rows in (-2, -1, 0, 1, 2):
+        for columns in (-2, -1, 0, 1, 2):
+            if abs(rows) == abs(columns) or 0 in (rows, columns):
+                expected |= np.abs(shifted(masked, rows, columns) - masked) > 0.02
+    assert np.array_equal(mark_jumps(depth, mask, 0.02), expected)
+    assert 0 < np.count_nonzero(expected) < expected.size
+
+
+def test_folds_lie_behind_a_chord_of_one_patch(steps):
+    depth, mask = steps
+    patches = np.where(mask, 1 + (np.arange(70) > 30), 0).astype(np.int32)
+    inverse = np.where(mask, 1 / depth, np.float32(np.nan))
+    legs = ((0, 3), (3, 0), (2, 2), (2, -2))
+    expected = np.zeros(mask.shape, dtype=bool)
+    for rows, columns in legs:
+        chord = 2 / (shifted(inverse, rows, columns) + shifted(inverse, -rows, -columns))
+        same = (shifted(patches, rows, columns) == patches) & (shifted(patches, -rows, -columns) == patches)
+        expected |= same & (1 / inverse - chord > 0.01)
+    assert np.array_equal(mark_folds(inverse, patches, legs, 0.01), expected)
+    assert 0 < np.count_nonzero(expected) < np.count_nonzero(patches)
+
+
+def test_surfaces_grow_by_rings_to_the_neighbour_nearest_in_depth(steps):
+    depth, mask = np.round(steps[0] * 512) / np.float32(512), steps[1]  # so that neighbours are equally near
+    seeds = np.zeros(mask.shape, dtype=np.int32)
+    seeds[10:14, 8:12], seeds[10:14, 20:24], seeds[40:44, 40:44] = 1, 2, 3
+    seeds[~mask] = 0
+    expected = seeds.copy()
+    while True:
+        best, joined = np.full(mask.shape, 0.008, dtype=np.float32), np.zeros(mask.shape, dtype=np.int32)
+        for rows, columns in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            number = np.nan_to_num(shifted(expected, rows, columns)).astype(np.int32)
+            difference = np.abs(shifted(depth, rows, columns) - depth)
+            nearer = mask & (expected == 0) & (number > 0) & (difference < best)
+            best[nearer], joined[nearer] = difference[nearer], number[nearer]
+        if not joined.any():
+            break
+        expected[joined > 0] = joined[joined > 0]
+    assert np.array_equal(grow_surfaces(seeds, depth, mask, 0.008), expected)
+    assert np.count_nonzero(expected) > 3 * np.count_nonzero(seeds)
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 5, 10])
+def test_the_median_of_frames_is_that_of_the_measured_values(n_frames):
+    rng = np.random.default_rng(n_frames)
+    depth = rng.uniform(0.5, 1.0, (n_frames, INTRINSICS.height, INTRINSICS.width)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.4] = np.nan
+    rare = 2 * np.count_nonzero(np.isfinite(depth), axis=0) < n_frames
+    with np.errstate(invalid="ignore"):
+        expected = np.nanmedian(np.where(rare, np.float32(0.0), depth), axis=0)
+    assert np.array_equal(
+        median_depth([DepthFrame(0.0, image, INTRINSICS) for image in depth]), np.where(rare, np.float32(np.nan), expected), equal_nan=True
+    )
+
+
+def test_the_field_of_a_template_is_exact_near_the_outline_and_linear_between_every_fourth_node_further_out():
+    outline = star()
+    traced = TracedObject(
+        ObjectShape(CellGrid(np.zeros((1, 2)), 0.03), outline), np.zeros(3), np.full((3, 3), 0.03, np.float32), outline[0], 0.1
+    )
+    field = Template(traced).field
+    rows, columns = field.values.shape
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    exact = signed_distance((field.origin + field.step * np.stack([x, y], axis=-1)).reshape(-1, 2), outline).reshape(rows, columns)
+    along_x = np.array([np.interp(np.arange(columns), np.arange(0, columns, 4), row) for row in exact[::4, ::4]])
+    linear = np.array([np.interp(np.arange(rows), np.arange(0, rows, 4), column) for column in along_x.T]).T
+    assert np.array_equal(field.values, np.where(np.abs(linear) < 0.012, exact, linear))

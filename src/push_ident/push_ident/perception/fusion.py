@@ -18,6 +18,7 @@ from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_
 from push_ident.geometry.se2 import transform_points
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.shape import TracedObject
+from push_ident.perception.shape_kernels import edges_nearest
 from push_ident.perception.straighten import straighten
 from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose, lines_of_sight
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
@@ -144,14 +145,8 @@ def _edge_derivatives(template: Template, outline: Float64Array, view: View, pos
 
 def _nearest_edge(points: Float64Array, outline: Float64Array) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], BoolArray]:
     """Index of the edge nearest to each point, and whether the point is clear of the corners of a long edge."""
-    edge = np.roll(outline, -1, axis=0) - outline
-    length = np.linalg.norm(edge, axis=1)
-    from_start = points[:, None] - outline
-    along = np.sum(from_start * edge, axis=2) / length
-    foot = np.clip(along, 0.0, length)
-    distance = np.linalg.norm(from_start - foot[..., None] * (edge / length[:, None]), axis=2)
-    index = np.argmin(distance, axis=1)
-    position, own = along[np.arange(len(points)), index], length[index]
+    index, position = edges_nearest(points, np.ascontiguousarray(outline))
+    own = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)[index]
     # A short edge of a curve has no corners of its own.
     margin = np.minimum(_CORNER, 0.25 * own)
     return index, (position > margin) & (position < own - margin)

@@ -1,8 +1,9 @@
 """Loops over pixels and over lines of sight, compiled.
 
 Each kernel declares its argument types. Numba therefore compiles it, or reads it from its cache, when this module is imported: a node
-that subscribes never waits for the compiler. All kernels stay in this file, because numba's cache detects changes of a kernel's own file
-only. The loops stay whole: numba compiles each kernel for one set of types, and splitting the loops would cost speed.
+that subscribes never waits for the compiler. A kernel and what it calls stay in one file, because numba's cache detects changes of a
+kernel's own file only: here those of every frame, in `shape_kernels` those of segments and shapes. The loops stay whole: numba compiles
+each kernel for one set of types, and splitting the loops would cost speed.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ __all__ = [
     "innermost_points",
     "interpolate",
     "intersect_object",
+    "kernel",
     "label_heights",
     "nearest_values",
     "place_points",
     "points_in_rods",
     "project_down",
+    "read_only",
 ]
 
 
@@ -40,20 +43,20 @@ class Grid(NamedTuple):
     """Distance between nodes [m]."""
 
 
-def _array(element: Any, n_axes: int, layout: str = "C") -> Any:
+def read_only(element: Any, n_axes: int, layout: str = "C") -> Any:
     """Type of an array that the kernel only reads."""
     return types.Array(element, n_axes, layout, readonly=True)
 
 
 _REAL: Final = types.float64
-_REALS: Final = _array(types.float64, 1)
-_ROWS: Final = _array(types.float64, 2)
+_REALS: Final = read_only(types.float64, 1)
+_ROWS: Final = read_only(types.float64, 2)
 _GRID: Final = types.NamedTuple((types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C"), types.float64), Grid)
-_IMAGE: Final = _array(types.float32, 2, "A")
-_POINTS: Final = _array(types.float32, 3)
+_IMAGE: Final = read_only(types.float32, 2, "A")
+_POINTS: Final = read_only(types.float32, 3)
 
 
-def _kernel(*arguments: Any) -> Any:
+def kernel(*arguments: Any) -> Any:
     """Compile for these argument types; division by zero gives infinity, as in numpy."""
     return njit([arguments], cache=True, error_model="numpy")
 
@@ -62,9 +65,14 @@ _inline = njit(inline="always", error_model="numpy")
 
 
 @_inline
-def _nearest(grid: Any, x: Any, y: Any) -> Any:
-    """Value of the nearest node; outside the grid, and for NaN, of a node on the border."""
-    row, column = (y - grid.origin[1]) / grid.step, (x - grid.origin[0]) / grid.step
+def _place(grid: Any, x: Any, y: Any) -> Any:
+    """Row and column of a place, in nodes, with fractions."""
+    return (y - grid.origin[1]) / grid.step, (x - grid.origin[0]) / grid.step
+
+
+@_inline
+def _nearest_node(grid: Any, row: Any, column: Any) -> Any:
+    """Value of the node nearest to a row and column; outside the grid, and for NaN, of a node on the border."""
     last_row, last_column = grid.values.shape[0] - 1, grid.values.shape[1] - 1
     i = 0 if not row > 0.0 else last_row if row >= last_row else int(row + 0.5)
     j = 0 if not column > 0.0 else last_column if column >= last_column else int(column + 0.5)
@@ -72,10 +80,16 @@ def _nearest(grid: Any, x: Any, y: Any) -> Any:
 
 
 @_inline
-def _bilinear(grid: Any, x: Any, y: Any) -> Any:
-    """Bilinear value and its gradient; outside the grid, those at the border."""
+def _nearest(grid: Any, x: Any, y: Any) -> Any:
+    """Value of the node nearest to a place."""
+    row, column = _place(grid, x, y)
+    return _nearest_node(grid, row, column)
+
+
+@_inline
+def _bilinear(grid: Any, row: Any, column: Any) -> Any:
+    """Bilinear value and its gradient at a row and column; outside the grid, those at the border."""
     values, step = grid.values, grid.step
-    row, column = (y - grid.origin[1]) / step, (x - grid.origin[0]) / step
     row = 0.0 if not row > 0.0 else min(row, values.shape[0] - 1.001)
     column = 0.0 if not column > 0.0 else min(column, values.shape[1] - 1.001)
     i, j = int(row), int(column)
@@ -94,15 +108,20 @@ def _to_object(x: Any, y: Any, pose: Any, cos: Any, sin: Any) -> Any:
 
 @_inline
 def _innermost(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any) -> Any:
-    """The end of a line segment that lies further inside, object frame."""
+    """The end of a line segment that lies further inside, object frame, and its row and column in the field.
+
+    Choices between values cost less here than a branch, which the processor cannot predict; so does a row that is computed once.
+    """
     upper_x, upper_y = _to_object(upper[0], upper[1], pose, cos, sin)
     lower_x, lower_y = _to_object(lower[0], lower[1], pose, cos, sin)
-    if _nearest(field, upper_x, upper_y) < _nearest(field, lower_x, lower_y):
-        return upper_x, upper_y
-    return lower_x, lower_y
+    upper_row, upper_column = _place(field, upper_x, upper_y)
+    lower_row, lower_column = _place(field, lower_x, lower_y)
+    is_upper = _nearest_node(field, upper_row, upper_column) < _nearest_node(field, lower_row, lower_column)
+    x, y = upper_x if is_upper else lower_x, upper_y if is_upper else lower_y
+    return x, y, upper_row if is_upper else lower_row, upper_column if is_upper else lower_column
 
 
-@_kernel(_GRID, _ROWS)
+@kernel(_GRID, _ROWS)
 def nearest_values(grid: Any, points: Any) -> Any:
     """Values, shape (n,), of the nodes nearest to points (n, 2)."""
     result = np.empty(len(points))
@@ -111,26 +130,27 @@ def nearest_values(grid: Any, points: Any) -> Any:
     return result
 
 
-@_kernel(_GRID, _ROWS)
+@kernel(_GRID, _ROWS)
 def interpolate(grid: Any, points: Any) -> Any:
     """Bilinear values, shape (n,), and gradients, shape (n, 2), at points (n, 2)."""
     value, gradient = np.empty(len(points)), np.empty((len(points), 2))
     for i in range(len(points)):
-        value[i], gradient[i, 0], gradient[i, 1] = _bilinear(grid, points[i, 0], points[i, 1])
+        row, column = _place(grid, points[i, 0], points[i, 1])
+        value[i], gradient[i, 0], gradient[i, 1] = _bilinear(grid, row, column)
     return value, gradient
 
 
-@_kernel(_GRID, _ROWS, _ROWS, _REALS)
+@kernel(_GRID, _ROWS, _ROWS, _REALS)
 def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     """For each line the end that lies further inside the outline at `pose`, object frame, shape (n, 2)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     result = np.empty((len(upper), 2))
     for i in range(len(upper)):
-        result[i, 0], result[i, 1] = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        result[i, 0], result[i, 1], _, _ = _innermost(field, upper[i], lower[i], pose, cos, sin)
     return result
 
 
-@_kernel(_GRID, _GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
+@kernel(_GRID, _GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
 def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, pose: Any, box: Any, limits: Any) -> Any:
     """Intersect the lines of sight of the pixels in `box` with the heights of the object at `pose`.
 
@@ -182,7 +202,7 @@ def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, 
     return upper[:n], lower[:n], point[:n], stopped[:n], informative[:n]
 
 
-@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
+@kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
 def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any) -> Any:
     """Compare the observed lines of sight with those expected at `pose`.
 
@@ -197,32 +217,40 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     width, at_edge, off_edge = widths
-    normal, gradient, slope = np.zeros((3, 3)), np.zeros(3), np.empty(3)
+    # Sums in variables of their own: in arrays each would be written to memory and read again for every line.
+    xx, xy, xt, yy, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    x_residual, y_residual, t_residual = 0.0, 0.0, 0.0
     square, square_at_edge = 0.0, 0.0
     n_at_edge, n_off_edge, n_contradicting = 0, 0, 0
     for i in range(len(upper)):
-        x, y = _innermost(field, upper[i], lower[i], pose, cos, sin)
-        distance, along_x, along_y = _bilinear(field, x, y)
+        x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        distance, along_x, along_y = _bilinear(field, row, column)
         expected = 1.0 / (1.0 + math.exp(distance / width))
         residual = stopped[i] - expected
         square += residual**2
-        if abs(distance) < at_edge:
-            n_at_edge += 1
-            square_at_edge += residual**2
-        if abs(distance) > off_edge:
-            n_off_edge += 1
-            n_contradicting += (distance < 0.0) != (stopped[i] > 0.5)
+        near, far = abs(distance) < at_edge, abs(distance) > off_edge
+        n_at_edge += near
+        square_at_edge += residual**2 if near else 0.0
+        n_off_edge += far
+        n_contradicting += far & ((distance < 0.0) != (stopped[i] > 0.5))
         steepness = expected * (1.0 - expected) / width
-        slope[0] = steepness * (cos * along_x - sin * along_y)
-        slope[1] = steepness * (sin * along_x + cos * along_y)
-        slope[2] = -steepness * (along_x * y - along_y * x)
-        for row in range(3):
-            gradient[row] += slope[row] * residual
-            for column in range(row + 1):
-                normal[row, column] += slope[row] * slope[column]
-    for row in range(3):
-        for column in range(row):
-            normal[column, row] = normal[row, column]
+        by_x = steepness * (cos * along_x - sin * along_y)
+        by_y = steepness * (sin * along_x + cos * along_y)
+        by_turn = -steepness * (along_x * y - along_y * x)
+        x_residual += by_x * residual
+        y_residual += by_y * residual
+        t_residual += by_turn * residual
+        xx += by_x * by_x
+        xy += by_x * by_y
+        xt += by_x * by_turn
+        yy += by_y * by_y
+        yt += by_y * by_turn
+        tt += by_turn * by_turn
+    normal, gradient = np.empty((3, 3)), np.empty(3)
+    normal[0, 0], normal[1, 1], normal[2, 2] = xx, yy, tt
+    normal[0, 1], normal[0, 2], normal[1, 2] = xy, xt, yt
+    normal[1, 0], normal[2, 0], normal[2, 1] = xy, xt, yt
+    gradient[0], gradient[1], gradient[2] = x_residual, y_residual, t_residual
     return (
         normal,
         gradient,
@@ -232,7 +260,7 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     )
 
 
-@_kernel(_IMAGE, _POINTS, _REALS)
+@kernel(_IMAGE, _POINTS, _REALS)
 def place_points(depth: Any, rays: Any, centre: Any) -> Any:
     """centre + depth * ray of each pixel, shape (height, width, 3), single precision."""
     x, y, z = np.float32(centre[0]), np.float32(centre[1]), np.float32(centre[2])
@@ -246,7 +274,7 @@ def place_points(depth: Any, rays: Any, centre: Any) -> Any:
     return points
 
 
-@_kernel(_POINTS, _IMAGE, types.UniTuple(_REAL, 4), types.UniTuple(_REAL, 4), types.UniTuple(types.int64, 4))
+@kernel(_POINTS, _IMAGE, types.UniTuple(_REAL, 4), types.UniTuple(_REAL, 4), types.UniTuple(types.int64, 4))
 def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes: Any) -> Any:
     """Label every pixel by its height.
 
@@ -280,7 +308,7 @@ def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes:
     return labels, raised
 
 
-@_kernel(_array(types.float32, 2), _ROWS, _REAL)
+@kernel(read_only(types.float32, 2), _ROWS, _REAL)
 def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     """Which points (n, 3) lie in a rod grown by `margin` [m]; each rod is a row of start, unit direction, length and radius."""
     inside = np.zeros(len(points), dtype=np.bool_)
@@ -295,7 +323,7 @@ def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     return inside
 
 
-@_kernel(_POINTS, _array(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
+@kernel(_POINTS, read_only(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
 def project_down(points: Any, labels: Any, table: Any, target: Any, low: Any, size: Any, rows: Any, columns: Any) -> Any:
     """Project labelled points onto cells of edge `size` [m], the first of which has its low corner at `low`.
 

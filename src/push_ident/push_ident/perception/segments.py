@@ -66,10 +66,13 @@ def find_segments(
     Returns:
         The segments, those that cannot be objects included, and the counts `object_pixels` and `segments`, which leaves out the small.
     """
-    surfaces = _surfaces(frame, labels == OBJECT, settings.min_step)
-    counts = {"object_pixels": int(np.count_nonzero(labels == OBJECT)), "segments": 0}
+    on_object = labels == OBJECT
+    region = _region(on_object)
+    surfaces = np.zeros(labels.shape, dtype=np.int32)
+    surfaces[region] = _surfaces(frame.depth[region], on_object[region], frame.intrinsics.fx, settings.min_step)
+    counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
     segments = []
-    for index, box in enumerate(_boxes(surfaces), start=1):
+    for index, box in enumerate(_boxes(surfaces, region), start=1):
         if box is None:
             continue
         mask = surfaces[box] == index
@@ -133,26 +136,36 @@ def _beside_unmeasured(frame: DepthFrame, labels: NDArray[np.int8], box: tuple[s
     return bool(np.count_nonzero(around & (to_others * pixel > _SHADOW)) > enough)
 
 
-def _surfaces(frame: DepthFrame, mask: BoolArray, step: float) -> NDArray[np.int32]:
+def _region(mask: BoolArray) -> tuple[slice, slice]:
+    """Rows and columns that hold all pixels of the mask; one pixel where there are none."""
+    left, top, columns, rows = cv2.boundingRect(mask.view(np.uint8))
+    # OpenCV numbers patches in blocks of 2 x 2 pixels: blocks at even places keep the numbers of the whole image.
+    return slice(top - top % 2, top + max(rows, 1)), slice(left - left % 2, left + max(columns, 1))
+
+
+def _surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:
     """Number of the surface of each pixel, 0 for none. Connected patches are divided one by one."""
-    n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     surfaces = np.zeros(mask.shape, dtype=np.int32)
+    n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     count = 0
     for index in range(1, n):
         left, top, columns, rows, size = (int(value) for value in boxes[index])
         if size < _SMALLEST:
             continue
         box = (slice(top, top + rows), slice(left, left + columns))
-        divided = split_surfaces(frame.depth[box], components[box] == index, frame.intrinsics.fx, step)
+        divided = split_surfaces(depth[box], components[box] == index, focal, step)
         surfaces[box][divided > 0] = count + divided[divided > 0]
         count += int(divided.max())
     return surfaces
 
 
-def _boxes(surfaces: NDArray[np.int32]) -> list[tuple[slice, slice] | None]:
-    """Rows and columns of surface 1, 2, ...; None for one without pixels."""
-    found: list[tuple[slice, slice] | None] = ndimage.find_objects(surfaces)
-    return found
+def _boxes(surfaces: NDArray[np.int32], region: tuple[slice, slice]) -> list[tuple[slice, slice] | None]:
+    """Rows and columns of surface 1, 2, ..., all of which lie in the region; None for one without pixels."""
+    top, left = region[0].start, region[1].start
+    return [
+        None if box is None else (slice(top + box[0].start, top + box[0].stop), slice(left + box[1].start, left + box[1].stop))
+        for box in ndimage.find_objects(surfaces[region])
+    ]
 
 
 def _behind_another(depth: NDArray[np.float32], own: BoolArray, others: BoolArray, step: float) -> bool:

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import PerceptionError
-from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_area, polygon_centroid, signed_distance
+from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_area, polygon_centroid
 from push_ident.perception.depth import rays_in_table
 from push_ident.perception.segments import Segment
+from push_ident.perception.shape_kernels import outline_distances, sort_columns
 from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
@@ -47,6 +48,8 @@ _WINDOW: Final = 7
 """Window in which the levels of the upper side beside a pixel are looked for [px]."""
 _AREA: Final = 3
 """Least width of an unmeasured area that counts as a shadow [px]: wider than the pixels that are lost on both sides of an edge."""
+_BLOCK: Final = 8192
+"""Pixels of all frames that are sorted at once."""
 _PAD: Final = 16
 """Margin around a segment in which pixels are used [px]."""
 
@@ -82,12 +85,18 @@ class TracedObject:
 
 def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
     """Median depth of each pixel over frames at rest [m]; NaN where fewer than half of them measured something."""
-    stack = np.stack([frame.depth for frame in frames])
-    n_valid = np.count_nonzero(np.isfinite(stack), axis=0)
-    stack.sort(axis=0)  # NaN sorts to the end, so the median is in the middle of the first n_valid.
-    last = np.maximum(n_valid - 1, 0)
-    low, high = (np.take_along_axis(stack, half[None], axis=0)[0] for half in (last // 2, (last + 1) // 2))
-    return np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+    images = [np.asarray(frame.depth, dtype=np.float32).reshape(-1) for frame in frames]
+    median = np.empty(len(images[0]), dtype=np.float32)
+    for at in range(0, len(median), _BLOCK):  # blocks that stay in the cache
+        stack = np.stack([image[at : at + _BLOCK] for image in images])
+        valid = np.isfinite(stack)
+        n_valid = np.count_nonzero(valid, axis=0)
+        stack[~valid] = np.inf
+        sort_columns(stack)  # What was not measured is at the end, so the median is in the middle of the first n_valid.
+        last, column = np.maximum(n_valid - 1, 0), np.arange(stack.shape[1])
+        low, high = stack[last // 2, column], stack[(last + 1) // 2, column]
+        median[at : at + _BLOCK] = np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+    return median.reshape(frames[0].depth.shape)
 
 
 def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> TracedObject:
@@ -131,7 +140,8 @@ class _Lines:
         """Per line the end that decides whether it is stopped: the one further inside `outline`. Without outline: the middle."""
         if outline is None:
             return 0.5 * (self.upper + self.lower)
-        use_upper = signed_distance(self.upper, outline) < signed_distance(self.lower, outline)
+        outline = np.ascontiguousarray(outline)
+        use_upper = outline_distances(self.upper, outline) < outline_distances(self.lower, outline)
         return np.where(use_upper[:, None], self.upper, self.lower)
 
 

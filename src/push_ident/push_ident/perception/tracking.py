@@ -21,12 +21,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
 from push_ident.perception.depth import check_size, rays_in_table
-from push_ident.perception.kernels import Grid, compare_lines, innermost_points, interpolate, intersect_object, nearest_values
+from push_ident.perception.kernels import (
+    Grid,
+    compare_lines,
+    innermost_points,
+    interpolate,
+    intersect_object,
+    nearest_values,
+)
 from push_ident.perception.labels import RobotPart, in_robot
 from push_ident.perception.shape import TracedObject
+from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
 __all__ = ["LinesOfSight", "PoseFit", "Scene", "Template", "TrackStatus", "fit_pose", "lines_of_sight", "relocate"]
@@ -68,6 +75,8 @@ _COHERENCE: Final = 1.4
 experiment perception` on other seeds than it reports."""
 _MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
 """A pose with larger standard deviations is not used [m, m, rad]."""
+_DAMPING: Final = np.array([1.0, 1.0, 1e-4])
+"""Added to the diagonal of the normal matrix of a pose (x, y, yaw) [1/m^2, 1/m^2, 1]."""
 
 
 class TrackStatus(Enum):
@@ -122,11 +131,11 @@ class Template:
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         nodes = origin + _GRID * np.stack([x, y], axis=-1)
         # Exact near the outline; further out every fourth node, interpolated linearly, is enough.
-        coarse = signed_distance(nodes[::4, ::4].reshape(-1, 2), self.outline).reshape(nodes[::4, ::4].shape[:2])
-        along_x = np.array([np.interp(np.arange(columns), np.arange(0, columns, 4), row) for row in coarse])
-        distance = np.array([np.interp(np.arange(rows), np.arange(0, rows, 4), column) for column in along_x.T]).T.copy()
+        outline = np.ascontiguousarray(self.outline, dtype=np.float64)
+        coarse = outline_distances(nodes[::4, ::4].reshape(-1, 2), outline).reshape(nodes[::4, ::4].shape[:2])
+        distance = _refined(_refined(coarse, 4).T, 4).T.copy()
         near = np.abs(distance) < 0.012
-        distance[near] = signed_distance(nodes[near], self.outline)
+        distance[near] = outline_distances(nodes[near], outline)
         self.field: Final = Grid(distance, origin, _GRID)
         """Signed distance to the outline [m]."""
         self.top_range = float(traced.top.min()), float(traced.top.max())
@@ -142,6 +151,13 @@ class Template:
     def nearest_distance(self, points: NDArray[np.floating]) -> Float64Array:
         """Signed distance [m] at the nearest node of the field, shape (n,): faster, and accurate to half a cell of the field."""
         return np.asarray(nearest_values(self.field, np.ascontiguousarray(points, dtype=np.float64)))
+
+
+def _refined(values: Float64Array, factor: int) -> Float64Array:
+    """Linear interpolation along the rows of `values`, shape (n, m), to `factor` times as many steps, shape (n, factor (m - 1) + 1)."""
+    slope = np.diff(values, axis=1) / factor
+    between = slope[:, :, None] * np.arange(factor) + values[:, :-1, None]
+    return np.hstack([between.reshape(len(values), -1), values[:, -1:]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,8 +342,10 @@ def _gauss_newton(
     """Fitted pose and the comparison there."""
     for _ in range(iterations):
         now = _compare(template, lines, pose, width)
-        damping = 1e-3 * np.diag(np.diag(now.normal)) + np.diag([1.0, 1.0, 1e-4])
-        step = np.linalg.solve(now.normal + damping, now.gradient)
+        diagonal = np.diag(now.normal)
+        damped = now.normal.copy()
+        damped.flat[:: len(damped) + 1] = diagonal + (1e-3 * diagonal + _DAMPING)
+        step = np.linalg.solve(damped, now.gradient)
         # The linearisation does not hold beyond the width.
         step *= min(1.0, 2.0 * width / max(float(np.hypot(step[0], step[1])), template.radius * abs(float(step[2])), 1e-12))
         pose = pose + step
