@@ -31,8 +31,6 @@ _WIDTH: Final = 0.0015
 """Width of the step from stopped to passing [m], as in the tracker."""
 _CORNER: Final = 0.004
 """Lines of sight within this distance of the end of an edge are left out, as they depend on both edges of the corner [m]."""
-_LEAST_OUTSIDE: Final = 0.25
-"""Least number of lines of sight on the outer side of an edge that is moved, relative to the inner side."""
 _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
 _VARIANCE: Final = 0.05
@@ -134,10 +132,6 @@ def _edge_derivatives(template: Template, outline: Float64Array, view: View, pos
     slope = expected * (1.0 - expected) / _WIDTH
     edge, clear = _nearest_edge(points, outline)
     clear &= np.abs(distance) < _BAND
-    # Where nothing is measured on one side of an edge, as in a shadow, the lines of the other side alone would push it away.
-    outside = distance > 0
-    n_inside, n_outside = (np.bincount(edge[clear & side], minlength=len(outline)) for side in (~outside, outside))
-    clear &= (n_outside > _LEAST_OUTSIDE * n_inside)[edge]
     np.add.at(gradient, edge[clear], (slope * (lines.stopped - expected))[clear])
     np.add.at(curvature, edge[clear], np.square(slope[clear]))
     return gradient, curvature

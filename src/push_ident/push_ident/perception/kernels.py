@@ -53,6 +53,7 @@ _REALS: Final = read_only(types.float64, 1)
 _ROWS: Final = read_only(types.float64, 2)
 _GRID: Final = types.NamedTuple((types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C"), types.float64), Grid)
 _IMAGE: Final = read_only(types.float32, 2, "A")
+_MASK: Final = read_only(types.uint8, 2)
 _POINTS: Final = read_only(types.float32, 3)
 
 
@@ -150,14 +151,15 @@ def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     return result
 
 
-@kernel(_GRID, _GRID, _IMAGE, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
-def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, pose: Any, box: Any, limits: Any) -> Any:
+@kernel(_GRID, _GRID, _IMAGE, _MASK, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
+def intersect_object(field: Any, tops: Any, depth: Any, left_out: Any, rays: Any, centre: Any, pose: Any, box: Any, limits: Any) -> Any:
     """Intersect the lines of sight of the pixels in `box` with the heights of the object at `pose`.
 
     Args:
         field: Signed distance to the outline [m].
         tops: Height of the upper side [m].
         depth, rays, centre: As `rays_in_table` returns them.
+        left_out: Which pixels of the box are not used, 1, shape (rows, columns) of the box.
         box: First and end row, first and end column, stride.
         limits: Mean height of the top; largest distance from the outline at that height; how far below the top a line counts as
             stopped; how far above the top a point belongs to something in front [m].
@@ -194,6 +196,8 @@ def intersect_object(field: Any, tops: Any, depth: Any, rays: Any, centre: Any, 
             length = (threshold - centre[2]) / ray_z
             lower[n, 0], lower[n, 1] = centre[0] + ray_x * length, centre[1] + ray_y * length
             measured = float(depth[row, column])
+            if math.isfinite(measured) and left_out[row - first_row, column - first_column] != 0:
+                continue
             z = centre[2] + ray_z * measured
             point[n, 0], point[n, 1], point[n, 2] = centre[0] + ray_x * measured, centre[1] + ray_y * measured, z
             stopped[n] = 1.0 if z > threshold else 0.0

@@ -24,7 +24,7 @@ from push_ident.perception.shape_kernels import outline_distances, sort_columns
 from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["SegmentedView", "TracedObject", "median_depth", "trace_object"]
+__all__ = ["SegmentedView", "TracedObject", "median_depth", "trace_object", "unmeasured_areas"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
@@ -97,6 +97,15 @@ def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
         low, high = stack[last // 2, column], stack[(last + 1) // 2, column]
         median[at : at + _BLOCK] = np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
     return median.reshape(frames[0].depth.shape)
+
+
+def unmeasured_areas(measured: BoolArray) -> NDArray[np.uint8]:
+    """Unmeasured pixels of an area, not of a line: 1, same shape.
+
+    They are the shadow that the projector or the second imager of a camera leaves beside an object. Single unmeasured pixels along an edge
+    may belong to either side of it and prove nothing.
+    """
+    return np.asarray(cv2.morphologyEx((~measured).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8)))
 
 
 def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> TracedObject:
@@ -185,7 +194,8 @@ def _lines_of_sight(view: SegmentedView, *, min_height: float) -> tuple[_Lines, 
     # Beside two levels a line of sight proves only its crossing of the lower one empty: the upper one may end earlier.
     lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((_SHADOW, _SHADOW), np.uint8))
     passing = valid & ~stopped & (z < np.minimum(foot, beside) - step) & (distance < _REACH)
-    passing |= _shadow(valid) & (distance < _REACH)
+    # The object ends where its shadow begins, since all of its upper side up to the edge is lit.
+    passing |= (unmeasured_areas(valid) > 0) & (distance < _REACH)
     beside = np.minimum(lower, beside)
 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
@@ -198,15 +208,6 @@ def _lines_of_sight(view: SegmentedView, *, min_height: float) -> tuple[_Lines, 
         lines(passing, beside),
         points[body & ~stopped, :2].astype(np.float64),
     )
-
-
-def _shadow(valid: BoolArray) -> BoolArray:
-    """Unmeasured pixels of an area, not of a line: the shadow that the projector or the second imager leaves beside an object.
-
-    The object ends where its shadow begins, since all of its upper side up to the edge is lit. Single unmeasured pixels along an edge may
-    belong to either side and prove nothing.
-    """
-    return cv2.morphologyEx((~valid).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8)) > 0
 
 
 def _inner_walls(walls: Float64Array, full: Float64Array, camera: Float64Array) -> Float64Array:
