@@ -23,8 +23,9 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
+from visualization_msgs.msg import Marker, MarkerArray
 
-from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, render
+from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, rectangle, render
 from helpers.domains import own_domain
 from helpers.paths import CONFIG
 from helpers.spinning import spinning
@@ -39,6 +40,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
+from push_ident.nodes.convert_refusals import refusals_from_msg
 from push_ident.nodes.perception.extrinsics import pose_lines
 from push_ident.types import DepthFrame
 
@@ -59,6 +61,8 @@ class Camera(Node):
         rng = np.random.default_rng(0)
         scene = [prism.at(POSE) for prism in HAMMER] + [Prism(circle(0.018) + TOOL[:2], 0.11, TOOL[2])]
         self.frames = [render(scene, rng=rng) for _ in range(4)]
+        over_the_border = Prism(rectangle(-0.1, 0.36, -0.02, 0.44), 0.04)
+        self.with_more = [render([*scene, over_the_border], rng=rng) for _ in range(4)]
         self.images = self.create_publisher(Image, "depth/image_rect", qos_profile_sensor_data)
         self.infos = self.create_publisher(CameraInfo, "depth/camera_info", qos_profile_sensor_data)
         self.tool = self.create_publisher(PoseStamped, "tool/pose", 10)
@@ -66,12 +70,14 @@ class Camera(Node):
         self.outlines: list[PolygonStamped] = []
         self.poses: list[PoseWithCovarianceStamped] = []
         self.workspace: list[OccupancyGrid] = []
+        self.refused: list[MarkerArray] = []
         self.diagnostics: list[DiagnosticArray] = []
         for kind, topic, kept, qos in (
             (OccupancyGrid, "objects/o1/cells", self.cells, LATCHED),
             (PolygonStamped, "objects/o1/outline", self.outlines, LATCHED),
             (PoseWithCovarianceStamped, "objects/o1/pose", self.poses, 10),
             (OccupancyGrid, "workspace/occupancy", self.workspace, LATCHED),
+            (MarkerArray, "workspace/refused", self.refused, LATCHED),
             (DiagnosticArray, "/diagnostics", self.diagnostics, 10),
         ):
             self.create_subscription(kind, topic, kept.append, qos)
@@ -250,6 +256,35 @@ def test_images_far_from_their_info_are_dropped_with_the_skew(camera, node):
         info.header.stamp = stamp_to_msg(stamp_from_msg(image.header.stamp) - 0.3)
 
     assert "ms apart, expected at most 50 ms" in refused(camera, "dropped_skew", old_info)
+
+
+def test_what_is_no_object_is_published_with_the_reason_and_its_outline(camera, node):
+    frames, camera.frames = camera.frames, camera.with_more
+    try:
+        send_until(camera, lambda: camera.refused and refusals_from_msg(camera.refused[-1]))
+    finally:
+        camera.frames = frames
+    ((outline, words),) = refusals_from_msg(camera.refused[-1])
+    assert "reaches over the border of the workspace" in words
+    assert np.linalg.norm(outline[:, :2].mean(axis=0) - (-0.06, 0.38)) < 0.03
+    assert [marker.action for marker in camera.refused[-1].markers] == [Marker.DELETEALL, Marker.ADD, Marker.ADD]
+    send_until(camera, lambda: not refusals_from_msg(camera.refused[-1]))
+
+
+def test_images_of_a_second_camera_driver_are_refused_by_name(camera, node):
+    other = camera.create_publisher(Image, "depth/image_rect", qos_profile_sensor_data)
+
+    def also_older(image: Image, info: CameraInfo) -> None:
+        older = type(image)(**{name: getattr(image, name) for name in image.get_fields_and_field_types()})
+        older.header = type(image.header)(stamp=stamp_to_msg(stamp_from_msg(image.header.stamp) - 0.1), frame_id=image.header.frame_id)
+        other.publish(older)
+
+    restarts = camera.values().get("restarts")
+    try:
+        assert "2 nodes publish images" in refused(camera, "frames_without_result", also_older)
+    finally:
+        camera.destroy_publisher(other)
+    assert camera.values().get("restarts") == restarts
 
 
 def test_time_going_back_starts_anew(camera, node):

@@ -23,6 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
+from visualization_msgs.msg import MarkerArray
 from yaml import safe_load
 
 from helpers.domains import own_domain
@@ -32,7 +33,9 @@ from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg, transform_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
+from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.viewer.rerun_scene import RerunScene
+from push_ident.perception.refusals import Reason, Refusal
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import CameraIntrinsics, DepthFrame, PusherPath
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
@@ -70,6 +73,7 @@ class Cell:
             predict(self.posterior, PushScenario(self.path, np.array([0.0, 0.0, 0.3]), np.linspace(0, 1, 5))), "o1", (1, "fine"), push_id=1
         )
         score = score_to_msg(PushScore(1, "push 1", 1.0, 0.002, 0.003, 2.0, 0.009), ScoreSummary(1, 0.002, 0.003, 0.009, 1.0), "o1", 1.0)
+        cut = Refusal(Reason.AT_IMAGE_BORDER, "cut by the border", np.array([[0.1, 0.1], [0.2, 0.1], [0.2, 0.2]]), 0.05)
         self._sent = [
             (self.node.create_publisher(kind, topic, qos), msg)
             for kind, topic, qos, msg in (
@@ -83,6 +87,7 @@ class Cell:
                 (PathMsg, "objects/o1/next_push", LATCHED, path_to_msg(self.path)),
                 (PushPrediction, "objects/o1/next_push_prediction", LATCHED, prediction),
                 (PushScoreMsg, "objects/o1/push_score", LATCHED, score),
+                (MarkerArray, "workspace/refused", LATCHED, refusals_to_msg([cut], stamp)),
                 (PoseStamped, "tool/pose", 10, position_to_msg(stamp, [-0.2, 0.0, 0.1])),
                 (Image, "depth/image_rect", qos_profile_sensor_data, image),
             )
@@ -143,6 +148,7 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
         "/table/camera/depth",
         "/table/tool",
         "/table/objects/o1/observed",
+        "/table/objects/refused",
         "/table/objects/o1/predicted",
         "/table/objects/o1/next_push/tool",
         "/table/objects/o1/next_push/end",
