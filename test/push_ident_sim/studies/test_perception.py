@@ -60,8 +60,24 @@ def test_tables_and_pictures_come_from_the_summary(tmp_path):
     assert values["outline_95_m"] < 0.0015 and values["grid_iou"] > 0.97
     assert all(np.mean(np.square(values["kinds"][kind]["position_m"])) < 0.0005**2 for kind in ("rest", "moving"))
     summary = experiment.summarise([CaseResult(Case("crimp", 3, "clear"), values)])
-    assert "crimp, at rest" in experiment.tables(summary)
+    assert "crimp, at rest" in experiment.tables(summary) and "sensor" not in experiment.tables(summary)
     assert list(experiment.draw(summary, tmp_path)) == ["perception.png"] and (tmp_path / "perception.png").stat().st_size > 1000
+
+
+def test_sensors_have_a_table_of_their_own():
+    experiment, none = EXPERIMENTS["perception"], {"position_m": [], "yaw": [], "squared": [], "hidden": [], "not_tracked": 7}
+    poses = {"position_m": [3e-3, 4e-3], "yaw": [0.01, 0.01], "squared": [1.0, 9.0], "hidden": [0.0, 0.0], "not_tracked": 1}
+    outline = {"outline_m": 2e-3, "outline_95_m": 4e-3, "grid_iou": 0.9, "occupancy_iou": 0.8}
+    cases = [
+        CaseResult(Case("crimp", model, name), outline | {"kinds": {"rest": poses, "moving": moving}})
+        for model, name, moving in ((0, "xtion", poses), (1, "xtion", poses), (0, "phoxi", none))
+    ]
+    summary = experiment.summarise(cases)
+    assert summary["objects"] == {} and summary["sensors"]["xtion"]["rest"]["position_m"] == pytest.approx(3.536e-3, abs=1e-6)
+    rows = [line.split("|")[1:-1] for line in experiment.tables(summary).splitlines()]
+    assert [row[0].strip() for row in rows[2:]] == ["xtion", "phoxi"]
+    assert [cell.strip() for cell in rows[2]][5:9] == ["3.54", "0.57", "50%", "2 of 6"] and rows[3][9].strip() == "–"
+    assert experiment.fewer["xtion"] < 10
 
 
 def test_the_pushing_arm_hides_the_object_and_is_not_taken_for_it():

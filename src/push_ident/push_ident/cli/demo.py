@@ -56,6 +56,7 @@ def demo_command(
     seed: Annotated[int, typer.Option(help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
     n_train: Annotated[int, typer.Option(min=1, help="Number of random training pushes.")] = 6,
     n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, predicted before they are executed.")] = 6,
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Model of the simulated depth camera.")] = "plain",
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:
@@ -63,7 +64,7 @@ def demo_command(
     started = time.monotonic()
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
-    own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed}}
+    own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
     commands = node_commands("sim", record=run / "bag", parameters=own)
     columns = (
         SpinnerColumn(),

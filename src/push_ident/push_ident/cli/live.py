@@ -40,6 +40,7 @@ def up_command(
     bag: Annotated[Path | None, typer.Argument(help="Bag to play, for replay.", show_default=False)] = None,
     record: Annotated[Path | None, typer.Option(metavar="BAG", help="Record the cell to this new bag.", show_default=False)] = None,
     view: Annotated[bool, typer.Option("--view", help="Serve a live view for browsers.")] = False,
+    sensor: Annotated[str | None, typer.Option(metavar="NAME", help="Model of the simulated depth camera.", show_default="plain")] = None,
     state: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder that keeps objects and maps for the next start. Default: none.", show_default=False),
@@ -55,6 +56,10 @@ def up_command(
     with TemporaryDirectory(prefix="push_ident_") as until_the_end:
         folder: dict[str, object] = {"state_directory": str((state or Path(until_the_end)).resolve())}
         own = {name: folder for name in ("perception_node", "identification_node") if perception or name != "perception_node"}
+        if sensor is not None:
+            if kind is not CellKind.sim:
+                raise InputError(f"--sensor is a model of the simulated camera, and `up {kind.value}` has none.")
+            own["sim_cell_node"] = {"sensor": sensor}
         if record is not None:
             if record.exists():
                 raise InputError(f"{record} exists already and is not overwritten; choose another name.")

@@ -30,6 +30,9 @@ def simulate_command(
     yaw_noise: Annotated[float, typer.Option(help="Standard deviation of the yaw [rad].")] = round(math.radians(0.5), 5),
     force_noise: Annotated[float, typer.Option(help="Standard deviation of each component of the force [N].")] = 0.05,
     camera: Annotated[bool, typer.Option("--camera", help="Write depth images instead of poses, 15 per second.")] = False,
+    sensor: Annotated[
+        str, typer.Option(metavar="NAME", help="Model of that camera: plain, ideal, kinect_v1, realsense_d435_848x480, phoxi, ...")
+    ] = "plain",
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write masses, frictions and effects here (JSON).", show_default=False)
     ] = None,
@@ -59,6 +62,7 @@ def simulate_command(
             **({"rate": 15.0, "rest": 1.0} if camera else {}),
         ),
         camera=camera,
+        sensor=sensor,
     )
     # In a separate process, which discards the output of the engine.
     with console.status("pushing"), sim_module("push_ident_sim.workers").single_threads() as pool:

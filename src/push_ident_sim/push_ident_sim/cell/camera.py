@@ -5,6 +5,7 @@ Camera frame as REP 103 has it for optical frames: z forward, x right, y down.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,12 @@ from push_ident.types import CameraIntrinsics
 from push_ident_sim.cell.robot import robot_description
 from push_ident_sim.objects import SimObject
 
-__all__ = ["INTRINSICS", "DepthCamera", "DepthNoise", "look_at"]
+__all__ = ["ALBEDO", "INTRINSICS", "DepthCamera", "DepthNoise", "Mesh", "Placed", "View", "look_at"]
 
 FloatArray = NDArray[np.float64]
 DepthImage = NDArray[np.float32]
+Mesh = tuple[FloatArray, NDArray[np.int64]]
+"""Vertices [m], shape (n, 3), and the three vertices of each triangle, shape (m, 3)."""
 
 INTRINSICS = CameraIntrinsics(width=640, height=480, fx=600.0, fy=600.0, cx=319.5, cy=239.5)
 _TABLE_HALF = (0.8, 0.7)
@@ -33,6 +36,12 @@ _SPARSE = 8
 """Every so many pixels are enough for the usual noise of an image."""
 _NEAREST = 0.05
 """What comes nearer to the camera may cover all of the image [m]."""
+ALBEDO = 0.5
+"""Share of the light that a surface scatters back where nothing else is given; an estimate between black
+plastic and white paper."""
+_OFF_SURFACE = 3e-4
+"""Share of the way to the second viewpoint after which something may hide it: rounding must not let a surface hide itself. At 1 m it is
+0.3 mm."""
 
 
 def look_at(position: ArrayLike, target: ArrayLike) -> FloatArray:
@@ -91,15 +100,71 @@ def _at_edge(depth: DepthImage, step: float) -> NDArray[np.bool_]:
     return edges
 
 
-class DepthCamera:
-    """Renders table, object and robot. One instance may be used by one thread at a time."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Something before the camera."""
 
-    def __init__(self, sim_object: SimObject, pose_camera_in_table: FloatArray, intrinsics: CameraIntrinsics = INTRINSICS) -> None:
-        """`sim_object` lies before it; the pose (4, 4) and the intrinsics are those that it really has."""
+    thing: SimObject | Mesh
+    pose: ArrayLike
+    """Of its frame in `table`: (x, y, yaw) [m, m, rad], or homogeneous, shape (4, 4)."""
+    albedo: float = ALBEDO
+    """Share of the light of the sensor that it scatters back, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What lies before each pixel, without errors; all of shape (height, width)."""
+
+    depth: DepthImage
+    """Along the optical axis [m], NaN where no surface is."""
+    cosine: DepthImage
+    """Of the angle between the ray and the normal of the surface, 0 to 1; 1 where no surface is."""
+    albedo: DepthImage
+    """Of the surface, 0 to 1."""
+    lit: NDArray[np.bool_]
+    """Whether the second viewpoint sees the surface as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hits:
+    """Rays that were cast into a scene."""
+
+    scene: Any
+    """`open3d.t.geometry.RaycastingScene`."""
+    vertices: list[FloatArray]
+    """Of each thing in it [m], shape (n, 3), `table` frame."""
+    covered: NDArray[np.bool_]
+    """Pixels that a thing may cover, shape (height, width). What follows is of these pixels only."""
+    depth: DepthImage
+    """[m]; infinite beside all things."""
+    answer: dict[str, Any]
+    """Of open3d."""
+
+
+class DepthCamera:
+    """Renders table, objects and robot. One instance may be used by one thread at a time."""
+
+    def __init__(
+        self,
+        sim_object: SimObject,
+        pose_camera_in_table: FloatArray,
+        intrinsics: CameraIntrinsics = INTRINSICS,
+        distortion: float = 0.0,
+    ) -> None:
+        """`sim_object` lies before it; the pose (4, 4) and the intrinsics are those that it really has.
+
+        Args:
+            distortion: Coefficient k of a radial distortion [-]: the ray of a pixel at the distance r from the principal point, both in
+                focal lengths, is that of a camera without distortion at r (1 + k r^2).
+        """
         self.intrinsics = intrinsics
         self.pose_camera_in_table = np.array(pose_camera_in_table, dtype=np.float64)
-        self._rays = _pixel_rays(self.pose_camera_in_table, intrinsics)
+        self._rays = _pixel_rays(self.pose_camera_in_table, intrinsics, distortion)
         self._table = _table_depth(self._rays)
+        corner = np.hypot(max(intrinsics.cx, intrinsics.width - intrinsics.cx), max(intrinsics.cy, intrinsics.height - intrinsics.cy))
+        # Pixels by which the distortion moves the corner of the image.
+        self._slack = int(np.ceil(abs(distortion) * corner**3 / intrinsics.fx**2))
+        self._meshes: dict[int, tuple[SimObject, Mesh]] = {}
         self.sim_object = sim_object
         self._links = _robot_meshes(robot_description())
 
@@ -112,7 +177,7 @@ class DepthCamera:
     def sim_object(self, thing: SimObject) -> None:
         """Place another object before the camera."""
         self._sim_object = thing
-        self._object = _object_mesh(thing)
+        self._meshes.clear()
 
     def render(self, pose_object: ArrayLike, robot_link_poses: dict[str, FloatArray]) -> DepthImage:
         """Perfect depth along the optical axis [m], shape (height, width), NaN where no surface is.
@@ -121,34 +186,105 @@ class DepthCamera:
             pose_object: (x, y, yaw) of the object frame in `table`.
             robot_link_poses: homogeneous pose in `table` by link name; a link without a pose is not drawn.
         """
+        return self.render_scene([Placed(self._sim_object, pose_object)], robot_link_poses)
+
+    def render_scene(self, things: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> DepthImage:
+        """As `render`, with any number of things on the table."""
+        hits = self._cast(self._placed(things, robot_link_poses))
+        depth = self._table.copy()
+        depth[hits.covered] = np.fmin(depth[hits.covered], np.where(np.isfinite(hits.depth), hits.depth, np.float32(np.nan)))
+        return depth
+
+    def view(self, things: Sequence[Placed], robot_link_poses: dict[str, FloatArray], second: float = 0.0) -> View:
+        """All that a model of a sensor needs to know.
+
+        Args:
+            second: Where the projector or the second imager is: x in the frame of the camera [m]; 0: there is none.
+        """
+        placed = self._placed(things, robot_link_poses)
+        hits = self._cast(placed)
+        depth, cosine = self._table.copy(), self._cosine_of_table()
+        albedo = np.full(depth.shape, ALBEDO, dtype=np.float32)
+        # A ray that hits a thing and the table at the same depth shows the thing.
+        nearer = np.isfinite(hits.depth) & ~(hits.depth > depth[hits.covered])
+        shown = np.zeros(depth.shape, dtype=bool)
+        shown[hits.covered] = nearer
+        depth[shown] = hits.depth[nearer]
+        rays = self._rays[shown][:, 3:]
+        normals = hits.answer["primitive_normals"].numpy()[nearer]
+        cosine[shown] = np.abs(np.sum(rays * normals, axis=-1)) / np.linalg.norm(rays, axis=-1)
+        of_thing = np.array([albedo for _, _, albedo in placed], dtype=np.float32)
+        if len(of_thing):
+            albedo[shown] = of_thing[hits.answer["geometry_ids"].numpy()[nearer]]
+        cosine[~np.isfinite(depth)] = 1.0
+        return View(depth, cosine, albedo, self._lit(hits, depth, second))
+
+    def _lit(self, hits: _Hits, depth: DepthImage, second: float) -> NDArray[np.bool_]:
+        """Which pixels show a surface that a second viewpoint at (second, 0, 0) of the camera frame [m] sees as well."""
+        lit = np.ones(depth.shape, dtype=bool)
+        if second == 0.0 or not hits.vertices:
+            return lit
+        asked = np.zeros(depth.shape, dtype=bool)
+        for vertices in hits.vertices:
+            asked[self._window(vertices, second)] = True
+        asked &= np.isfinite(depth)
+        viewpoint = self.pose_camera_in_table[:3, 3] + second * self.pose_camera_in_table[:3, 0]
+        rays = self._rays[asked]
+        points = rays[:, :3] + depth[asked][:, None] * rays[:, 3:]
+        towards = np.concatenate([points, viewpoint.astype(np.float32) - points], axis=-1)
+        # The ray is as long as the way to the viewpoint, and does not begin on the surface itself.
+        hidden = hits.scene.test_occlusions(_tensor(towards), tnear=_OFF_SURFACE, tfar=1.0)
+        lit[asked] = ~hidden.numpy()
+        return lit
+
+    def _cosine_of_table(self) -> DepthImage:
+        directions = self._rays[..., 3:]
+        return np.asarray(np.abs(directions[..., 2]) / np.linalg.norm(directions, axis=-1), dtype=np.float32)
+
+    def _placed(self, things: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> list[tuple[Mesh, FloatArray, float]]:
+        """Mesh, homogeneous pose in `table` and albedo of everything but the table."""
+        robot = [(mesh, robot_link_poses[name], ALBEDO) for name, mesh in self._links.items() if name in robot_link_poses]
+        return [(self._mesh(placed.thing), _homogeneous(placed.pose), placed.albedo) for placed in things] + robot
+
+    def _mesh(self, thing: SimObject | Mesh) -> Mesh:
+        if not isinstance(thing, SimObject):
+            return thing
+        # The object is kept as well, so that no other one gets its id.
+        if id(thing) not in self._meshes:
+            self._meshes[id(thing)] = thing, _object_mesh(thing)
+        return self._meshes[id(thing)][1]
+
+    def _cast(self, placed: list[tuple[Mesh, FloatArray, float]]) -> _Hits:
         import open3d
 
-        x, y, yaw = np.asarray(pose_object, dtype=np.float64)
-        object_in_table = np.eye(4)
-        object_in_table[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        object_in_table[:2, 3] = x, y
-        placed = [(self._object, object_in_table)]
-        placed += [(mesh, robot_link_poses[name]) for name, mesh in self._links.items() if name in robot_link_poses]
         scene = open3d.t.geometry.RaycastingScene()
         covered = np.zeros(self._table.shape, dtype=bool)
-        for (points, triangles), pose in placed:
+        corners = []
+        for (points, triangles), pose, _ in placed:
             vertices = points @ pose[:3, :3].T + pose[:3, 3]
             scene.add_triangles(_tensor(vertices.astype(np.float32)), _tensor(triangles.astype(np.uint32)))
             covered[self._window(vertices)] = True
-        depth = self._table.copy()
+            corners.append(vertices)
         # The rays advance by one metre of depth per unit, so that the distance of a hit is its depth.
-        hit = scene.cast_rays(_tensor(self._rays[covered]))["t_hit"].numpy()
-        depth[covered] = np.fmin(depth[covered], np.where(np.isfinite(hit), hit, np.float32(np.nan)))
-        return depth
+        answer = scene.cast_rays(_tensor(self._rays[covered]))
+        return _Hits(scene, corners, covered, answer["t_hit"].numpy(), answer)
 
-    def _window(self, vertices: FloatArray) -> tuple[slice, slice]:
-        """Rows and columns of the image that hold all of `vertices` [m], shape (n, 3), `table` frame."""
+    def _window(self, vertices: FloatArray, second: float = 0.0) -> tuple[slice, slice]:
+        """Rows and columns of the image that hold all of `vertices` [m], shape (n, 3), `table` frame, and their shadow.
+
+        Args:
+            second: x of the viewpoint from which the shadow is cast, in the frame of the camera [m].
+        """
         camera = self.intrinsics
         x, y, z = ((vertices - self.pose_camera_in_table[:3, 3]) @ self.pose_camera_in_table[:3, :3]).T
         if z.min() < _NEAREST:
             return slice(None), slice(None)
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        return slice(max(0, int(v.min())), max(0, int(v.max()) + 2)), slice(max(0, int(u.min())), max(0, int(u.max()) + 2))
+        # On a background at infinity the shadow lies beside the thing by its whole disparity.
+        shadow = u - camera.fx * second / z
+        low, high = min(u.min(), shadow.min()) - self._slack, max(u.max(), shadow.max()) + self._slack
+        rows = slice(max(0, int(v.min()) - self._slack), max(0, int(v.max()) + 2 + self._slack))
+        return rows, slice(max(0, int(low)), max(0, int(high) + 2))
 
 
 def _tensor(array: NDArray[Any]) -> Any:
@@ -158,10 +294,24 @@ def _tensor(array: NDArray[Any]) -> Any:
     return open3d.core.Tensor(array)  # type: ignore[call-overload]
 
 
-def _pixel_rays(pose: FloatArray, intrinsics: CameraIntrinsics) -> DepthImage:
+def _homogeneous(pose: ArrayLike) -> FloatArray:
+    """Of a planar pose (x, y, yaw), or of a homogeneous one, which stays as it is."""
+    given = np.asarray(pose, dtype=np.float64)
+    if given.shape == (4, 4):
+        return given
+    x, y, yaw = given
+    whole = np.eye(4)
+    whole[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    whole[:2, 3] = x, y
+    return whole
+
+
+def _pixel_rays(pose: FloatArray, intrinsics: CameraIntrinsics, distortion: float) -> DepthImage:
     """Origin and direction of the ray through each pixel centre, one metre of depth long, shape (height, width, 6), `table` frame."""
     u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
-    in_camera = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], axis=-1)
+    x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+    outwards = 1.0 + distortion * (x**2 + y**2)
+    in_camera = np.stack([x * outwards, y * outwards, np.ones(u.shape)], axis=-1)
     rays = np.concatenate([np.broadcast_to(pose[:3, 3], in_camera.shape), in_camera @ pose[:3, :3].T], axis=-1)
     return np.asarray(rays, dtype=np.float32)
 
@@ -172,9 +322,6 @@ def _table_depth(rays: DepthImage) -> DepthImage:
         depth = -rays[..., 2] / rays[..., 5]
         at = rays[..., :2] + depth[..., None] * rays[..., 3:5]
     return np.where((depth > 0) & np.all(np.abs(at) <= _TABLE_HALF, axis=-1), depth, np.float32(np.nan))
-
-
-Mesh = tuple[FloatArray, NDArray[np.int64]]
 
 
 def _merge(meshes: list[Mesh]) -> Mesh:

@@ -47,8 +47,10 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.run import run_node
 from push_ident.types import DepthFrame
-from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise
+from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.cell.robot import robot_description
+from push_ident_sim.cell.sensor_unit import Sensor
+from push_ident_sim.cell.sensors import PLAIN, SENSOR_NAMES
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
@@ -87,7 +89,8 @@ PARAMETERS: Final = (
         1.0,
         read_only=True,
     ),
-    Parameter("depth_noise", 1.0, "scale of the axial noise of the camera; 0: none, nor holes at edges", 0.0, 10.0, read_only=True),
+    Parameter("sensor", PLAIN, "model of the depth camera: its intrinsics and errors", read_only=True, choices=SENSOR_NAMES),
+    Parameter("depth_noise", 1.0, "scale of the axial noise of the camera; 0: none (plain: nor holes)", 0.0, 10.0, read_only=True),
     Parameter("wrench_noise", 0.05, "standard deviation of the measured force, each axis [N]", 0.0, 10.0, read_only=True),
     Parameter("noise_seed", 0, "of the noise of all sensors", 0, 2**31 - 1, read_only=True),
     Parameter("truth_as_perception", False, "publish objects/truth/{pose,cells,outline} from the truth, without a camera", read_only=True),
@@ -154,13 +157,13 @@ class _SimCell(Component):
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
         self._state_period, self._truth_period = 1.0 / values["state_rate"], 1.0 / values["truth_rate"]
         self._state_rng, self._camera_rng, self._luck, self._truth_rng = np.random.default_rng(values["noise_seed"]).spawn(4)
+        self._sensor = Sensor(values["sensor"], values["noise_seed"], values["depth_noise"])
         self._camera: DepthCamera | None = None
         if values["camera_rate"] > 0:
             check_rendered(effects)
             reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
-            self._camera = DepthCamera(thing, *true_camera(effects, reported, INTRINSICS))
+            self._camera = self._sensor.camera(thing, *true_camera(effects, reported, self._sensor.intrinsics))
         (self._dropped,) = effects["dropped_frames"]
-        self._noise = DepthNoise(scale=values["depth_noise"])
         self._wrench_noise = float(values["wrench_noise"])
         self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
         self._as_perception = PoseSensor(effects, self._truth_std, self._truth_rng) if values["truth_as_perception"] else None
@@ -337,12 +340,12 @@ class _SimCell(Component):
         if snapshot.thing is not self._camera.sim_object:
             self._camera.sim_object = snapshot.thing
         with self._meter.measure("rays"):
-            depth = self._camera.render(snapshot.pose_object, snapshot.robot_link_poses)
+            seen = self._sensor.look(self._camera, snapshot.pose_object, snapshot.robot_link_poses)
         with self._meter.measure("depth noise"):
-            depth = self._noise.apply(depth, self._camera_rng)
+            depth = self._sensor.read(seen, self._camera_rng)
         with self._meter.measure("images"):
-            # The camera reports the intrinsics that it should have.
-            image, info = depth_frame_to_msgs(DepthFrame(snapshot.stamp, depth, INTRINSICS), stamp_to_msg(snapshot.stamp))
+            frame = DepthFrame(snapshot.stamp, depth, self._sensor.intrinsics)
+            image, info = depth_frame_to_msgs(frame, stamp_to_msg(snapshot.stamp), encoding=self._sensor.encoding)
             self._info_pub.publish(info)
             self._image_pub.publish(image)
         self._meter.n_images += 1

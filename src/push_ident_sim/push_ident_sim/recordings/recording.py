@@ -16,8 +16,9 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import InputError
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
-from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, look_at
 from push_ident_sim.cell.robot import PUSHER_LENGTH, PUSHER_RADIUS
+from push_ident_sim.cell.sensor_unit import Sensor
+from push_ident_sim.cell.sensors import PLAIN, check_name, suitable_pose
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.sensing import check_rendered, kept_frames, stamp_delay, true_camera
@@ -34,7 +35,6 @@ _LOOK = 2.0
 """The camera films the object for this long before the first push [s]."""
 _TIP_HEIGHT = 0.012
 """Height of the filmed tool above the table [m]."""
-_CAMERA_POSE = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,8 @@ class RecordingSettings:
     noise: CameraNoise = field(default_factory=lambda: CameraNoise(force_std=0.05))
     camera: bool = False
     """Depth images in place of poses; each push then starts where the last one ended, and the tool is a bare rod."""
+    sensor: str = PLAIN
+    """Model of the camera that takes them, one of `SENSOR_NAMES`; its pose is one from which it sees the workspace."""
 
     def __post_init__(self) -> None:
         if self.object_name not in OBJECT_NAMES:
@@ -60,8 +62,11 @@ class RecordingSettings:
         for name, lowest in (("n_pushes", 1), ("model", 0), ("seed", 0)):
             if getattr(self, name) < lowest:
                 raise InputError(f"`{name}` is {getattr(self, name)}, expected at least {lowest}.")
+        check_name(self.sensor)
         if self.camera:
             check_rendered(self.effects)
+        elif self.sensor != PLAIN:
+            raise InputError(f"Sensor {self.sensor} takes depth images, and the bag has poses; ask for a camera as well.")
 
 
 def record_pushes(out: Path, settings: RecordingSettings) -> dict[str, Any]:
@@ -121,11 +126,11 @@ def _film(
     rngs: list[np.random.Generator],
 ) -> None:
     noise, effects = settings.noise, settings.effects
-    camera = DepthCamera(thing, *true_camera(effects, _CAMERA_POSE, INTRINSICS))
-    sensor = DepthNoise()
+    sensor, reported = Sensor(settings.sensor, settings.seed), suitable_pose(settings.sensor)
+    camera = sensor.camera(thing, *true_camera(effects, reported, sensor.intrinsics))
     with BagWriter(out) as writer:
         start = 1.0
-        writer.write_extrinsics(start, _CAMERA_POSE)
+        writer.write_extrinsics(start, reported)
         writer.write_pusher_shape(start, radius, height=PUSHER_LENGTH)
         start += _LOOK
         for number, (motion, rng) in enumerate(zip(motions, rngs, strict=True)):
@@ -137,10 +142,11 @@ def _film(
             for time in times:
                 pose, tool = motion.pose_at(time - begin), motion.pusher_at(time - begin)
                 links = {"hand_pusher": standing_tool(tool)} if begin <= time <= end else {}
-                depth = sensor.apply(camera.render(pose, links), rng)
+                depth = sensor.read(sensor.look(camera, pose, links), rng)
                 stamp = start + time + stamp_delay(effects, float(time))
-                writer.write_camera_info(stamp, INTRINSICS)
-                writer.write_depth(stamp, np.nan_to_num(np.rint(1e3 * depth), nan=0.0).astype(np.uint16))
+                writer.write_camera_info(stamp, sensor.intrinsics)
+                in_millimetres = sensor.encoding == "16UC1"
+                writer.write_depth(stamp, np.nan_to_num(np.rint(1e3 * depth), nan=0.0).astype(np.uint16) if in_millimetres else depth)
             inside = (path.time >= begin) & (path.time <= end)
             for time, position in zip(path.time[inside], path.position[inside], strict=True):
                 writer.write_pusher(start + float(time), position, z=_TIP_HEIGHT)

@@ -11,22 +11,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.errors import PerceptionError, PlanningError
+from push_ident.errors import InputError, PerceptionError, PlanningError
 from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, Perception
-from push_ident.perception.topdown import OCCUPIED
+from push_ident.perception.topdown import OCCUPIED, TopDownGrid
 from push_ident.perception.tracking import TrackStatus
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
-from push_ident_sim.cell.camera import DepthCamera, DepthNoise, look_at
+from push_ident_sim.cell.camera import DepthCamera, View
+from push_ident_sim.cell.sensor_unit import Sensor
+from push_ident_sim.cell.sensors import PLAIN, suitable_pose
 from push_ident_sim.objects import make_object
 from push_ident_sim.studies.common.arm_in_view import ArmInView, first_touch
 from push_ident_sim.studies.common.base import Json
 
 __all__ = ["CAMERA_POSE", "RATE", "cover", "postures_of_pushes", "see_pushes", "views_of_pushes"]
 
-CAMERA_POSE: Final = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
+Seen = View | NDArray[np.float32]
+
+CAMERA_POSE: Final = suitable_pose(PLAIN)
 """Of the simulated cell."""
 RATE: Final = 30.0
 """Frames a second."""
@@ -130,12 +134,15 @@ def _pushes_of_arm(arm: ArmInView, outline: Float64Array, rng: np.random.Generat
     return views, postures_of_pushes(arm, views, outline)
 
 
-def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bool = False) -> Json:
+def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bool = False, sensor: str = PLAIN) -> Json:
     """Errors of perception over a few pushes of one object.
 
     Args:
-        hidden: Share of the object's pixels that is covered once the object is known.
+        hidden: Share of the object's pixels that is covered once the object is known; of the plain sensor only, since nobody knows what
+            shadow that which covers it casts.
         with_arm: The arm that pushes is in the picture; perception gets its true posture.
+        sensor: Model of the camera, at a pose that suits it. Each seed is another unit, and perception gets the pose and the intrinsics
+            that the unit publishes.
 
     Returns:
         `outline_m` (root mean square), `outline_95_m`, `grid_iou`, `occupancy_iou`, and per kind of frame (`rest`, `moving`) lists
@@ -143,26 +150,31 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
         of frames `not_tracked`.
 
     Raises:
+        InputError: No sensor has that name, or the object is to be covered before another sensor than the plain one.
         PerceptionError: The object was not taken in.
         PlanningError: The arm does not reach it.
     """
+    if hidden > 0 and sensor != PLAIN:
+        raise InputError(f"hidden is {hidden} with the sensor {sensor}, expected 0: only the plain one takes a picture that is covered.")
     thing = make_object(object_name, seed)
     rng = np.random.default_rng([seed, len(object_name), int(100 * hidden)])
-    camera, noise = DepthCamera(thing, CAMERA_POSE), DepthNoise()
+    unit, reported = Sensor(sensor, seed), suitable_pose(sensor)
+    camera = unit.camera(thing, reported)
     empty = camera.render((5.0, 5.0, 0.0), {})
-    perception = Perception(CAMERA_POSE)
+    perception = Perception(reported)
     kinds: dict[str, Json] = {k: {"position_m": [], "yaw": [], "squared": [], "hidden": [], "not_tracked": 0} for k in ("rest", "moving")}
     shape: ObjectShape | None = None
     at_first, occupancy = np.zeros(3), None
     arm = ArmInView() if with_arm else None
     views, postures = _pushes_of_arm(arm, thing.outline, rng) if arm else (views_of_pushes(rng), [])
-    for i, (view, depth) in enumerate(_rendered(camera, views)):
-        covered, parts = depth, _NO_PARTS
+    for i, (view, seen) in enumerate(_looked_at(unit, camera, views)):
+        depth, parts = _depth(seen), _NO_PARTS
         if shape is not None and hidden > 0:
-            covered = cover(depth, empty, hidden, rng)
+            seen = cover(depth, empty, hidden, rng)
         elif arm:
-            covered, parts = camera.render(view.pose, arm.link_poses(postures[i])), arm.parts(postures[i])
-        observed = perception.observe(DepthFrame(view.stamp, noise.apply(covered.copy(), rng), camera.intrinsics), parts)
+            seen, parts = unit.look(camera, view.pose, arm.link_poses(postures[i])), arm.parts(postures[i])
+        covered = _depth(seen)
+        observed = perception.observe(DepthFrame(view.stamp, unit.read(seen, rng), unit.intrinsics), parts)
         if shape is None:
             occupancy = observed.occupancy or occupancy
             if observed.new_shapes:
@@ -175,26 +187,39 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
         _note(kind, observed, compose(view.pose, offset))
     if shape is None or occupancy is None:
         raise PerceptionError(f"{object_name} {seed} was not found: {observed.why_no_pose()}.")
-    truth = transform_points(inverse(offset), thing.outline)
+    return _scores(shape, occupancy, transform_points(inverse(offset), thing.outline), transform_points(at_first, thing.outline)) | {
+        "kinds": kinds
+    }
+
+
+def _scores(shape: ObjectShape, occupancy: TopDownGrid, truth: Float64Array, in_table: Float64Array) -> Json:
+    """Errors of the outline and overlaps of areas.
+
+    Args:
+        truth, in_table: True outline in the perceived object frame, and in `table` when the object was taken in [m], shape (n, 2).
+    """
     distance = signed_distance(_dense(shape.outline), truth)
-    area = _cells_of(transform_points(at_first, thing.outline), occupancy.origin, occupancy.resolution, occupancy.occupancy.shape)
+    area = _cells_of(in_table, occupancy.origin, occupancy.resolution, occupancy.occupancy.shape)
+    occupied = occupancy.occupancy == OCCUPIED
     return {
         "outline_m": round(float(np.sqrt(np.mean(distance**2))), 6),
         "outline_95_m": round(float(np.quantile(np.abs(distance), 0.95)), 6),
         "grid_iou": round(_overlap(shape.outline, truth), 4),
-        "occupancy_iou": round(
-            float(np.sum(area & (occupancy.occupancy == OCCUPIED)) / np.sum(area | (occupancy.occupancy == OCCUPIED))), 4
-        ),
-        "kinds": kinds,
+        "occupancy_iou": round(float(np.sum(area & occupied) / np.sum(area | occupied)), 4),
     }
 
 
-def _rendered(camera: DepthCamera, views: list[_View]) -> Iterator[tuple[_View, NDArray[np.float32]]]:
-    depth, pose = None, None
+def _looked_at(unit: Sensor, camera: DepthCamera, views: list[_View]) -> Iterator[tuple[_View, Seen]]:
+    seen, pose = None, None
     for view in views:
-        if depth is None or view.pose is not pose:
-            depth, pose = camera.render(view.pose, {}), view.pose
-        yield view, depth
+        if seen is None or view.pose is not pose:
+            seen, pose = unit.look(camera, view.pose, {}), view.pose
+        yield view, seen
+
+
+def _depth(seen: Seen) -> NDArray[np.float32]:
+    """Without errors [m]."""
+    return seen.depth if isinstance(seen, View) else seen
 
 
 def _note(kind: Json, observed: Observation, expected: Float64Array) -> None:

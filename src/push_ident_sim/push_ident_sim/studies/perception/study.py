@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident_sim.cell.sensors import SENSORS
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, markdown_table, millimetres, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
@@ -24,9 +25,14 @@ __all__ = ["STUDY"]
 _VIEWS: Final[dict[str, dict[str, Any]]] = {"clear": {}, "hidden": {"hidden": 0.4}, "arm": {"with_arm": True}}
 """What occludes the object, by variant."""
 _LABELS: Final = {"clear": "", "hidden": "40 % hidden, ", "arm": "behind the arm, "}
+_SENSOR_MODELS: Final = 3
+"""Ground truths of each object with each model of a sensor: there are many of them."""
 _NOMINAL: Final = 0.9
 _REGION: Final = 6.2514
 """90 % quantile of chi-squared with three degrees of freedom."""
+_KINDS: Final = {"rest": "at rest", "moving": "moving"}
+"""Kinds of frames."""
+_POSE_HEAD: Final = ("position, RMS [mm]", "yaw, RMS [deg]", f"in the {_NOMINAL:.0%} region", "not tracked")
 _LEVELS: Final = {0.1: 0.5844, 0.25: 1.2125, 0.5: 2.3660, 0.75: 4.1083, 0.9: 6.2514, 0.95: 7.8147, 0.99: 11.3449}
 """Quantiles of chi-squared with three degrees of freedom."""
 _PICTURE_WIDTH: Final = 800
@@ -37,6 +43,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         return measure_latency(case.object_name, case.model)
     if case.variant == "recorded":
         return _recorded(settings.recordings)
+    if case.variant in SENSORS:
+        return see_pushes(case.object_name, case.model, sensor=case.variant)
     return see_pushes(case.object_name, case.model, **_VIEWS[case.variant])
 
 
@@ -66,12 +74,14 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     for name, own in [*grouped(rendered, "object_name").items(), *([("all", rendered)] if rendered else [])]:
         summary["objects"][name] = _row(own)
     for variant in _VIEWS:
-        for kind in ("rest", "moving"):
+        for kind in _KINDS:
             squared = [q for r in by_variant.get(variant, []) for q in r.values["kinds"][kind]["squared"]]
             if squared:
                 summary["coverage"][f"{variant}, {kind}"] = {
                     str(level): round(float(np.mean(np.array(squared) < bound)), 4) for level, bound in _LEVELS.items()
                 }
+    if sensors := {name: _sensor_row(by_variant[name]) for name in SENSORS if by_variant.get(name)}:
+        summary["sensors"] = sensors
     for variant in ("latency", "recorded"):
         if by_variant.get(variant):
             summary[variant] = by_variant[variant][0].values
@@ -84,21 +94,37 @@ def _row(results: Sequence[CaseResult]) -> Json:
         row[key] = round(float(pick([r.values[key] for r in results])), 6)
     row["grid_iou_mean"] = round(float(np.mean([r.values["grid_iou"] for r in results])), 4)
     for variant in _VIEWS:
-        for kind in ("rest", "moving"):
+        for kind in _KINDS:
             frames = [r.values["kinds"][kind] for r in results if r.case.variant == variant]
-            errors = {key: [v for f in frames for v in f[key]] for key in ("position_m", "yaw", "squared")}
-            if not errors["squared"]:
-                continue
-            row[f"{variant}_{kind}"] = {
-                "position_m": round(_root_mean_square(errors["position_m"]), 6),
-                "worst_m": round(max(errors["position_m"]), 6),
-                "yaw": round(_root_mean_square(errors["yaw"]), 6),
-                "in_region": round(float(np.mean(np.array(errors["squared"]) < _REGION)), 4),
-                "hidden": round(float(np.mean([share for f in frames for share in f["hidden"]])), 4),
-                "most_hidden": round(max(share for f in frames for share in f["hidden"]), 4),
-                "frames": len(errors["squared"]),
-                "not_tracked": sum(f["not_tracked"] for f in frames),
-            }
+            if any(f["squared"] for f in frames):
+                row[f"{variant}_{kind}"] = _pose_row(frames) | {
+                    "hidden": round(float(np.mean([share for f in frames for share in f["hidden"]])), 4),
+                    "most_hidden": round(max(share for f in frames for share in f["hidden"]), 4),
+                }
+    return row
+
+
+def _pose_row(frames: Sequence[Json]) -> Json:
+    """Errors of the poses of one kind of frames, one entry a case."""
+    errors = {key: [v for f in frames for v in f[key]] for key in ("position_m", "yaw", "squared")}
+    return {
+        "position_m": round(_root_mean_square(errors["position_m"]), 6),
+        "worst_m": round(max(errors["position_m"]), 6),
+        "yaw": round(_root_mean_square(errors["yaw"]), 6),
+        "in_region": round(float(np.mean(np.array(errors["squared"]) < _REGION)), 4),
+        "frames": len(errors["squared"]),
+        "not_tracked": sum(f["not_tracked"] for f in frames),
+    }
+
+
+def _sensor_row(results: Sequence[CaseResult]) -> Json:
+    row: Json = {"cases": len(results)}
+    for key, pick in (("outline_m", _root_mean_square), ("outline_95_m", max), ("grid_iou", np.mean)):
+        row[key] = round(float(pick([r.values[key] for r in results])), 6)
+    for kind in _KINDS:
+        frames = [r.values["kinds"][kind] for r in results]
+        if any(f["squared"] for f in frames):
+            row[kind] = _pose_row(frames)
     return row
 
 
@@ -139,11 +165,28 @@ def _view_tables(summary: Json) -> list[str]:
             ]
             for name, r in summary["objects"].items()
             for variant in _VIEWS
-            for kind, label in (("rest", "at rest"), ("moving", "moving"))
+            for kind, label in _KINDS.items()
             if (key := f"{variant}_{kind}") in r
         ]
         parts.append(markdown_table(head, rows))
     return parts
+
+
+def _sensor_table(summary: Json) -> str:
+    """Errors of outlines and of poses by the model of the sensor."""
+    head = ["sensor", "cases", "outline, RMS [mm]", "95 % of it within, worst case [mm]", "grid IoU"]
+    head += [f"{what}, {label}" for label in _KINDS.values() for what in _POSE_HEAD]
+    rows = []
+    for name, row in summary["sensors"].items():
+        cells = [name, str(row["cases"]), millimetres(row["outline_m"]), millimetres(row["outline_95_m"]), f"{row['grid_iou']:.3f}"]
+        for kind in _KINDS:
+            if poses := row.get(kind):
+                cells += [millimetres(poses["position_m"]), f"{np.degrees(poses['yaw']):.2f}", f"{poses['in_region']:.0%}"]
+                cells.append(f"{poses['not_tracked']} of {poses['frames'] + poses['not_tracked']}")
+            else:
+                cells += ["–"] * len(_POSE_HEAD)
+        rows.append(cells)
+    return markdown_table(head, rows)
 
 
 def _scene_table(summary: Json) -> str:
@@ -177,6 +220,8 @@ def _latency_table(summary: Json) -> str:
 
 def _tables(summary: Json) -> str:
     parts = _view_tables(summary)
+    if "sensors" in summary:
+        parts.append(_sensor_table(summary))
     if "recorded" in summary:
         parts.append(_scene_table(summary))
     if "latency" in summary:
@@ -226,11 +271,14 @@ STUDY = Experiment(
         "arm is in the picture: its fist touches the outline on the side it pushes from, moves with the object, and waits for 0.13 s "
         "before and after; pushes out of its reach are drawn again; perception knows its joint positions, without error. The outline "
         "is compared with the true one, its cells as the overlap of the areas (IoU). Position errors count both axes together; the "
-        "object frame is that of the first detection. The recorded scenes come from a Kinect, with labels by others; an object counts "
+        "object frame is that of the first detection. With each model of a sensor, the same in full view: the camera stands where the "
+        "sensor sees the workspace, each ground truth is another unit, and perception gets the pose and intrinsics that the unit "
+        "publishes, not its own. The recorded scenes come from a Kinect, with labels by others; an object counts "
         "as found from an IoU of 0.5 with its best segment, both in the view from above. Delays are measured between processes, the "
         "node on one core."
     ),
-    variants=(*_VIEWS, "recorded", "latency"),
+    variants=(*_VIEWS, *SENSORS, "recorded", "latency"),
+    fewer=dict.fromkeys(SENSORS, _SENSOR_MODELS),
     run=_run,
     summarise=_summarise,
     tables=_tables,
