@@ -28,6 +28,7 @@ __all__ = [
     "place_points",
     "points_in_rods",
     "project_down",
+    "scores_of_squares",
     "read_only",
 ]
 
@@ -262,6 +263,41 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
         square_at_edge / n_at_edge if n_at_edge else 1.0,
         n_contradicting / n_off_edge if n_off_edge else 1.0,
     )
+
+
+@kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, _REAL, _REAL)
+def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, width: Any, cell: Any) -> Any:
+    """The sums of `compare_lines` over squares of the object instead of over all lines of sight.
+
+    Args:
+        upper, lower, stopped: As in `LinesOfSight`.
+        width: Width s of the expected step [m].
+        cell: Edge of a square, object frame [m].
+
+    Returns:
+        J'J, shape (n_squares, 3, 3), and J'r, shape (n_squares, 3), of the lines in each square, J the derivative of the expected by the
+        pose; zero in squares without lines.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    values, origin, edge = field
+    rows, columns = int(values.shape[0] * edge / cell) + 1, int(values.shape[1] * edge / cell) + 1
+    normal, gradient = np.zeros((rows * columns, 3, 3)), np.zeros((rows * columns, 3))
+    slope = np.empty(3)
+    for i in range(len(upper)):
+        x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        distance, along_x, along_y = _bilinear(field, row, column)
+        expected = 1.0 / (1.0 + math.exp(distance / width))
+        steepness = expected * (1.0 - expected) / width
+        slope[0] = steepness * (cos * along_x - sin * along_y)
+        slope[1] = steepness * (sin * along_x + cos * along_y)
+        slope[2] = -steepness * (along_x * y - along_y * x)
+        u = min(max(int((x - origin[0]) / cell), 0), columns - 1)
+        v = min(max(int((y - origin[1]) / cell), 0), rows - 1)
+        for j in range(3):
+            gradient[v * columns + u, j] += slope[j] * (stopped[i] - expected)
+            for k in range(3):
+                normal[v * columns + u, j, k] += slope[j] * slope[k]
+    return normal, gradient
 
 
 @kernel(_IMAGE, _POINTS, _REALS)

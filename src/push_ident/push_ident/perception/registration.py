@@ -54,12 +54,20 @@ class _Candidate:
     segment: Segment
     frames: list[DepthFrame]
     """Those since the last try, at most `rest_frames`."""
+    centres: list[Float64Array]
+    """Middle of the segment in each of them [m], shape (2,)."""
     waited: int = 1
     """Frames since the last try."""
     wait: int = 1
     """Frames until the next try, in units of `rest_frames`."""
     failure: str = ""
     """Why the last try gave no shape."""
+
+    def is_continued_by(self, segment: Segment, frame: DepthFrame, rest_distance: float) -> bool:
+        """Whether the segment has the place and the size of this candidate; noise moves the middle of a segment by up to a pixel."""
+        pixel = float(np.nanmedian(frame.depth[segment.rows, segment.columns][segment.mask])) / frame.intrinsics.fx
+        moved = float(np.linalg.norm(segment.centre - np.mean(self.centres, axis=0)))
+        return moved < max(rest_distance, pixel) and abs(segment.area - self.segment.area) < _SAME_AREA * segment.area
 
 
 @dataclass(slots=True)
@@ -118,11 +126,11 @@ class Registration:
     def _continued(self, segment: Segment, frame: DepthFrame, settings: PerceptionSettings) -> _Candidate:
         """The candidate at the place of the segment with this frame added, or a new one."""
         for candidate in self._candidates:
-            moved = float(np.linalg.norm(segment.centre - candidate.segment.centre))
-            if moved < settings.rest_distance and abs(segment.area - candidate.segment.area) < _SAME_AREA * segment.area:
+            if candidate.is_continued_by(segment, frame, settings.rest_distance):
                 frames = [*candidate.frames, frame][-settings.rest_frames :]
-                return _Candidate(segment, frames, candidate.waited + 1, candidate.wait, candidate.failure)
-        return _Candidate(segment, [frame])
+                centres = [*candidate.centres, segment.centre][-settings.rest_frames :]
+                return _Candidate(segment, frames, centres, candidate.waited + 1, candidate.wait, candidate.failure)
+        return _Candidate(segment, [frame], [segment.centre])
 
     def _shape_of(self, candidate: _Candidate, camera: Float64Array, plane: TablePlane, settings: PerceptionSettings) -> TracedObject:
         """Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen."""

@@ -30,7 +30,7 @@ class PerceptionSettings:
     rest_frames: int = 10
     """Frames at rest before an object is registered; their median gives its shape."""
     rest_distance: float = 0.002
-    """An object whose centre moves less than this between frames is at rest [m]."""
+    """An object whose middle stays this near to its mean over the frames before, or within a pixel of it, is at rest [m]."""
     cell_count: int = 80
     """Approximate number of cells per object."""
     grid_resolution: float = 0.002

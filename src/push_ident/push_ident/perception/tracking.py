@@ -31,6 +31,7 @@ from push_ident.perception.kernels import (
     interpolate,
     intersect_object,
     nearest_values,
+    scores_of_squares,
 )
 from push_ident.perception.labels import RobotPart, in_robot
 from push_ident.perception.shape import TracedObject, unmeasured_areas
@@ -71,9 +72,8 @@ _START_DEVIATION: Final = (0.002, 0.002, 0.03)
 """... and its standard deviations are smaller [m, m, rad]."""
 _FLOOR: Final = (6e-5, 6e-5, 3e-4)
 """Least standard deviations of a pose [m, m, rad]: errors of outline and calibration, which no residual shows."""
-_COHERENCE: Final = 1.4
-"""Factor on the covariance: neighbouring pixels share an error of the outline and are not independent. Measured with `push-ident
-experiment perception` on other seeds than it reports."""
+_SQUARE: Final = 0.02
+"""Edge of the squares of the object within which residuals may be correlated [m]: the window of a matcher is 7 to 9 px, 10 to 20 mm."""
 _MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
 """A pose with larger standard deviations is not used [m, m, rad]."""
 _SHY: Final = 0.005
@@ -218,8 +218,9 @@ def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     assert lines is not None and comparison is not None
     share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_uninformative)
     share_contradicting = comparison.share_contradicting
-    independent = np.linalg.inv(comparison.normal + 1e-6 * np.diag([1.0, 1.0, 1e-4]))
-    covariance = _COHERENCE * comparison.edge_variance * independent + np.diag(np.square(_FLOOR))
+    normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
+    covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(_FLOOR))
+    covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
     status = TrackStatus.TRACKED
     if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
         status = TrackStatus.POOR_FIT
@@ -369,6 +370,27 @@ def _gauss_newton(
         if np.hypot(step[0], step[1]) < 2e-5 and abs(step[2]) < 2e-4:
             break
     return pose, _compare(template, lines, pose, width)
+
+
+def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
+    """Covariance of the pose from fits without one square of the object each, shape (3, 3).
+
+    Residuals within a square may be correlated in any way: those of an edge that a sensor displaces over a whole window, and of errors of
+    the outline, are. Delete-a-group jackknife, linear in the residuals (Efron & Stein, "The jackknife estimate of variance", 1981).
+    """
+    squares, gradient = scores_of_squares(template.field, lines.upper, lines.lower, lines.stopped, pose, _LEVELS[-1][0], _SQUARE)
+    used = np.trace(squares, axis1=1, axis2=2) > 0
+    n = int(np.count_nonzero(used))
+    moved = np.linalg.solve(normal - squares[used], gradient[used][..., None])[..., 0]
+    return np.asarray((n - 1) / max(n, 1) * moved.T @ moved)
+
+
+def _at_least(covariance: Float64Array, other: Float64Array) -> Float64Array:
+    """The smallest covariance that is nowhere below the first, and along the axes of the first not below the second either."""
+    factor = np.linalg.cholesky(covariance)
+    inverse = np.linalg.inv(factor)
+    values, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    return np.asarray(factor @ (axes * np.maximum(values, 1.0)) @ axes.T @ factor.T)
 
 
 def _failed(status: TrackStatus, pose: Float64Array, lines: LinesOfSight | None = None) -> PoseFit:
