@@ -39,7 +39,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.perception.extrinsics import pose_lines
+from push_ident.perception.parameter_file import pose_lines
 from push_ident.types import DepthFrame
 
 pytestmark = pytest.mark.alone
