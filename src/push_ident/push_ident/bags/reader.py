@@ -20,7 +20,7 @@ from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["BagContents", "ObjectTrack", "Samples", "read_bag"]
+__all__ = ["BagContents", "DepthRecording", "ObjectTrack", "Samples", "read_bag", "read_depth"]
 
 _MAX_JUMP_BACK: Final = 1_000_000_000
 """Stamps may run backwards by less than this [ns] (late delivery); a larger jump means that a clock was reset."""
@@ -98,6 +98,22 @@ class BagContents:
             yield from _depth_frames(bag, self.origin_ns, self.notes)
 
 
+@dataclass(frozen=True, slots=True)
+class DepthRecording:
+    """The depth images of a bag, whatever else it has or lacks."""
+
+    path: Path
+    camera_in_table: Float64Array | None
+    """Pose of the optical frame in `table`, homogeneous, shape (4, 4), where the bag has it."""
+    notes: list[str] = field(default_factory=list)
+    """Images that are not usable, and what else was left out."""
+
+    def frames(self) -> Iterator[DepthFrame]:
+        """As `BagContents.depth_frames`; stamps are seconds since 1970 or since the start of the clock [s]."""
+        with open_bag(self.path) as bag:
+            yield from _depth_frames(bag, 0, self.notes)
+
+
 @dataclass(slots=True)
 class _Recorded:
     """The recorded data of one topic."""
@@ -127,6 +143,21 @@ def read_bag(path: Path) -> BagContents:
         n_depth = sum(c.msgcount for role, connections in by_role.items() if role.role is Role.DEPTH for c in connections)
         recorded = _read(bag, wanted)
         return _contents(path, topics, recorded, sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES}), n_depth, notes)
+
+
+def read_depth(path: Path) -> DepthRecording:
+    """The depth images of a bag that need not have poses or a pusher.
+
+    Raises BagError for anything that is no bag, or one without depth images.
+    """
+    path = Path(path)
+    notes: list[str] = []
+    with open_bag(path) as bag:
+        by_role = _connections_by_role(bag, notes)
+        if not sum(topic.msgcount for topic in by_role.get(TopicRole(Role.DEPTH), [])):
+            _fail_for_missing(path, bag.counts(), [Role.DEPTH])
+        static = {role: topics for role, topics in by_role.items() if role.role is Role.TF_STATIC}
+        return DepthRecording(path, _camera_in_table(_read(bag, static), notes) if static else None, notes)
 
 
 _Stamped = tuple[np.ndarray[Any, np.dtype[np.int64]], Float64Array]

@@ -20,6 +20,7 @@ from push_ident.cli.fuzz import fuzz_command
 from push_ident.cli.identify import identify_command
 from push_ident.cli.importing import import_app
 from push_ident.cli.live import doctor_command, replay_command, up_command
+from push_ident.cli.look import look_command
 from push_ident.cli.output import console, warn
 from push_ident.cli.predict import predict_command
 from push_ident.cli.simulate import simulate_command
@@ -43,6 +44,7 @@ def _options(
     """Identify mass and friction of an unknown object by pushing it."""
 
 
+app.command("look")(look_command)
 app.command("identify")(identify_command)
 app.command("predict")(predict_command)
 app.command("diagnose")(diagnose_command)

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
 
 from push_ident.errors import InputError, PerceptionError
-from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
+from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.convert import TABLE_FRAME
 from push_ident.nodes.parameters import Parameter
 from push_ident.perception.calibration import Calibration, Mark, calibrate
+from push_ident.perception.parameter_file import POSITION, QUATERNION
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "mark_of", "pose_lines", "pose_rows"]
-
-_POSITION: Final = "camera_position"
-_QUATERNION: Final = "camera_quaternion"
+__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "mark_of", "pose_rows"]
 
 
 def pose_rows(name: str) -> tuple[Parameter, Parameter]:
     """Parameters for the pose of the further camera `name`; their defaults are no pose."""
     return (
         Parameter(
-            f"{name}.{_POSITION}",
+            f"{name}.{POSITION}",
             [0.0, 0.0, 0.0],
             "optical frame of this further camera in the table frame, x y z [m]",
             -10.0,
@@ -33,21 +31,13 @@ def pose_rows(name: str) -> tuple[Parameter, Parameter]:
             read_only=True,
         ),
         Parameter(
-            f"{name}.{_QUATERNION}",
+            f"{name}.{QUATERNION}",
             [0.0, 0.0, 0.0, 0.0],
             "its orientation, x y z w; zeros: not known, needed with extrinsics parameters",
             -1.0,
             1.0,
             read_only=True,
         ),
-    )
-
-
-def pose_lines(pose: Float64Array, prefix: str = "") -> tuple[str, str]:
-    """The two lines of a parameter file that give a camera pose, shape (4, 4): as `FromParameters` reads them."""
-    return (
-        f"{prefix}{_POSITION}: {[round(float(value), 6) for value in pose[:3, 3]]}",
-        f"{prefix}{_QUATERNION}: {[round(value, 8) for value in quaternion_of_pose(pose)]}",
     )
 
 
@@ -93,9 +83,9 @@ class FromParameters(Extrinsics):
             InputError: They give none.
         """
         try:
-            self._pose = pose_of_quaternion(values[prefix + _POSITION], values[prefix + _QUATERNION])
+            self._pose = pose_of_quaternion(values[prefix + POSITION], values[prefix + QUATERNION])
         except InputError as error:
-            raise InputError(f"{error} Give {prefix}{_POSITION} and {prefix}{_QUATERNION}, or choose other extrinsics.") from None
+            raise InputError(f"{error} Give {prefix}{POSITION} and {prefix}{QUATERNION}, or choose other extrinsics.") from None
 
     def find(self, frame: DepthFrame) -> Float64Array | None:
         """At once."""

@@ -22,9 +22,7 @@ _SETTINGS: Final = (
     Parameter("min_step", _DEFAULTS.min_step, "surfaces that meet at a higher step are two objects [m]", 0.002, 1.0),
     Parameter("mask_margin", _DEFAULTS.mask_margin, "added to tool and arm when they are masked [m]", 0.0, 0.1),
     Parameter("rest_frames", _DEFAULTS.rest_frames, "frames at rest before an object is accepted", 1, 300),
-    Parameter(
-        "rest_distance", _DEFAULTS.rest_distance, "an object that stays this near, or within a pixel, is at rest [m]", 1e-4, 0.05
-    ),
+    Parameter("rest_distance", _DEFAULTS.rest_distance, "an object that stays this near, or within a pixel, is at rest [m]", 1e-4, 0.05),
     Parameter("cell_count", _DEFAULTS.cell_count, "cells aimed at per object", 1, 2000),
     Parameter("grid_resolution", _DEFAULTS.grid_resolution, "edge of a cell of the workspace occupancy [m]", 5e-4, 0.1),
     Parameter("occupancy_period", _DEFAULTS.occupancy_period, "between two workspace occupancies [s]", 0.05, 60.0),

@@ -41,12 +41,13 @@ from push_ident.nodes.convert import (
 from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.depth_input import DepthInput
-from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_lines, pose_rows
+from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.nodes.run import run_node
 from push_ident.nodes.stamps import StampCheck
 from push_ident.perception.labels import RobotPart
+from push_ident.perception.parameter_file import pose_lines
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
 from push_ident.perception.refusals import Refusal
 from push_ident.perception.robot_history import RobotHistory

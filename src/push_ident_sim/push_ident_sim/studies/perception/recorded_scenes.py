@@ -9,19 +9,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.offline.depth_images import read_cloud
 from push_ident.perception.calibration import camera_over_table, table_extent
 from push_ident.perception.depth import points_in_table
 from push_ident.perception.labels import label_pixels
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame
+from push_ident.types import BoolArray, DepthFrame
 from push_ident_sim.studies.common.base import Json
 
 __all__ = ["Scene", "find_objects", "picture_of", "read_scene", "scene_files"]
@@ -58,23 +59,10 @@ def read_scene(path: Path) -> Scene:
     Raises:
         InputError: It cannot be read, or is no labelled, organised cloud.
     """
-    import open3d
-
-    try:
-        with path.open("rb") as file:
-            head = file.read(2048).split(b"DATA", 1)[0].decode("ascii", "replace").splitlines()
-        words = {line.split()[0]: line.split()[1:] for line in head if line and not line.startswith("#")}
-        width, height = int(words["WIDTH"][0]), int(words["HEIGHT"][0])
-    except (OSError, KeyError, IndexError, ValueError) as error:
-        raise InputError(f"{path} is no PCD file that can be read ({error}).") from None
-    cloud: Any = open3d.t.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
-    if "label" not in cloud.point or height < 2 or len(cloud.point["positions"]) != width * height:
-        raise InputError(f"{path} is {width} x {height} points without labels or not organised, expected an image with a field `label`.")
-    points = cloud.point["positions"].numpy().reshape(height, width, 3).astype(np.float64)
-    label = cloud.point["label"].numpy().reshape(height, width).astype(np.int64)
-    depth = points[..., 2].astype(np.float32)
-    depth[~(depth > 0)] = np.nan
-    return Scene(DepthFrame(0.0, depth, _intrinsics(points, depth)), label)
+    cloud = read_cloud(path)
+    if cloud.label is None:
+        raise InputError(f"{path} is a cloud without labels, expected a field `label`.")
+    return Scene(cloud.frame, cloud.label)
 
 
 def find_objects(scene: Scene) -> tuple[Json, list[Segment]]:
@@ -121,16 +109,3 @@ def _from_above(points: NDArray[np.float32], reach: NDArray[np.float64]) -> Bool
     mask = np.zeros((rows, columns), dtype=np.uint8)
     mask[index[inside, 1], index[inside, 0]] = 1
     return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0)
-
-
-def _intrinsics(points: NDArray[np.float64], depth: NDArray[np.float32]) -> CameraIntrinsics:
-    """Least squares of u = f x/z + c over the pixels with a measurement, and the same for v."""
-    height, width = depth.shape
-    measured = np.isfinite(depth)
-    v, u = np.nonzero(measured)
-    lines = []
-    for pixel, side in ((u, 0), (v, 1)):
-        ratio = points[..., side][measured] / points[..., 2][measured]
-        lines.append(np.polyfit(ratio, pixel, 1))
-    (fx, cx), (fy, cy) = lines
-    return CameraIntrinsics(width, height, float(fx), float(fy), float(cx), float(cy))

@@ -1,0 +1,159 @@
+"""`push-ident look`: what a depth camera sees of a table, without a number given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from rich.table import Table
+
+from push_ident.bags.reader import read_depth
+from push_ident.cli.identify import CameraOption, read_camera
+from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
+from push_ident.errors import InputError, PerceptionError
+from push_ident.files import write_whole
+from push_ident.offline.depth_images import DepthImages
+from push_ident.perception.parameter_file import parameter_text
+from push_ident.perception.scale_check import KnownSize, ScaleCheck, check_scale
+from push_ident.perception.survey import Survey, frames_at_rest, survey_frames
+from push_ident.perception.survey_json import survey_json
+from push_ident.perception.survey_page import table_sentence, write_survey_page
+from push_ident.perception.survey_picture import draw_survey, is_small, png_of, size_text
+from push_ident.types import DepthFrame, Float64Array
+
+__all__ = ["look_command"]
+
+_BAGS: Final = (".mcap", ".db3", ".bag")
+"""Suffixes of the files of a bag."""
+_FILES: Final = ("look.html", "look.png", "perception.yaml")
+
+
+def look_command(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A bag with depth images, a folder of depth images (16-bit PNG, 32-bit TIFF, .npy, organised PCD), or one of them.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for picture, page and parameter file.")] = Path("out/look"),
+    json: JsonOption = None,
+    camera: CameraOption = None,
+    intrinsics: Annotated[
+        str,
+        typer.Option(
+            metavar="FX,FY,CX,CY",
+            help="Of the images of a folder, in pixels. Default: its camera_info.yaml, or the points of a PCD.",
+            show_default=False,
+        ),
+    ] = "",
+    depth_unit: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.", show_default=False),
+    ] = None,
+    known: Annotated[
+        str,
+        typer.Option(
+            metavar="WxDxH",
+            help="Size in metres of a box, or of the legs of a right-angled mark, on the table: checks focal length and depth scale. "
+            "The height may be left out.",
+            show_default=False,
+        ),
+    ] = "",
+) -> None:
+    """Find table, noise and objects in depth images, without any setting, and say what is refused and why."""
+    size, given = _known(known), read_camera(camera)
+    if depth_unit is not None and not 0 < depth_unit < 1000:
+        raise InputError(f"--depth-unit is {depth_unit:g}, expected metres per unit, such as 0.001 for millimetres.")
+    with console.status("reading"):
+        frames, in_bag, notes = _read(source, _intrinsics(intrinsics), depth_unit)
+        survey = survey_frames(frames, in_bag if given is None else given, notes)
+        check: ScaleCheck | None = None
+        unchecked: PerceptionError | None = None
+        if size is not None:
+            try:
+                check = check_scale(survey, size)
+            except PerceptionError as error:
+                unchecked = error
+    parameters, png = parameter_text(survey, source.name), png_of(draw_survey(survey))
+    write_whole(out / "look.png", png, "the picture")
+    write_whole(out / "perception.yaml", parameters, "the parameters")
+    write_survey_page(out / "look.html", survey, source.name, png, parameters, check or (str(unchecked) if unchecked else None))
+    if json is not None:
+        write_json(json, survey_json(survey, check))
+    _show(survey, check)
+    console.print(f"written: {', '.join(str(out / name) for name in _FILES)}", highlight=False, soft_wrap=True)
+    if unchecked is not None:
+        raise unchecked
+    if survey.failure:
+        raise PerceptionError(survey.failure)
+
+
+def _read(
+    source: Path, intrinsics: tuple[float, float, float, float] | None, unit: float | None
+) -> tuple[list[DepthFrame], Float64Array | None, list[str]]:
+    """Frames at rest, the pose of the camera where the bag has it, and notes. Raises BagError, InputError or FrameError."""
+    if not _is_bag(source):
+        images = DepthImages(source, intrinsics, unit)
+        frames, passed = frames_at_rest(images.frames())
+        return frames, None, [*images.skipped, passed]
+    if intrinsics is not None or unit is not None:
+        raise InputError(f"{source} is a bag, which has intrinsics and unit of its images; leave out --intrinsics and --depth-unit.")
+    recording = read_depth(source)
+    frames, passed = frames_at_rest(recording.frames())
+    return frames, recording.camera_in_table, [*recording.notes, passed]
+
+
+def _is_bag(source: Path) -> bool:
+    if source.is_dir():
+        return (source / "metadata.yaml").exists() or any(path.suffix in _BAGS for path in source.iterdir())
+    return source.suffix in _BAGS
+
+
+def _intrinsics(text: str) -> tuple[float, float, float, float] | None:
+    if not text:
+        return None
+    try:
+        fx, fy, cx, cy = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--intrinsics is `{text}`, expected four numbers fx,fy,cx,cy in pixels, such as 600,600,319.5,239.5.") from None
+    return fx, fy, cx, cy
+
+
+def _known(text: str) -> KnownSize | None:
+    if not text:
+        return None
+    try:
+        width, depth, *height = (float(word) for word in text.lower().split("x"))
+        (first,) = height or (None,)
+    except ValueError:
+        raise InputError(f"--known is `{text}`, expected width x depth x height in metres, such as 0.2x0.1x0.05.") from None
+    return KnownSize(width, depth, first)
+
+
+def _show(survey: Survey, check: ScaleCheck | None) -> None:
+    """Print what was found."""
+    for note in survey.notes:
+        warn(f"note: {note}")
+    console.print(table_sentence(survey), highlight=False, soft_wrap=True)
+    table = Table(title="noise of a height on the table")
+    for heading in ("distance", "points", "deviation", "systematic"):
+        table.add_column(heading, justify="right")
+    for band in survey.bands:
+        table.add_row(
+            f"{band.near:g} to {band.far:g} m", str(band.n_points), f"{1e3 * band.deviation:.2f} mm", f"{1e3 * band.median:+.2f} mm"
+        )
+    console.print(table)
+    for own in survey.objects:
+        console.print(f"{own.object_id}: {size_text(own)}, {own.distance:.2f} m away", highlight=False, soft_wrap=True)
+    if not survey.objects and not survey.failure:
+        console.print(f"no object: {survey.why_no_object}", highlight=False, soft_wrap=True)
+    listed = [refusal for refusal in survey.refused if not is_small(refusal)]
+    for number, refusal in enumerate(listed, start=1):
+        console.print(f"{number}, {millimetres(refusal.height)} high, is no object: {refusal.why}", highlight=False, soft_wrap=True)
+    if n_small := len(survey.refused) - len(listed):
+        console.print(f"{n_small} {'patch' if n_small == 1 else 'patches'} smaller than min_object_area", highlight=False, soft_wrap=True)
+    if check is not None:
+        console.print(check.sentence, highlight=False, soft_wrap=True)
