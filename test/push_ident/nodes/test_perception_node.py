@@ -41,7 +41,6 @@ from push_ident.nodes.convert import (
     stamp_to_msg,
 )
 from push_ident.nodes.convert_refusals import refusals_from_msg
-from push_ident.nodes.perception.extrinsics import pose_lines
 from push_ident.perception.parameter_file import pose_lines
 from push_ident.types import DepthFrame
 

@@ -216,14 +216,14 @@ class Perception:
         occupancy = None
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
-            labels = label_pixels(points, robot, self._limits)
+            labels = label_pixels(points, robot, self.limits)
             if search_due:
                 found, new = self._search(frame, points, labels, robot)
                 fits.update(found)
                 new_shapes = self._announce() | {self._add(thing, frame.stamp): thing.traced.shape for thing in new}
                 further_views = self._registration.further_views
             if occupancy_due:
-                occupancy = top_down(points, labels, self._limits)
+                occupancy = top_down(points, labels, self.limits)
                 self._last_occupancy = frame.stamp
                 self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
@@ -231,8 +231,8 @@ class Perception:
         return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted)
 
     @property
-    def _limits(self) -> PerceptionSettings:
-        """The settings, with a least height of objects that the noise of the table allows."""
+    def limits(self) -> PerceptionSettings:
+        """The settings in force: with a least height of objects that the noise of the table allows."""
         assert self._plane is not None
         return replace(self.settings, min_object_height=max(self.settings.min_object_height, self._plane.least_height))
 
@@ -315,7 +315,7 @@ class Perception:
         """Look for lost and new objects in the whole image; fits of the objects found again, and the new ones."""
         assert self._plane is not None
         self._last_search = frame.stamp
-        segments, counts = find_segments(frame, points, labels, self._limits)
+        segments, counts = find_segments(frame, points, labels, self.limits)
         unexplained = [segment for segment in segments if not self._explained(segment, points)]
         found: dict[str, PoseFit] = {}
         for name, known in self._tracked.items():
@@ -327,7 +327,7 @@ class Perception:
                 found[name] = fit
                 unexplained = [segment for segment in unexplained if not self._explained(segment, points)]
         whole = [segment for segment in unexplained if segment.whole]
-        new, waiting = self._registration.update(whole, frame, points, self._camera, self._plane, self._limits)
+        new, waiting = self._registration.update(whole, frame, points, self._camera, self._plane, self.limits)
         cut = [refusal_of(segment, points, segment.fault) for segment in unexplained if segment.fault is not None]
         self._refused = (*cut, *waiting)
         table, on_robot = int(np.count_nonzero(labels == TABLE)), int(np.count_nonzero(labels == ROBOT))

@@ -205,7 +205,8 @@ def _agreed(given: Float64Array | None, found: Float64Array, noise: float) -> tu
             found,
             False,
             f"the given camera pose is not used: the table is {np.degrees(tilt):.1f} degrees and {offset * 1e3:.0f} mm from its "
-            f"place there, expected at most {np.degrees(_MAX_CORRECTION[0]):.1f} degrees and {_MAX_CORRECTION[1] * 1e3:.0f} mm are expected; calibrate anew",
+            f"place there, expected at most {np.degrees(_MAX_CORRECTION[0]):.1f} degrees and {_MAX_CORRECTION[1] * 1e3:.0f} mm; "
+            "calibrate anew",
         )
     slope = (float(-normal[0] / normal[2]), float(-normal[1] / normal[2]))
     note = f"the plane corrects the given pose of the camera by {np.degrees(tilt):.2f} degrees and {offset * 1e3:.1f} mm"

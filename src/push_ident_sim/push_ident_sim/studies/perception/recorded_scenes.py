@@ -16,21 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.geometry.se2 import transform_points
 from push_ident.offline.depth_images import read_cloud
 from push_ident.perception.calibration import camera_over_table, table_extent
 from push_ident.perception.depth import points_in_table
 from push_ident.perception.labels import label_pixels
+from push_ident.perception.pipeline import Perception
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.types import BoolArray, DepthFrame
+from push_ident.perception.tracking import TrackStatus
+from push_ident.types import BoolArray, DepthFrame, Float64Array
 from push_ident_sim.studies.common.base import Json
 
 __all__ = ["Scene", "find_objects", "picture_of", "read_scene", "scene_files"]
 
-_TABLE_LABEL: Final = 1
 _SURFACES: Final = 10
-_TALLEST: Final = 0.5
-"""Largest height of objects in these scenes [m]; they contain no robot."""
+"""Labels from here on are objects; lower ones are the table and its parts."""
+_FRAME_PERIOD: Final = 0.3
+"""Between two copies of the one frame of a scene [s]: longer than between two searches."""
 _AROUND: Final = 0.3
 """Margin around the table that is searched [m]."""
 _CELL: Final = 0.005
@@ -66,26 +69,58 @@ def read_scene(path: Path) -> Scene:
 
 
 def find_objects(scene: Scene) -> tuple[Json, list[Segment]]:
-    """Segments over the plane of the table, and how each labelled object fits its best one.
+    """What perception with its defaults makes of a scene, and how each labelled object fits its best segment and shape.
 
     Returns:
-        `objects`: per label (its tens) `label, iou` and `found`, `n_segments`, `table_noise_m`; and the segments.
+        `objects`: per label (its tens) `label`, `iou` and `found` of the best segment, and `shape_iou` of the best shape (0 without);
+        `n_segments`, `table_noise_m`, `n_shapes` taken in and `n_wrong_shapes`, those that are followed and fit no object; and the
+        segments.
     """
     frame = scene.frame
     camera, noise, _ = camera_over_table(frame)
     low, high = table_extent(frame, camera, noise)
-    settings = PerceptionSettings(workspace_low=low, workspace_high=high, max_object_height=_TALLEST)
+    settings = PerceptionSettings(workspace_low=low, workspace_high=high)
+    perception = Perception(camera, settings)
+    shapes, followed = _taken_in(perception, frame)
+    camera = perception.camera_in_table
     points = points_in_table(frame, camera)
-    segments, counts = find_segments(frame, points, label_pixels(points, (), settings), settings)
+    segments, counts = find_segments(frame, points, label_pixels(points, (), perception.limits), perception.limits)
     reach = np.array([*np.subtract(low, _AROUND), *np.add(high, _AROUND)])
     masks = [_from_above(points[s.rows, s.columns][s.mask], reach) for s in segments]
-    rows = []
-    for number in sorted({int(value) // _SURFACES for value in np.unique(scene.label) if value > _TABLE_LABEL}):
-        own = (scene.label // _SURFACES == number) & (scene.label > _TABLE_LABEL) & np.isfinite(frame.depth)
-        mask = _from_above(points[own], reach)
-        iou = max((float(np.sum(mask & other) / np.sum(mask | other)) for other in masks), default=0.0)
-        rows.append({"label": number * _SURFACES, "iou": round(iou, 4), "found": iou >= _FOUND})
-    return {"objects": rows, "n_segments": counts["segments"], "table_noise_m": round(noise, 6)}, segments
+    areas = {name: _inside(outline, reach) for name, outline in shapes.items()}
+    rows, best_of = [], dict.fromkeys(shapes, 0.0)
+    for number in sorted({int(value) // _SURFACES for value in np.unique(scene.label) if value >= _SURFACES}):
+        mask = _from_above(points[(scene.label // _SURFACES == number) & np.isfinite(frame.depth)], reach)
+        iou = max((_overlap(mask, other) for other in masks), default=0.0)
+        overlaps = {name: _overlap(mask, area) for name, area in areas.items()}
+        best_of = {name: max(best_of[name], overlap) for name, overlap in overlaps.items()}
+        shape_iou = max(overlaps.values(), default=0.0)
+        rows.append({"label": number * _SURFACES, "iou": round(iou, 4), "found": iou >= _FOUND, "shape_iou": round(shape_iou, 4)})
+    summary = {"objects": rows, "n_segments": counts["segments"], "table_noise_m": round(noise, 6), "n_shapes": len(shapes)}
+    return summary | {"n_wrong_shapes": sum(best < _FOUND and name in followed for name, best in best_of.items())}, segments
+
+
+def _taken_in(perception: Perception, frame: DepthFrame) -> tuple[dict[str, Float64Array], set[str]]:
+    """Outlines [m], shape (n, 2), table frame, of the objects that perception makes of a frame at rest, and which of them it follows."""
+    outlines: dict[str, Float64Array] = {}
+    followed: set[str] = set()
+    for i in range(perception.settings.rest_frames + 2):
+        observation = perception.observe(DepthFrame(_FRAME_PERIOD * i, frame.depth, frame.intrinsics, frame.frame_id))
+        outlines |= {name: transform_points(perception.first_pose(name), shape.outline) for name, shape in observation.new_shapes.items()}
+        followed = {known.object_id for known in observation.objects if known.status is TrackStatus.TRACKED}
+    return outlines, followed
+
+
+def _overlap(mask: BoolArray, other: BoolArray) -> float:
+    return float(np.sum(mask & other) / np.sum(mask | other))
+
+
+def _inside(outline: Float64Array, reach: NDArray[np.float64]) -> BoolArray:
+    """Cells whose middle lies inside an outline [m], shape (n, 2)."""
+    columns, rows = (int(n) for n in np.ceil((reach[2:] - reach[:2]) / _CELL))
+    mask = np.zeros((rows, columns), dtype=np.uint8)
+    cv2.fillPoly(mask, [np.rint(((outline - reach[:2]) / _CELL - 0.5) * 16).astype(np.int32)], 1, shift=4)
+    return np.asarray(mask > 0)
 
 
 def picture_of(scene: Scene, segments: list[Segment]) -> NDArray[np.uint8]:
@@ -94,7 +129,7 @@ def picture_of(scene: Scene, segments: list[Segment]) -> NDArray[np.uint8]:
     near, far = np.nanquantile(scene.frame.depth, [0.01, 0.99])
     grey = np.nan_to_num(np.clip(255 - 200 * (scene.frame.depth - near) / (far - near), 0, 255)).astype(np.uint8)
     labels, found = np.stack([grey] * 3, axis=-1), np.stack([grey] * 3, axis=-1)
-    for place, value in enumerate(v for v in np.unique(scene.label) if v > _TABLE_LABEL):
+    for place, value in enumerate(v for v in np.unique(scene.label) if v >= _SURFACES):
         labels[scene.label == value] = palette[place]
     for place, segment in enumerate(segments):
         found[segment.rows, segment.columns][segment.mask] = palette[place % len(palette)]

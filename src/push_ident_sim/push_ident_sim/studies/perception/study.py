@@ -36,6 +36,8 @@ _POSE_HEAD: Final = ("position, RMS [mm]", "yaw, RMS [deg]", f"in the {_NOMINAL:
 _LEVELS: Final = {0.1: 0.5844, 0.25: 1.2125, 0.5: 2.3660, 0.75: 4.1083, 0.9: 6.2514, 0.95: 7.8147, 0.99: 11.3449}
 """Quantiles of chi-squared with three degrees of freedom."""
 _PICTURE_WIDTH: Final = 800
+_FOUND: Final = 0.5
+"""Overlap from which the shape of an object counts as right."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
@@ -199,10 +201,12 @@ def _scene_table(summary: Json) -> str:
             str(scene["n_segments"]),
             f"{np.mean([o['iou'] for o in scene['objects']]):.3f}" if scene["objects"] else "–",
             f"{min(o['iou'] for o in scene['objects']):.3f}" if scene["objects"] else "–",
+            f"{sum(o.get('shape_iou', 0.0) >= _FOUND for o in scene['objects'])}",
+            f"{scene.get('n_wrong_shapes', 0)}",
         ]
         for name, scene in scenes.items()
     ]
-    return markdown_table(["recorded scene", "objects", "found", "segments", "mean IoU", "worst IoU"], rows)
+    return markdown_table(["recorded scene", "objects", "found", "segments", "mean IoU", "worst IoU", "shapes right", "shapes wrong"], rows)
 
 
 def _latency_table(summary: Json) -> str:
