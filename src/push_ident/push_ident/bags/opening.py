@@ -14,6 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from push_ident.bags.contract import size_limit
 from push_ident.bags.definitions import check_definitions
+from push_ident.bags.migration import Migration, migration_of
 from push_ident.bags.salvage import count_recoverable
 from push_ident.bags.storage.folder_storage import FolderStorage
 from push_ident.bags.storage.mcap_storage import McapStorage
@@ -73,13 +74,16 @@ class OpenBag:
             yield topic, log_time, decode(raw, types[topic.id])
 
     def raw_messages(self) -> Iterator[tuple[RecordedTopic, int, bytes | memoryview]]:
-        """All messages in serialised form (CDR) with their log time [ns].
+        """All messages with their log time [ns], serialised (CDR) as the installed definitions have it.
 
         Raises BagError for a ROS 1 bag, which has another serialisation.
         """
         if self._is_ros1:
             raise BagError(f"{self.path}: a ROS 1 bag cannot be played directly; convert it first, with `rosbags-convert`.")
-        yield from self._raw(self._storage.topics)
+        migrations = {topic.id: _migration(topic) for topic in self._storage.topics}
+        for topic, log_time, raw in self._raw(self._storage.topics):
+            migrate = migrations[topic.id]
+            yield topic, log_time, raw if migrate is None else migrate(raw)
 
     def _raw(self, topics: list[RecordedTopic]) -> Iterator[tuple[RecordedTopic, int, bytes | memoryview]]:
         by_id = {topic.id: topic for topic in topics}
@@ -91,6 +95,16 @@ class OpenBag:
 def _lower_package(text: str) -> str:
     """Package names in lower case; ROS 1 accepted capitals (`Mocap/marker_set`), the parser does not."""
     return _CAPITAL_PACKAGE.sub(lambda match: match.group().lower(), text)
+
+
+def _migration(topic: RecordedTopic) -> Migration | None:
+    """How its messages become those of the installed definition; None where nothing is to be done, or the definition cannot be read."""
+    try:
+        types = get_types_from_msg(topic.definition, topic.msgtype) if topic.definition and topic.encoding == "ros2msg" else {}
+        check_definitions(types, topic.topic)
+    except Exception:  # A foreign definition: the parser raises almost anything. Played as it is, as before.
+        return None
+    return migration_of(topic.msgtype, types)
 
 
 def _definitions(topic: RecordedTopic, known: Typestore) -> dict[str, Any]:

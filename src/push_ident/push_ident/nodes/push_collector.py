@@ -42,7 +42,7 @@ _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=Reliability
 _SILENCE: Final = 2.0
 """Wall time without a message after which a push counts as finished [s]: the source has stopped."""
 _HIDDEN: Final = 10.0
-"""The same while no object has a pose since the push [s]: the arm may still hide it."""
+"""The same while no object has a pose since the push, or its record has not come [s]: the arm may still hide it, or be on its way home."""
 _NO_CLOCK: Final = 3.0
 """Wall time without /clock after which simulated time counts as missing [s]."""
 _FAILED: Final = "pushes that failed, left out"

@@ -341,7 +341,10 @@ class PushCutter:
 
     @property
     def is_awaiting(self) -> bool:
-        """Whether a push has ended after which no object was observed yet."""
+        """Whether the record of a push is still to come, or a push has ended after which no object was observed yet."""
+        run = self._ended[0] if self._ended else self._open
+        if run is not None and run.expects_record and not self._records_of(run):
+            return True
         return bool(self._ended) and not self._observed_after(self._interval(self._ended[0]).end)
 
     @property
