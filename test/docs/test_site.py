@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md", "changelog/README.md")
-ELSEWHERE = ("camera.yaml", "joint_limits.yaml")
+ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "perception.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
 PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "**Consequences**: ")
 
@@ -45,7 +45,21 @@ def test_reference_has_every_command_node_message_and_effect(site: Path) -> None
     }
     messages = [path.stem for path in (ROOT / "src" / "push_ident_msgs").glob("*/*.*") if path.suffix in (".msg", ".srv", ".action")]
     expected = {
-        "commands": ["identify", "predict", "diagnose", "fleet", "export", "replay", "import", "up", "simulate", "bench", "demo", "doctor"],
+        "commands": [
+            "look",
+            "identify",
+            "predict",
+            "diagnose",
+            "fleet",
+            "export",
+            "replay",
+            "import",
+            "up",
+            "simulate",
+            "bench",
+            "demo",
+            "doctor",
+        ],
         "nodes": ["perception_node", "objects/&lt;id&gt;/mass_friction_map", "execute_push", "joint_acceleration_limits"],
         "messages": messages,
         "effects": list(EFFECTS),

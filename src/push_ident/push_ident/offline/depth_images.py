@@ -149,6 +149,8 @@ def read_camera_info(path: Path) -> CameraIntrinsics:
         if len(projection) == 12 and projection[0] > 0:
             fx, cx, fy, cy = projection[0], projection[2], projection[5], projection[6]
         else:
+            if any(_numbers(get("distortion_coefficients") or get("d") or get("D"))):
+                raise ValueError("it has distortion and no projection_matrix; rectify the images")
             fx, cx, fy, cy = matrix[0], matrix[2], matrix[4], matrix[5]
     except (OSError, ValueError, TypeError, AttributeError, IndexError, yaml.YAMLError) as error:
         raise InputError(

@@ -20,13 +20,14 @@ the principal point are not looked for.
 
 The check undoes the map for a candidate (s, k), takes the edges of the rectangle with the second moments of the corrected outline and the
 corrected height, and compares. Moments follow a linear map exactly, and the noise of a corner hardly changes them. The simplest explanation
-that the errors of measurement allow is reported: none, one, or both.
+that the errors of measurement allow is reported: none, one, or both. Walls that seem to lean stand out of the outline of the top; so where
+the focal length looks wrong, the images are looked at again with the better one until it stays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
@@ -35,7 +36,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtri
 
 from push_ident.errors import InputError, PerceptionError
-from push_ident.perception.survey import Survey, SurveyedObject
+from push_ident.perception.survey import Survey, SurveyedObject, survey_frames
 from push_ident.types import Float64Array
 
 __all__ = ["KnownSize", "ScaleCheck", "ScaleError", "check_scale", "distorted_lengths"]
@@ -61,6 +62,12 @@ _SAME_KIND: Final = 0.45
 """Largest difference of that last number [-]: an ellipse differs from a rectangle by 0.57, an L with thin legs by 3 and more."""
 _UNEXPLAINED: Final = 0.01
 """A relative difference that the best explanation may leave [-]: edges are rounded, and a skewed box shows its walls."""
+_REPEATS: Final = 4
+"""Most times that the images are looked at with a better focal length."""
+_SAME_FOCAL: Final = 0.01
+"""A change of the logarithm of the focal length that is not worth another look [-]."""
+_MOST_FOCAL: Final = 0.7
+"""Largest logarithm of an error of the focal length that is tried [-]: a factor of two."""
 _DETERMINED: Final = 1e6
 """Largest condition number of the information on focal length and scale together [-]."""
 _NAMED: Final = 0.2
@@ -156,6 +163,33 @@ class _Moments:
         return 0.5 * float(total + difference), 0.5 * float(total - difference)
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The object that is compared, as one survey has it."""
+
+    own: SurveyedObject
+    moments: _Moments
+    view: Float64Array
+    """Optical frame in the table frame, shape (3, 3)."""
+    deviation: Float64Array
+    """Standard deviations of width, depth and height [m], shape (3,)."""
+    focal: float
+    """What the focal length of the images was divided by before the survey [-]."""
+
+    def lengths(self, focal: float, scale: float) -> Float64Array:
+        """Both edges, the longer one first, and the height with the map of the images undone [m], shape (3,)."""
+        remaining = focal / self.focal
+        undo = np.diag([remaining, remaining, 1.0]) @ self.view.T / scale
+        across, along = undo[:, 0], undo[:, 1]
+        # Coordinates on the true table: an orthonormal basis of its plane, whose lengths are the true ones.
+        first = across / np.linalg.norm(across)
+        normal = np.cross(across, along)
+        normal /= np.linalg.norm(normal)
+        second = np.cross(normal, first)
+        to_plane = np.array([[first @ across, first @ along], [second @ across, second @ along]])
+        return np.array([*self.moments.edges(to_plane), abs(float(normal @ undo[:, 2])) * self.own.top])
+
+
 def distorted_lengths(focal: float, scale: float, tilt: float) -> tuple[float, float, float]:
     """Measured over true length across the view, along it, and upwards.
 
@@ -169,37 +203,30 @@ def distorted_lengths(focal: float, scale: float, tilt: float) -> tuple[float, f
 
 
 def check_scale(survey: Survey, known: KnownSize) -> ScaleCheck:
-    """Compare the object whose area is nearest to the known one.
+    """Compare the rectangle or right-angled triangle whose area is nearest to the known one.
 
     Raises:
         PerceptionError: There is no object, or none of about this size.
     """
-    (own, moments), view = _nearest(survey, known), survey.camera_in_table[:3, :3]
     lengths = np.array([known.width, known.depth] + ([] if known.height is None else [known.height]))
-    pixel = own.distance / min(survey.frame.intrinsics.fx, survey.frame.intrinsics.fy)
-    bulge = max((abs(band.median) for band in survey.bands if band.near <= own.distance < band.far), default=0.0)
-    across = max(_LEAST_DEVIATION, _EDGE * pixel)
-    deviation = np.array([across, across, max(_LEAST_DEVIATION, bulge)])[: len(lengths)]
-
-    def residuals(values: Float64Array) -> Float64Array:
-        return (_in_order(_corrected(own, moments, view, *np.exp(values)), lengths) - lengths) / deviation
-
-    fits = {
-        error: _fit(residuals, free, deviation / lengths)
-        for error, free in (
-            (ScaleError.NONE, (False, False)),
-            (ScaleError.FOCAL, (True, False)),
-            (ScaleError.DEPTH, (False, True)),
-            (ScaleError.BOTH, (True, True)),
-        )
-    }
-    error = _simplest(fits, len(lengths)) if moments.is_of_kind else ScaleError.NEITHER
+    seen = first = _seen(survey, known, 1.0)
+    for _ in range(_REPEATS):
+        fits = _fits(seen, lengths)
+        error = _simplest(fits, len(lengths)) if seen.moments.is_of_kind else ScaleError.NEITHER
+        focal = _focal_to_try(error, fits)
+        if abs(np.log(focal / seen.focal)) < _SAME_FOCAL:
+            break
+        try:
+            seen = _seen(_with_focal(survey, focal), known, focal)
+        except PerceptionError:
+            break  # not the way to see it: what was found before holds
     chosen = fits[_shown(error, fits)]
     single = fits[ScaleError.FOCAL], fits[ScaleError.DEPTH]
     within = max(abs(single[0].log_focal) + 2.0 * single[0].std[0], abs(single[1].log_scale) + 2.0 * single[1].std[1])
-    measured = _in_order(_corrected(own, moments, view, 1.0, 1.0), lengths, with_height=True)
+    measured = _in_order(first.lengths(1.0, 1.0), lengths, with_height=True)
+    name = first.own.object_id
     return ScaleCheck(
-        own.object_id,
+        name,
         known,
         (float(measured[0]), float(measured[1]), float(measured[2])),
         error,
@@ -208,8 +235,52 @@ def check_scale(survey: Survey, known: KnownSize) -> ScaleCheck:
         float(np.exp(chosen.log_scale)),
         chosen.std[1],
         within,
-        _sentence(error, fits, own.object_id, within, known) if moments.is_of_kind else _NO_BOX.format(own.object_id),
+        _sentence(error, fits, name, within, known) if seen.moments.is_of_kind else _NO_BOX.format(name),
     )
+
+
+def _seen(survey: Survey, known: KnownSize, focal: float) -> _Seen:
+    """The object nearest in area. `focal`: what the focal length of the images was divided by before the survey."""
+    own, moments = _nearest(survey, known)
+    pixel = own.distance / min(survey.frame.intrinsics.fx, survey.frame.intrinsics.fy)
+    bulge = max((abs(band.median) for band in survey.bands if band.near <= own.distance < band.far), default=0.0)
+    across = max(_LEAST_DEVIATION, _EDGE * pixel)
+    deviation = np.array([across, across, max(_LEAST_DEVIATION, bulge)])
+    return _Seen(own, moments, survey.camera_in_table[:3, :3], deviation, focal)
+
+
+def _with_focal(survey: Survey, focal: float) -> Survey:
+    """The same images looked at again with another focal length, in which the walls of a box stand upright if it is right."""
+    frame = survey.frame
+    intrinsics = replace(frame.intrinsics, fx=frame.intrinsics.fx / focal, fy=frame.intrinsics.fy / focal)
+    return survey_frames([replace(frame, intrinsics=intrinsics)])
+
+
+def _fits(seen: _Seen, lengths: Float64Array) -> dict[ScaleError, _Fit]:
+    """The best fit of each explanation to known lengths [m], shape (2,) or (3,)."""
+    deviation = seen.deviation[: len(lengths)]
+
+    def residuals(values: Float64Array) -> Float64Array:
+        focal, scale = np.exp(values)
+        return (_in_order(seen.lengths(float(focal), float(scale)), lengths) - lengths) / deviation
+
+    explanations = (
+        (ScaleError.NONE, (False, False)),
+        (ScaleError.FOCAL, (True, False)),
+        (ScaleError.DEPTH, (False, True)),
+        (ScaleError.BOTH, (True, True)),
+    )
+    return {error: _fit(residuals, free, deviation / lengths) for error, free in explanations}
+
+
+def _focal_to_try(error: ScaleError, fits: dict[ScaleError, _Fit]) -> float:
+    """The focal length in use over the one that an outcome suggests."""
+    if error in (ScaleError.NONE, ScaleError.DEPTH):
+        return 1.0
+    both = fits[ScaleError.BOTH]
+    use_both = error in (ScaleError.BOTH, ScaleError.NEITHER) and max(both.std) < _NAMED
+    log_focal = both.log_focal if use_both else fits[ScaleError.FOCAL].log_focal
+    return float(np.exp(np.clip(log_focal, -_MOST_FOCAL, _MOST_FOCAL)))
 
 
 def _nearest(survey: Survey, known: KnownSize) -> tuple[SurveyedObject, _Moments]:
@@ -218,7 +289,9 @@ def _nearest(survey: Survey, known: KnownSize) -> tuple[SurveyedObject, _Moments
     area = known.width * known.depth
     moments = {own.object_id: _moments(own.outline) for own in survey.objects}
     ratios = {name: float(np.prod(of.edges(np.eye(2)))) / area for name, of in moments.items()}
-    best = min(survey.objects, key=lambda own: abs(np.log(ratios[own.object_id])))
+    # A hammer may be nearer in area than the box, above all while the focal length is wrong.
+    of_kind = [own for own in survey.objects if moments[own.object_id].is_of_kind] or survey.objects
+    best = min(of_kind, key=lambda own: abs(np.log(ratios[own.object_id])))
     if not _SIMILAR[0] < ratios[best.object_id] < _SIMILAR[1]:
         size = " x ".join(f"{100 * edge:.1f}" for edge in moments[best.object_id].edges(np.eye(2)))
         raise PerceptionError(
@@ -241,19 +314,6 @@ def _moments(outline: Float64Array) -> _Moments:
     invariant = abs(area) / float(np.sqrt(np.linalg.det(second)))
     kind = min((_RECTANGLE, _TRIANGLE), key=lambda numbers: abs(numbers[2] - invariant))
     return _Moments(second, kind, abs(kind[2] - invariant) < _SAME_KIND)
-
-
-def _corrected(own: SurveyedObject, moments: _Moments, view: Float64Array, focal: float, scale: float) -> Float64Array:
-    """Both edges and the height of an object with the map undone [m], shape (3,). `view`: optical frame in the table frame, (3, 3)."""
-    undo = np.diag([focal, focal, 1.0]) @ view.T / scale
-    across, along = undo[:, 0], undo[:, 1]
-    # Coordinates on the true table: an orthonormal basis of its plane, whose lengths are the true ones.
-    first = across / np.linalg.norm(across)
-    normal = np.cross(across, along)
-    normal /= np.linalg.norm(normal)
-    second = np.cross(normal, first)
-    to_plane = np.array([[first @ across, first @ along], [second @ across, second @ along]])
-    return np.array([*moments.edges(to_plane), abs(float(normal @ undo[:, 2])) * own.top])
 
 
 def _in_order(measured: Float64Array, lengths: Float64Array, *, with_height: bool = False) -> Float64Array:

@@ -46,6 +46,10 @@ _HEIGHT_STEP: Final = 5e-4
 """To which `min_object_height` is rounded up [m]."""
 _UNDER_TOP: Final = 0.98
 """Quantile of the heights of an object that is its height: single pixels are outliers."""
+_BORDER: Final = 2000
+"""Points along an outline that measure it."""
+_TIP: Final = 0.01
+"""Fraction of the border that may stick out at each end of a length [-]: the short side of a hammer's handle has three times that."""
 _OVER_TOP: Final = 0.01
 """Points further above the top of an object as it was traced belong to something over it, such as an arm [m]."""
 _INNER: Final = 0.8
@@ -61,7 +65,7 @@ class SurveyedObject:
     outline: Float64Array
     """Its outline [m], shape (n, 2), table frame."""
     size: tuple[float, float]
-    """Edges of the smallest rectangle around the outline, the longer one first [m]."""
+    """Length and width along the sides of the smallest rectangle around the outline, the longer one first [m]."""
     height: float
     """Of its highest points above the table [m]."""
     top: float
@@ -201,15 +205,13 @@ def _agreed(given: Float64Array | None, found: Float64Array, noise: float) -> tu
     tilt = float(np.arccos(np.clip(normal[2], -1.0, 1.0)))
     offset = float(normal @ point / normal[2]) if abs(normal[2]) > 0.1 else np.inf
     if tilt > _MAX_CORRECTION[0] or abs(offset) > _MAX_CORRECTION[1]:
-        return (
-            found,
-            False,
-            f"the given camera pose is not used: the table is {np.degrees(tilt):.1f} degrees and {offset * 1e3:.0f} mm from its "
-            f"place there, expected at most {np.degrees(_MAX_CORRECTION[0]):.1f} degrees and {_MAX_CORRECTION[1] * 1e3:.0f} mm; "
-            "calibrate anew",
+        wrong = (
+            f"the given camera pose is not used: the table is {np.degrees(tilt):.1f} degrees and {offset * 1e3:.0f} mm from its place, "
+            f"expected at most {np.degrees(_MAX_CORRECTION[0]):.1f} degrees and {_MAX_CORRECTION[1] * 1e3:.0f} mm; calibrate anew"
         )
+        return found, False, wrong
     slope = (float(-normal[0] / normal[2]), float(-normal[1] / normal[2]))
-    note = f"the plane corrects the given pose of the camera by {np.degrees(tilt):.2f} degrees and {offset * 1e3:.1f} mm"
+    note = f"the plane corrects the given pose of the camera by {np.degrees(tilt):.2f} degrees and {abs(offset) * 1e3:.1f} mm"
     return TablePlane(slope, offset, noise, 0).correct(given), True, note
 
 
@@ -230,16 +232,16 @@ def _perceive(
 ) -> tuple[Perception, list[str], Observation | None, str]:
     """Perception after all frames, the ids of what it took in, its last observation, and why it refuses the frames.
 
-    Too few frames are repeated with later stamps.
+    Fewer frames than `rest_frames` count as the whole rest: repeating them would claim less noise than they have.
     """
-    every_frame = replace(settings, search_period=0.0, occupancy_period=1e9)  # each frame counts, none is spent on an occupancy grid
-    perception = Perception(camera, every_frame)
-    n = max(len(frames), settings.rest_frames)
+    # Every frame is searched, and none is spent on an occupancy grid.
+    own = replace(settings, search_period=0.0, occupancy_period=1e9, rest_frames=min(settings.rest_frames, len(frames)))
+    perception = Perception(camera, own)
     ids: list[str] = []
     seen, failure = None, ""
-    for index in range(n):
+    for index, frame in enumerate(frames):
         try:
-            seen = perception.observe(replace(frames[index % len(frames)], stamp=index / 30))
+            seen = perception.observe(replace(frame, stamp=index / 30))  # stamps of files are made up, those of a bag may repeat
             ids += seen.new_shapes
         except (FrameError, PerceptionError) as error:
             failure = str(error)
@@ -250,8 +252,6 @@ def _perceive(
 def _object(perception: Perception, name: str, points: NDArray[np.float32], depth: NDArray[np.float32]) -> SurveyedObject:
     known = perception.known(name)
     outline = transform_points(perception.first_pose(name), known.traced.shape.outline)
-    (_, edges, _) = cv2.minAreaRect(outline.astype(np.float32))
-    long, short = sorted((float(edges[0]), float(edges[1])), reverse=True)
     flat, low, high = points.reshape(-1, 3), outline.min(axis=0), outline.max(axis=0)
     with np.errstate(invalid="ignore"):
         near = np.all((flat[:, :2] >= low) & (flat[:, :2] <= high), axis=1) & (flat[:, 2] < float(known.traced.top.max()) + _OVER_TOP)
@@ -263,7 +263,23 @@ def _object(perception: Perception, name: str, points: NDArray[np.float32], dept
     top = own[inner, 2] if inner.any() else heights
     distance = float(np.median(own_depth[inside])) if inside.any() else float(np.linalg.norm(perception.camera_in_table[:2, 3] - middle))
     quantile = float(np.quantile(heights, _UNDER_TOP))
-    return SurveyedObject(name, known.traced.shape, outline, (long, short), quantile, float(np.median(top)), distance)
+    return SurveyedObject(name, known.traced.shape, outline, _edges(outline), quantile, float(np.median(top)), distance)
+
+
+def _edges(outline: Float64Array) -> tuple[float, float]:
+    """Length and width [m], along the sides of the smallest rectangle around an outline; less the tips, which noise makes."""
+    corners = cv2.boxPoints(cv2.minAreaRect(outline.astype(np.float32))).astype(np.float64)
+    axes = np.array([corners[1] - corners[0], corners[2] - corners[1]])
+    axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
+    steps = np.roll(outline, -1, axis=0) - outline
+    lengths = np.linalg.norm(steps, axis=1)
+    at = np.linspace(0.0, lengths.sum(), _BORDER, endpoint=False)
+    edge = np.searchsorted(np.cumsum(lengths), at, side="right")
+    share = (at - np.concatenate([[0.0], np.cumsum(lengths)])[edge]) / lengths[edge]
+    along = (outline[edge] + share[:, None] * steps[edge]) @ axes.T
+    low, high = np.quantile(along, [_TIP, 1.0 - _TIP], axis=0)
+    short, long = sorted(float(value) for value in high - low)
+    return long, short
 
 
 def _hull_area(hull: Float64Array) -> float:

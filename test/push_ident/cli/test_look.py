@@ -1,0 +1,227 @@
+"""`push-ident look`: what it reads, what it writes, and one line for each bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from helpers.commands import run_here
+from helpers.depth_scene import CAMERA, Prism, rectangle, render
+from helpers.paths import EXAMPLE_BAG, recording
+from push_ident.perception.depth import points_in_table
+from push_ident.types import CameraIntrinsics
+
+SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+BOX = Prism(rectangle(-0.1, -0.06, 0.1, 0.06), 0.1).at((0.0, 0.0, 0.4))
+INFO = {
+    "image_width": 320,
+    "image_height": 240,
+    "camera_name": "depth",
+    "camera_matrix": {"rows": 3, "cols": 3, "data": [290.0, 0, 150.0, 0, 290.0, 110.0, 0, 0, 1]},
+    "projection_matrix": {"rows": 3, "cols": 4, "data": [300.0, 0, 159.5, 0, 0, 300.0, 119.5, 0, 0, 0, 1, 0]},
+}
+NUMBERS = "300,300,159.5,119.5"
+
+
+@pytest.fixture(scope="module")
+def depth() -> np.ndarray:
+    """Of a box on a table [m], shape (240, 320)."""
+    return render([BOX], CAMERA, rng=np.random.default_rng(0), intrinsics=SMALL).depth
+
+
+@pytest.fixture
+def folder(tmp_path: Path, depth: np.ndarray) -> Path:
+    """Depth images in millimetres with their camera info, and a picture for the eye between them."""
+    path = tmp_path / "images"
+    path.mkdir()
+    for name in ("2.png", "10.png"):
+        cv2.imwrite(str(path / name), np.rint(np.nan_to_num(depth) * 1e3).astype(np.uint16))
+    cv2.imwrite(str(path / "3.png"), np.zeros((240, 320, 3), np.uint8))
+    (path / "camera_info.yaml").write_text(yaml.safe_dump(INFO))
+    return path
+
+
+def look(*args: object, out: Path):
+    done = run_here("look", *args, "--out", out, "--json", out / "look.json")
+    return done, json.loads((out / "look.json").read_text()) if (out / "look.json").exists() else {}
+
+
+def check_found(content: dict) -> None:
+    assert [own["object_id"] for own in content["objects"]] == ["o1"]
+    np.testing.assert_allclose([*content["objects"][0]["size_m"], content["objects"][0]["top_m"]], (0.2, 0.12, 0.1), atol=0.004)
+    assert content["camera"]["position_m"][2] == pytest.approx(0.85, abs=0.002)
+
+
+def test_a_folder_of_images_gives_picture_page_parameters_and_json(folder: Path, tmp_path: Path) -> None:
+    done, content = look(folder, "--known", "0.2x0.12x0.1", out=tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    check_found(content)
+    assert content["n_frames"] == 2 and content["scale_check"]["outcome"] == "agrees"
+    assert any("3.png" in note and "colour" in note for note in content["notes"])
+    assert "o1: 20" in done.stdout and "right within" in done.stdout
+    picture = cv2.imread(str(tmp_path / "out" / "look.png"))
+    assert picture.shape[1] == 1280
+    page = (tmp_path / "out" / "look.html").read_text(encoding="utf-8")
+    assert "data:image/png;base64," in page and "camera_quaternion" in page and "Noise of a height" in page
+    values = yaml.safe_load((tmp_path / "out" / "perception.yaml").read_text())["/**/perception_node"]["ros__parameters"]
+    np.testing.assert_allclose(values["workspace_low"], content["workspace"]["low_m"], atol=1e-3)
+
+
+def cloud_of(depth: np.ndarray) -> str:
+    seen = points_in_table(render([BOX], CAMERA, rng=np.random.default_rng(0), intrinsics=SMALL), np.eye(4)).reshape(-1, 3)
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 320\nHEIGHT 240\nVIEWPOINT 0 0 0 1 0 0 0\n"
+    return head + f"POINTS {len(seen)}\nDATA ascii\n" + "\n".join(f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in seen) + "\n"
+
+
+@pytest.mark.parametrize("name", ["depth.npy", "depth.tif", "depth.pcd", "tenths.png"])
+def test_each_kind_of_image_is_read(name: str, depth: np.ndarray, tmp_path: Path) -> None:
+    file, options = tmp_path / name, ["--intrinsics", NUMBERS]
+    if name.endswith(".npy"):
+        np.save(file, depth.astype(np.float32))
+    elif name.endswith(".pcd"):
+        file.write_text(cloud_of(depth))
+        options = []
+    elif name == "tenths.png":
+        cv2.imwrite(str(file), np.rint(depth * 1e4).astype(np.uint16))
+        options += ["--depth-unit", "0.0001"]
+    else:
+        cv2.imwrite(str(file), depth.astype(np.float32))
+    done, content = look(file, *options, out=tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    check_found(content)
+
+
+def test_a_bag_gives_its_intrinsics_and_extrinsics(tmp_path: Path) -> None:
+    done, content = look(EXAMPLE_BAG, out=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert content["n_frames"] == 30 and content["camera"]["is_given"]
+    np.testing.assert_allclose(content["camera"]["position_m"], (0.55, 0.0, 0.85), atol=0.002)
+    assert len(content["objects"]) == 1 and content["objects"][0]["height_m"] < 0.05
+
+
+def test_a_camera_file_is_used_and_its_error_named(folder: Path, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "camera.txt", CAMERA)
+    _, content = look(folder, "--camera", tmp_path / "camera.txt", out=tmp_path / "out")
+    np.testing.assert_allclose(content["camera"]["position_m"], CAMERA[:3, 3], atol=0.003)
+    wrong = CAMERA.copy()
+    wrong[2, 3] = 1.2
+    np.savetxt(tmp_path / "camera.txt", wrong)
+    done, content = look(folder, "--camera", tmp_path / "camera.txt", out=tmp_path / "out")
+    assert not content["camera"]["is_given"] and "is not used" in done.stderr
+
+
+def test_a_known_size_that_no_object_has_is_an_error_after_everything_is_written(folder: Path, tmp_path: Path) -> None:
+    done, content = look(folder, "--known", "0.9x0.7", out=tmp_path / "out")
+    assert done.returncode == 1 and "None of 1 objects" in done.stderr
+    assert content["objects"] and (tmp_path / "out" / "look.html").exists()
+
+
+def _missing(folder: Path) -> list[object]:
+    return [folder / "nothing"]
+
+
+def _empty(folder: Path) -> list[object]:
+    (folder / "none").mkdir()
+    return [folder / "none"]
+
+
+def _no_intrinsics(folder: Path) -> list[object]:
+    (folder / "camera_info.yaml").unlink()
+    return [folder]
+
+
+def _broken_info(folder: Path) -> list[object]:
+    (folder / "camera_info.yaml").write_text("image_width: 320\n")
+    return [folder]
+
+
+def _distorted(folder: Path) -> list[object]:
+    only_matrix = {key: value for key, value in INFO.items() if key != "projection_matrix"}
+    (folder / "camera_info.yaml").write_text(yaml.safe_dump({**only_matrix, "distortion_coefficients": {"data": [0.1, 0, 0, 0, 0]}}))
+    return [folder]
+
+
+def _not_yaml(folder: Path) -> list[object]:
+    (folder / "camera_info.yaml").write_text("a: [\n")
+    return [folder]
+
+
+def _other_size(folder: Path) -> list[object]:
+    (folder / "camera_info.yaml").write_text(yaml.safe_dump({**INFO, "image_width": 640}))
+    return [folder]
+
+
+def _eight_bits(folder: Path) -> list[object]:
+    cv2.imwrite(str(folder / "8.png"), np.full((240, 320), 9, np.uint8))
+    return [folder / "8.png"]
+
+
+def _damaged(folder: Path) -> list[object]:
+    file = folder / "2.png"
+    file.write_bytes(file.read_bytes()[:60])
+    return [file]
+
+
+def _pickled(folder: Path) -> list[object]:
+    np.save(folder / "p.npy", np.array([{}], dtype=object), allow_pickle=True)
+    return [folder / "p.npy"]
+
+
+def _nothing_measured(folder: Path) -> list[object]:
+    cv2.imwrite(str(folder / "0.png"), np.zeros((240, 320), np.uint16))
+    return [folder / "0.png"]
+
+
+def _no_cloud(folder: Path) -> list[object]:
+    (folder / "c.pcd").write_text("VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n")
+    return [folder / "c.pcd"]
+
+
+def _not_a_bag(folder: Path) -> list[object]:
+    (folder / "b.mcap").write_bytes(b"nothing of the kind")
+    return [folder / "b.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "expected"),
+    [
+        (_missing, (), "does not exist; give a bag, a folder"),
+        (_empty, (), "has no depth image"),
+        (_no_intrinsics, (), "no camera_info.yaml beside it"),
+        (_broken_info, (), "gives no intrinsics"),
+        (_distorted, (), "distortion and no projection_matrix"),
+        (_not_yaml, (), "gives no intrinsics"),
+        (_other_size, (), "belong to different cameras"),
+        (_eight_bits, (), "8 bits hold no depth"),
+        (_damaged, (), "damaged"),
+        (_pickled, (), "cannot be read as an image"),
+        (_nothing_measured, (), "0 valid of 76800 pixels"),
+        (_no_cloud, (), "not organised"),
+        (_not_a_bag, (), "b.mcap"),
+        (lambda folder: [folder], ("--intrinsics", "1,2"), "expected four numbers"),
+        (lambda folder: [folder], ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
+        (lambda folder: [folder], ("--known", "a box"), "expected width x depth x height"),
+        (lambda folder: [folder], ("--known", "200x120"), "give metres"),
+        (lambda folder: [folder], ("--depth-unit", "-1"), "expected metres per unit"),
+        (lambda folder: [folder], ("--depth-unit", "1"), "give the metres per unit"),
+        (lambda folder: [EXAMPLE_BAG], ("--intrinsics", NUMBERS), "is a bag"),
+    ],
+)
+def test_each_bad_input_ends_in_one_line(folder: Path, tmp_path: Path, make, options: tuple[str, ...], expected: str) -> None:
+    done = run_here("look", *make(folder), *options, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1 and expected in done.stderr, done.stderr
+
+
+def test_images_of_different_scenes_are_not_taken_for_one(tmp_path: Path) -> None:
+    for name in ("learn0", "learn10"):
+        shutil.copy(recording("kinect_tabletop", f"{name}.pcd"), tmp_path)
+    done, content = look(tmp_path, out=tmp_path / "out")
+    assert done.returncode == 0 and content["n_frames"] == 1
+    assert any("1 of the first 2 frames show something else" in note for note in content["notes"])
