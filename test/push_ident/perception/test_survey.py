@@ -148,7 +148,9 @@ def test_lengths_follow_the_linear_map(tilt, focal, scale):
 def test_a_wrong_focal_length_and_a_wrong_unit_are_named_and_told_apart(seen, view, focal, scale, error):
     found = check_scale(survey_frames(misread(seen[view], focal, scale)), KnownSize(*SIZE))
     assert found.error is error, found.sentence
-    assert found.focal == pytest.approx(focal, rel=0.012) and found.depth_scale == pytest.approx(scale, rel=0.007)
+    hidden = 0.005 if view == "flat" else 0.0  # the box then ends 2 to 4 mm behind the rear edge of its top, by noise
+    assert found.focal == pytest.approx(focal, rel=0.012)
+    assert found.depth_scale == pytest.approx(scale, rel=0.007 + hidden)
     if error is ScaleError.NONE:
         assert found.within < 0.015 and "right within" in found.sentence
     if error is ScaleError.FOCAL:
@@ -221,13 +223,14 @@ def test_picture_marks_objects_refusals_and_what_is_not_measured():
 @pytest.mark.parametrize(
     ("name", "size", "height", "refused"),
     [
-        ("learn0", (0.163, 0.065), 0.247, ["BEHIND_ANOTHER"]),
-        ("learn10", (0.149, 0.082), 0.070, ["BEHIND_ANOTHER"]),
-        ("learn26", (0.172, 0.150), 0.118, ["BEHIND_ANOTHER"]),
-        ("learn35", (0.191, 0.189), 0.072, None),
+        ("learn0", (0.157, 0.064), 0.246, ["BEHIND_ANOTHER"]),
+        ("learn10", (0.149, 0.084), 0.070, ["BEHIND_ANOTHER"]),
+        ("learn26", (0.171, 0.149), 0.119, ["BEHIND_ANOTHER"]),
+        ("learn35", (0.193, 0.184), 0.072, None),
     ],
 )
 def test_recorded_scenes_of_a_kinect(name, size, height, refused):
+    """Against the smallest rectangle around the labelled points of the object."""
     some, _ = frames_at_rest(DepthImages(recording("kinect_tabletop", f"{name}.pcd")).frames())
     found = survey_frames(some)
     assert not found.failure and 0.001 < found.noise < 0.0025 and 0.5 < found.camera_in_table[2, 3] < 0.7
