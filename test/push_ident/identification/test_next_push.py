@@ -16,6 +16,7 @@ from push_ident.identification.next_push import (
     PoseSensor,
     RankedPushes,
     RankingOptions,
+    UnwantedError,
     candidate_pushes,
     imagine_push,
     rank_pushes,
@@ -177,3 +178,13 @@ def test_policies_start_from_the_same_push_and_learn() -> None:
     assert at_random[0] == chosen[0]
     assert at_random[1] != chosen[1]
     assert chosen[-1] < 0.3 * untouched
+
+
+def test_ranking_stops_as_soon_as_it_is_unwanted() -> None:
+    answers = iter([True] * len(REFERENCE) + [True, True, False])
+    with pytest.raises(UnwantedError):
+        rank_pushes(
+            prior_posterior(SHAPE), _candidates(6, 3), reference=REFERENCE, rng=np.random.default_rng(0), options=RankingOptions(n_draws=0),
+            is_wanted=lambda: next(answers),
+        )  # fmt: skip
+    assert next(answers, None) is None

@@ -16,7 +16,7 @@ push fails, or chatters, counts as one to which that push adds nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
-from push_ident.errors import InputError
+from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import rotation
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.result import ModelPosterior
@@ -37,8 +37,8 @@ from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
 
 __all__ = [
-    "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "candidate_pushes", "imagine_push",
-    "rank_pushes", "reference_pushes",
+    "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "UnwantedError", "candidate_pushes",
+    "imagine_push", "rank_pushes", "reference_pushes",
 ]  # fmt: skip
 
 _SAMPLING = 100.0
@@ -46,6 +46,10 @@ _SAMPLING = 100.0
 _CHATTER = 10.0
 """Largest derivative of the last pose by the first one [-]. It is 1 to 8 in ordinary pushes. Where it is larger, the motion chatters
 between modes of contact: its derivative, though exact, holds over micrometres only and predicts no observation."""
+
+
+class UnwantedError(PushIdentError):
+    """Work was stopped before its end because nobody wants its result any more."""
 
 
 class Criterion(Enum):
@@ -181,6 +185,7 @@ def rank_pushes(
     reference: Sequence[PlannedPush],
     rng: np.random.Generator,
     options: RankingOptions | None = None,
+    is_wanted: Callable[[], bool] = lambda: True,
 ) -> RankedPushes:
     """Order pushes by what they are expected to add to the knowledge of an object.
 
@@ -190,12 +195,14 @@ def rank_pushes(
         reference: pushes that are to be predicted well, see `reference_pushes`.
         rng: of the draws from the posterior.
         options: criterion, draws, sensor and numerics.
+        is_wanted: asked before each push is simulated, so that the processor is free at once for more urgent work.
 
     Returns:
         The candidates; last those that would fail or touch nothing.
 
     Raises:
         InputError: no candidate, or no reference push that moves the object.
+        UnwantedError: it is no longer wanted.
     """
     options = options or RankingOptions()
     if not candidates:
@@ -203,11 +210,11 @@ def rank_pushes(
     scale = _square_root(posterior.covariance)
     draws = posterior.z + rng.standard_normal((options.n_draws, len(posterior.z))) @ scale.T
     points = (posterior.z, *draws)
-    rows = [_reference_rows(posterior.unknowns, z, reference, options.numerics) for z in points]
+    rows = [_reference_rows(posterior.unknowns, z, _while_wanted(reference, is_wanted), options.numerics) for z in points]
     if len(rows[0]) == 0:
         raise InputError(f"None of {len(reference)} reference pushes moves the object; draw them over its outline.")
     models = [_PossibleModel(z, own @ scale) for z, own in zip(points, rows, strict=True) if len(own)]
-    values = [_value(posterior, scale, models, push, options) for push in candidates]
+    values = [_value(posterior, scale, models, push, options) for push in _while_wanted(candidates, is_wanted)]
     useless = [v.status is not SolveStatus.CONVERGED for v in values]
     merit = [v.error_after if options.criterion is Criterion.ERROR else -v.information for v in values]
     return RankedPushes(
@@ -243,6 +250,13 @@ def imagine_push(
         return None, motion.status
     poses = PoseTrack(time, motion.pose, np.broadcast_to(sensor.covariance, (len(time), 3, 3)))
     return PushRecord("", mechanics.shape, poses, pusher), motion.status
+
+
+def _while_wanted(pushes: Sequence[PlannedPush], is_wanted: Callable[[], bool]) -> Iterator[PlannedPush]:
+    for push in pushes:
+        if not is_wanted():
+            raise UnwantedError("The ranking of pushes was no longer wanted.")
+        yield push
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +314,7 @@ def _sensitivity(
     return np.asarray(by_z - explained @ (explained.T @ by_z))
 
 
-def _reference_rows(unknowns: Unknowns, z: Float64Array, reference: Sequence[PlannedPush], settings: SimulationSettings) -> Float64Array:
+def _reference_rows(unknowns: Unknowns, z: Float64Array, reference: Iterable[PlannedPush], settings: SimulationSettings) -> Float64Array:
     """d(cell displacement at the end) / dz of the reference pushes that move the object of `z`, shape (n_moved, 3, n_unknowns)."""
     mechanics = unknowns.mechanics(z)
     cells = unknowns.shape.cells

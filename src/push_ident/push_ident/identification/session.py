@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from push_ident.errors import InputError, PlanningError
-from push_ident.identification.next_push import PlannedPush, RankingOptions, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.next_push import PlannedPush, RankingOptions, UnwantedError, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
 from push_ident.identification.prediction import Prediction, predict
@@ -113,6 +113,11 @@ class ObjectSession:
         return result.explanation.failure if result is not None and result.status is SolveStatus.UNEXPLAINED else ""
 
     @property
+    def is_under_way(self) -> bool:
+        """Whether the estimate includes frames of a push that is not finished."""
+        return self.online.is_under_way
+
+    @property
     def n_pushes(self) -> int:
         """Number of finished pushes in the estimate."""
         return self.online.n_pushes
@@ -190,15 +195,22 @@ class ObjectSession:
         )
 
     def suggest(
-        self, pose: Float64Array, push_settings: PushSettings, obstacles: Sequence[Float64Array] = (), *, n_candidates: int = 24
+        self,
+        pose: Float64Array,
+        push_settings: PushSettings,
+        obstacles: Sequence[Float64Array] = (),
+        *,
+        n_candidates: int = 24,
+        is_wanted: Callable[[], bool] = lambda: True,
     ) -> tuple[PlannedPush, Prediction] | None:
-        """The push to make next, with its prediction; None where no safe push would add information.
+        """The push to make next, with its prediction; None where no safe push would add information, or it is no longer wanted.
 
         Args:
             pose: present pose of the object, table frame, shape (3,).
             push_settings: limits and ranges of pushes.
             obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
             n_candidates: pushes to choose from.
+            is_wanted: asked before each simulation.
         """
         rng = np.random.default_rng(self.n_pushes)
         try:
@@ -206,7 +218,11 @@ class ObjectSession:
         except PlanningError:
             return None
         reference = reference_pushes(self.shape, rng, _N_REFERENCES, push_settings)
-        best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, options=RankingOptions(noise=self.options.noise)).best
+        options = RankingOptions(noise=self.options.noise)
+        try:
+            best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, options=options, is_wanted=is_wanted).best
+        except UnwantedError:
+            return None
         if best is None:
             return None
         time = np.linspace(best.pusher.time[0], best.pusher.time[-1], 31)

@@ -214,6 +214,7 @@ class _Identification(Component):
                 had_any = session.drop_update()
             if had_any:
                 self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
+                self._advise(session.object_id)
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
@@ -244,9 +245,7 @@ class _Identification(Component):
                 f"predicted to {1e3 * score.cell_error:.1f} mm, expected {1e3 * score.expected_cell_error:.1f} mm"
             )
             self._say_unexplained(session, score)
-            if self._settings["suggest_candidates"]:
-                object_id = record.object_id
-                self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
+            self._advise(record.object_id)
 
     def _say_unexplained(self, session: ObjectSession, score: PushScore) -> None:
         """Count and log a push that contradicts the model, or a model that contradicts its pushes."""
@@ -282,6 +281,10 @@ class _Identification(Component):
         prediction = session.predict_under_way(record, self._settings["prediction_horizon"])
         self._outputs[session.object_id].publish_prediction(prediction, session.status, session.n_pushes + 1)
 
+    def _advise(self, object_id: str) -> None:
+        if self._settings["suggest_candidates"]:
+            self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
+
     def _suggest(self, object_id: str) -> None:
         """Publish the push to make next."""
         session, latest = self._sessions[object_id], self._collector.latest(object_id)
@@ -289,10 +292,15 @@ class _Identification(Component):
             return
         settings = PushSettings(pusher_radius=self._collector.radius)
         others = self._collector.outlines_of_others(object_id)
-        suggestion = session.suggest(latest[1], settings, others, n_candidates=self._settings["suggest_candidates"])
+        n = self._settings["suggest_candidates"]
+        suggestion = session.suggest(latest[1], settings, others, n_candidates=n, is_wanted=self._is_nothing_pushed)
         if suggestion is not None:
             self._outputs[object_id].publish_next_push(*suggestion, session.status)
             self._counts["pushes suggested"] += 1
+
+    def _is_nothing_pushed(self) -> bool:
+        """Until then a suggestion is wanted; from then on updates need the processor, and the poses it is for have changed."""
+        return not any(session.is_under_way for session in list(self._sessions.values()))
 
     def _publish_map(self, session: ObjectSession, stamp: float, n_pushes: int) -> None:
         latest = self._collector.latest(session.object_id)
