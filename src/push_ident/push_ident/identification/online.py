@@ -118,11 +118,6 @@ class OnlineIdentifier:
         """Number of finished pushes in the estimate."""
         return self.state.n_pushes
 
-    @property
-    def is_under_way(self) -> bool:
-        """Whether the estimate includes frames of a push that is not finished."""
-        return self._under_way is not None
-
     def add(self, record: PushRecord) -> Identification:
         """Add a finished push to the estimate."""
         state = self.state

@@ -113,11 +113,6 @@ class ObjectSession:
         return result.explanation.failure if result is not None and result.status is SolveStatus.UNEXPLAINED else ""
 
     @property
-    def is_under_way(self) -> bool:
-        """Whether the estimate includes frames of a push that is not finished."""
-        return self.online.is_under_way
-
-    @property
     def n_pushes(self) -> int:
         """Number of finished pushes in the estimate."""
         return self.online.n_pushes

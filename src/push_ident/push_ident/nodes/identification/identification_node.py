@@ -110,6 +110,8 @@ class _Identification(Component):
         self._predicted: dict[str, float] = {}
 
         self._wake = threading.Condition()
+        # During a push updates need the processor, and a suggestion of the next one would be for poses that change.
+        self._is_pushing = False
         self._finished: deque[Callable[[], None]] = deque()  # what to do with pushes that have ended
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
         self._closing = False
@@ -209,15 +211,17 @@ class _Identification(Component):
 
     def _drop_updates(self) -> None:
         """Go back to the finished pushes: the one under way is left out."""
+        self._is_pushing = False
         for session in list(self._sessions.values()):
             with self._solving:
                 had_any = session.drop_update()
             if had_any:
                 self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
-                self._advise(session.object_id)
+            self._advise(session.object_id)
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
+        self._is_pushing = False
         if not push:
             self._collector.refuse("pushes", "identify", "a push is left out: no object has poses before and after it; is it hidden?")
         for record in push:
@@ -234,6 +238,7 @@ class _Identification(Component):
             self._solve_time = time.perf_counter() - started
             if score is None:
                 self._counts["pushes known already" if session.n_known_again > known_again else "pushes without contact"] += 1
+                self._advise(record.object_id)
                 continue
             self._counts["pushes"] += 1
             stamp = float(record.poses.time[-1])
@@ -265,6 +270,7 @@ class _Identification(Component):
         if record is None or session is None:
             return
         self._updated[object_id] = now
+        self._is_pushing = True
         with self._solving:
             update = session.update(record)
         if update is None:
@@ -293,14 +299,10 @@ class _Identification(Component):
         settings = PushSettings(pusher_radius=self._collector.radius)
         others = self._collector.outlines_of_others(object_id)
         n = self._settings["suggest_candidates"]
-        suggestion = session.suggest(latest[1], settings, others, n_candidates=n, is_wanted=self._is_nothing_pushed)
+        suggestion = session.suggest(latest[1], settings, others, n_candidates=n, is_wanted=lambda: not self._is_pushing)
         if suggestion is not None:
             self._outputs[object_id].publish_next_push(*suggestion, session.status)
             self._counts["pushes suggested"] += 1
-
-    def _is_nothing_pushed(self) -> bool:
-        """Until then a suggestion is wanted; from then on updates need the processor, and the poses it is for have changed."""
-        return not any(session.is_under_way for session in list(self._sessions.values()))
 
     def _publish_map(self, session: ObjectSession, stamp: float, n_pushes: int) -> None:
         latest = self._collector.latest(session.object_id)
