@@ -294,7 +294,7 @@ class _Identification(Component):
     def _suggest(self, object_id: str) -> None:
         """Publish the push to make next."""
         session, latest = self._sessions[object_id], self._collector.latest(object_id)
-        if latest is None or not self._collector.radius:
+        if latest is None or not self._collector.radius or self._is_pushing:
             return
         settings = PushSettings(pusher_radius=self._collector.radius)
         others = self._collector.outlines_of_others(object_id)
