@@ -49,9 +49,8 @@ class View:
     @property
     def pixel(self) -> float:
         """Width of a pixel on the object [m]."""
-        return (
-            float(np.linalg.norm([*(self.camera_in_table[:2, 3] - self.pose[:2]), self.camera_in_table[2, 3]])) / self.frame.intrinsics.fx
-        )
+        to_camera = self.camera_in_table[:3, 3] - (*self.pose[:2], 0.0)
+        return float(np.linalg.norm(to_camera)) / self.frame.intrinsics.fx
 
     @property
     def scene(self) -> Scene:
