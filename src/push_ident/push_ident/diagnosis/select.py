@@ -45,7 +45,11 @@ def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Ga
         policy: limits.
     """
     places = [fit.effects.slice_of(name) for name in names if name in fit.names]
-    pairs = [pair for own in places for pair in zip(fit.effects.values[own], fit.unknowns.effect_std[own], strict=True)]
+    pairs = [
+        (float(offset), float(std))
+        for own in places
+        for offset, std in zip(fit.effects.values[own], fit.unknowns.effect_std[own], strict=True)
+    ]
     return [
         Gate(
             abs(offset) < policy.max_outline_deviations * std,
