@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError, PerceptionError
 from push_ident.geometry.se2 import rotation
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.depth import points_in_table, usable_frame
 from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
 from push_ident.perception.refusals import Reason, Refusal, summary_of
 from push_ident.perception.registration import NewObject, Registration, refusal_of
@@ -200,9 +200,10 @@ class Perception:
             on_poses: Called with the tracked objects, before the slower search for others and the occupancy grid.
 
         Raises:
-            FrameError: The frame repeats a stamp, or its size differs from its camera info.
+            FrameError: The frame repeats a stamp, its size differs from its camera info, or that is of no camera.
             PerceptionError: The frame has no valid pixel, or no table is found.
         """
+        frame = usable_frame(frame)
         restarted, n_valid = self._begin(frame)
         fits = self._track(frame, robot)
         if on_poses is not None and fits:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.further_camera import FurtherCamera
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import RobotPart
@@ -138,7 +139,10 @@ class Registration:
         frame = DepthFrame(last.stamp, median_depth(candidate.frames), last.intrinsics, last.frame_id)
         main = SegmentedView(frame, camera, candidate.segment, plane.noise / np.sqrt(len(candidate.frames)))
         traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp, settings)
-        return fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
+        fused = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
+        # What the nodes after this one refuse is no object here either.
+        check_shape(fused.shape, remedy="It may be several things; move them apart.")
+        return fused
 
     def _trace_with_all(
         self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings
