@@ -67,6 +67,7 @@ def test_depth_in_a_wrong_unit_is_survived_while_an_object_is_followed(frames: l
     perception = with_object(frames)
     for k, frame in enumerate(frames[5:7]):
         around = frame.depth.copy()
+        around[110:115, 150:155] = np.nan  # as a shadow: how far it reaches depends on the depth
         around[60:] *= np.float32(factor)
         for n, depth in enumerate((np.asarray(frame.depth * np.float32(factor)), around)):
             try:
@@ -76,6 +77,14 @@ def test_depth_in_a_wrong_unit_is_survived_while_an_object_is_followed(frames: l
     for n in range(8):
         observation = perception.observe(replace(frames[n], stamp=10.0 + 0.3 * n))
     assert observation.why_no_pose() == ""
+
+
+def test_a_camera_that_changes_its_resolution_or_focal_length_begins_the_rest_anew(frames: list[DepthFrame]) -> None:
+    half = CameraIntrinsics(160, 120, 150.0, 150.0, 79.75, 59.75)
+    for changed in (DepthFrame(0.6, frames[2].depth[::2, ::2], half), replace(frames[2], intrinsics=replace(SMALL, fx=301.0))):
+        perception = Perception(CAMERA, PerceptionSettings(rest_frames=3))
+        sequence = [*frames[:2], changed, *frames[3:6]]
+        assert [bool(perception.observe(frame).new_shapes) for frame in sequence] == [False] * 5 + [True]
 
 
 @pytest.mark.parametrize("depth", [1e-30, 1e-6])

@@ -65,7 +65,12 @@ class _Candidate:
     """Why the last try gave no shape."""
 
     def is_continued_by(self, segment: Segment, frame: DepthFrame, rest_distance: float) -> bool:
-        """Whether the segment has the place and the size of this candidate; noise moves the middle of a segment by up to a pixel."""
+        """Whether the segment has the place and the size of this candidate; noise moves the middle of a segment by up to a pixel.
+
+        Frames of another size or with other intrinsics, as after a driver has changed its mode, begin anew.
+        """
+        if frame.intrinsics != self.frames[-1].intrinsics:
+            return False
         pixel = float(np.nanmedian(frame.depth[segment.rows, segment.columns][segment.mask])) / frame.intrinsics.fx
         moved = float(np.linalg.norm(segment.centre - np.mean(self.centres, axis=0)))
         return moved < max(rest_distance, pixel) and abs(segment.area - self.segment.area) < _SAME_AREA * segment.area

@@ -122,7 +122,7 @@ def _beside_unmeasured(frame: DepthFrame, labels: NDArray[np.int8], box: tuple[s
     enough = _UNMEASURED * np.count_nonzero(around)
     rows, columns = box
     pixel = float(np.nanmedian(frame.depth[box])) / frame.intrinsics.fx
-    reach = _NEAR + int(np.ceil(min(_SHADOW / pixel, max(labels.shape))))
+    reach = _NEAR + int(np.ceil(_SHADOW / pixel))
     wide = (slice(max(0, rows.start - reach), rows.stop + reach), slice(max(0, columns.start - reach), columns.stop + reach))
     top, left = rows.start - _NEAR - wide[0].start, columns.start - _NEAR - wide[1].start
     inner = (slice(top, top + own.shape[0]), slice(left, left + own.shape[1]))

@@ -26,8 +26,10 @@ from push_ident.types import DepthFrame, Float64Array
 from push_ident_sim.fuzz.frame_scenes import WIDTHS, FrameScene, scene_of
 from push_ident_sim.fuzz.mutate_frame import FRAME_MUTATIONS, Around, mutated
 
-__all__ = ["FrameMutation", "FrameRecipe", "SequenceResult", "Step", "draw_sequence", "run_sequence"]
+__all__ = ["IN_A_ROW", "FrameMutation", "FrameRecipe", "SequenceResult", "Step", "draw_sequence", "run_sequence"]
 
+IN_A_ROW: Final = 32
+"""Sequences of one scene: to render it takes as long as some of them."""
 MAX_SECONDS: Final = 1.0
 """Longest time of the processor for an image of 640 x 480 pixels [s]; larger ones have more in proportion. A frame takes 0.03 s."""
 _USUAL: Final = 640 * 480
@@ -99,9 +101,9 @@ class SequenceResult:
 
 
 def draw_sequence(seed: int, number: int, scenes: Sequence[str]) -> FrameRecipe:
-    """The recipe with this number; eight in a row have the same scene, so that it is made once."""
+    """The recipe with this number; `IN_A_ROW` in a row have the same scene, so that it is made once."""
     rng = np.random.default_rng([seed, number])
-    scene, width = scenes[number // 8 % len(scenes)], int(rng.choice(WIDTHS, p=(0.3, 0.55, 0.15)))
+    scene, width = scenes[number // IN_A_ROW % len(scenes)], int(rng.choice(WIDTHS, p=(0.3, 0.55, 0.15)))
     n_prefix = int(rng.choice([0, 2, _PREFIX, _PREFIX]))
     steps = [Step(int(rng.integers(4)), 0.05) for _ in range(n_prefix)]
     latest: tuple[FrameMutation, ...] = ()

@@ -14,14 +14,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from push_ident_sim.fuzz.frame_runs import FrameMutation, FrameRecipe, SequenceResult, Step, draw_sequence, run_sequence
+from push_ident_sim.fuzz.frame_runs import IN_A_ROW, FrameMutation, FrameRecipe, SequenceResult, Step, draw_sequence, run_sequence
 from push_ident_sim.fuzz.frame_scenes import scenes_here
 
 __all__ = ["FrameFinding", "FrameFuzzSummary", "fuzz_frames", "read_sequence"]
 
 _SINGLE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-_BATCH: Final = 8
-"""Sequences that a worker takes at once: those of one scene."""
 _TRIES: Final = 60
 """Largest number of sequences that are run to make a failure shorter."""
 
@@ -92,14 +90,14 @@ def fuzz_frames(
     summary, scenes = FrameFuzzSummary(seed), scenes_here()
     os.environ.update(_SINGLE_THREAD)
     running: list[tuple[int, Future[list[SequenceResult]]]] = []
-    batches: Iterator[int] = iter(range(0, 1 << 30, _BATCH))
+    batches: Iterator[int] = iter(range(0, 1 << 30, IN_A_ROW))
     while summary.frames < count and time.monotonic() < deadline:
         with _pool(jobs) as pool:
             try:
                 while summary.frames < count and time.monotonic() < deadline:
                     while len(running) < jobs + 1:
                         first = next(batches)
-                        running.append((first, pool.submit(_run_batch, [draw_sequence(seed, first + k, scenes) for k in range(_BATCH)])))
+                        running.append((first, pool.submit(_run_batch, [draw_sequence(seed, first + k, scenes) for k in range(IN_A_ROW)])))
                     first, done = running[0]
                     for k, result in enumerate(done.result()):
                         summary.add(draw_sequence(seed, first + k, scenes), result)
@@ -136,7 +134,7 @@ def _deadly(batches: list[int], seed: int) -> list[FrameRecipe]:
     """The sequences that end the process, of the batches that were running when one did."""
     scenes = scenes_here()
     return [
-        recipe for first in batches for recipe in (draw_sequence(seed, first + k, scenes) for k in range(_BATCH)) if _ends_process(recipe)
+        recipe for first in batches for recipe in (draw_sequence(seed, first + k, scenes) for k in range(IN_A_ROW)) if _ends_process(recipe)
     ]
 
 
