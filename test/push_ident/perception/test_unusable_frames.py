@@ -87,6 +87,18 @@ def test_a_camera_that_changes_its_resolution_or_focal_length_begins_the_rest_an
         assert [bool(perception.observe(frame).new_shapes) for frame in sequence] == [False] * 5 + [True]
 
 
+def test_a_noisy_first_frame_does_not_hide_the_low_parts_of_an_object(frames: list[DepthFrame]) -> None:
+    """A plane fitted to it allows no object lower than 24 mm: the handle of the hammer has 25 mm, with noise."""
+    rng = np.random.default_rng(1)
+    noise = 0.006 * rng.standard_normal(frames[0].depth.shape, dtype=np.float32)
+    perception = Perception(CAMERA, PerceptionSettings(rest_frames=3))
+    perception.observe(replace(frames[0], depth=frames[0].depth + noise))
+    assert perception.plane is not None and perception.plane.least_height > 0.015
+    shapes = [shape for frame in frames[1:] for shape in perception.observe(frame).new_shapes.values()]
+    assert perception.plane.least_height < 0.009
+    assert len(shapes) == 1 and np.ptp(shapes[0].outline, axis=0).max() > 0.17
+
+
 @pytest.mark.parametrize("depth", [1e-30, 1e-6])
 def test_surfaces_at_no_distance_are_divided_in_bounded_time(depth: float) -> None:
     image = np.full((40, 50), depth, dtype=np.float32)
