@@ -37,8 +37,8 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
 	$(VENV)/push-ident experiment report
 
-MINUTES ?= 40
-fuzz: setup  ## mutated messages for every node and mutated bags for every command, MINUTES=40; then docs/results/fuzzing.md
+MINUTES ?= 60
+fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and perception, MINUTES=60; then docs/results/fuzzing.md
 	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page

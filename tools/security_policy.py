@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 POLICY = ROOT / "security" / "policy.xml"
 ENCLAVES = "/push_ident/"
-COMMANDS = ("push_ident_client", "push_ident_doctor")
+COMMANDS = ("push_ident_client", "push_ident_doctor", "push_ident_look")
 """Nodes of the command line; they share the enclave `command_line`."""
 START_WITHIN, PUSH_WITHIN, SETTLED = 60.0, 30.0, 3.0
 """Longest time for all nodes to be there, for a push, and time without a new name after which a graph is complete [s]."""
@@ -50,8 +50,12 @@ class Right(NamedTuple):
     """Without the leading slash; `~/` stands for the name of the node, `*` for the id of an object."""
 
 
-EXTRA = {"perception_node": {Right("topic", "subscribe", "tf"), Right("topic", "subscribe", "tf_static")}}
-"""What nodes have on machines with tf2_ros only, which the wheels lack."""
+EXTRA = {
+    "perception_node": {Right("topic", "subscribe", "tf"), Right("topic", "subscribe", "tf_static")},
+    "push_ident_look": {Right("topic", "subscribe", f"depth/{name}") for name in ("image_rect", "camera_info", "camera_pose")}
+    | {Right("topic", "publish", "parameter_events"), Right("service", "reply", "~/get_type_description")},
+}
+"""What nodes have on machines with tf2_ros only, which the wheels lack, and what `push-ident look --live` has, which no cell starts."""
 Graph = dict[str, set[Right]]
 """Rights of each node, by its name."""
 
@@ -133,7 +137,7 @@ def live_graph(log: Callable[[str], None] = lambda text: None, *, push: bool = T
     graph["bag_player_node"] |= {Right("topic", "publish", topic) for topic in contract}
     graph["bag_recorder_node"] |= {Right("topic", "subscribe", topic) for topic in contract}
     for node, rights in EXTRA.items():
-        graph[node] |= rights
+        graph.setdefault(node, set()).update(rights)
     return graph
 
 

@@ -57,7 +57,7 @@ def test_policy_keeps_the_rules_of_the_schema_of_sros2() -> None:
 def test_every_node_has_an_enclave_of_its_own() -> None:
     profiles = {e.attrib["path"]: [p.attrib["node"] for p in e.iter("profile")] for e in xml.parse(POLICY).iter("enclave")}
     expected = {f"/push_ident/{node}": [node] for node in (*NODES, *SIM_NODES)}
-    assert profiles == expected | {"/push_ident/command_line": ["push_ident_client", "push_ident_doctor"]}
+    assert profiles == expected | {"/push_ident/command_line": ["push_ident_client", "push_ident_doctor", "push_ident_look"]}
 
 
 def test_a_right_that_is_missing_is_named(tool: ModuleType) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
@@ -71,3 +72,13 @@ def test_side_that_bulges_does_not_become_straight() -> None:
     bulging = np.vstack([np.column_stack([x, -0.0016 * (1.0 - (2.0 * x / 0.06 - 1.0) ** 2)]), [[0.06, 0.03], [0.0, 0.03]]])
     outline = straighten(traced(bulging, np.random.default_rng(4)))
     assert np.min(outline[:, 1]) < -1e-3
+
+
+def test_no_edge_of_a_ragged_contour_has_no_length() -> None:
+    for seed in range(12):
+        rough = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal((200, 200)), (0, 0), 1.5)
+        contours, _ = cv2.findContours((rough > -0.02).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        contour = max(contours, key=cv2.contourArea)[:, 0] * 2.5e-4
+        outline = straighten(contour)
+        assert len(outline) >= 3
+        assert np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).min() > 0

@@ -1,4 +1,4 @@
-"""`push-ident fuzz`: mutated messages for every node, and mutated bags for every command that reads one."""
+"""`push-ident fuzz`: mutated messages for every node, mutated bags for every command that reads one, mutated depth frames."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from push_ident.limits import plain_text
 
 __all__ = ["fuzz_command"]
 
-_KINDS = ("messages", "bags")
+_KINDS = ("messages", "bags", "frames")
 _OUT = Path("out/fuzz")
 
 
 def fuzz_command(
-    minutes: Annotated[float, typer.Option(min=0.1, help="In all; half of it each for messages and bags.")] = 40.0,
+    minutes: Annotated[float, typer.Option(min=0.1, help="In all; the same share for messages, bags and frames.")] = 40.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the mutations.")] = 0,
-    only: Annotated[str, typer.Option(metavar="KIND", help="messages or bags. Default: both.", show_default=False)] = "",
+    only: Annotated[str, typer.Option(metavar="KIND", help="messages, bags or frames. Default: all.", show_default=False)] = "",
     node: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Executables to fuzz. Default: all of the suite.", show_default=False)
     ] = None,
@@ -33,10 +33,10 @@ def fuzz_command(
     json: JsonOption = None,
     page: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the page, and its numbers beside it; those of the other kind stay.", show_default=False),
+        typer.Option(metavar="FILE", help="Write the page, and its numbers beside it; those of the other kinds stay.", show_default=False),
     ] = None,
 ) -> None:
-    """Mutated messages for every node, which must live, answer and still work; mutated bags for every command that reads one."""
+    """Mutated messages for every node, which must live, answer and still work; mutated bags for every command; mutated depth frames."""
     if only and only not in _KINDS:
         raise InputError(f"--only is {only!r}, expected one of {', '.join(_KINDS)}.")
     kinds = (only,) if only else _KINDS
@@ -52,6 +52,12 @@ def fuzz_command(
         )
         content["bags"] = summary.to_json()
         _show(f"{summary.mutants} mutated bags, seed {seed}")
+    if "frames" in kinds:
+        frames = sim_module("push_ident_sim.fuzz.frames").fuzz_frames(
+            minutes=minutes / len(kinds), seed=seed, cases=cases and cases / "frames", on_progress=_show
+        )
+        content["frames"] = frames.to_json()
+        _show(f"{frames.frames} mutated frames, seed {seed}")
     if json is not None:
         write_json(json, content)
         _show(f"written: {json}")
@@ -60,6 +66,7 @@ def fuzz_command(
         _show(f"written: {page}")
     failures = [f"{finding['node']}: {finding['text']} ({finding['file']})" for finding in content.get("messages", {}).get("findings", ())]
     failures += [f"{finding['command']}: {finding['failure']}" for finding in content.get("bags", {}).get("findings", ())]
+    failures += [f"{finding['scene']}: {finding['failure']}" for finding in content.get("frames", {}).get("findings", ())]
     for failure in failures:
         warn(plain_text(failure))
     if failures:

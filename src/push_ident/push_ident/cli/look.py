@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 from rich.table import Table
 
+from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.reader import read_depth
 from push_ident.cli.identify import CameraOption, read_camera
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
@@ -27,17 +30,22 @@ __all__ = ["look_command"]
 _BAGS: Final = (".mcap", ".db3", ".bag")
 """Suffixes of the files of a bag."""
 _FILES: Final = ("look.html", "look.png", "perception.yaml")
+_TOPIC: Final = topic_of(Role.DEPTH)
+"""Of the camera that is listened to where no other is given: that of perception_node."""
 
 
 def look_command(
     source: Annotated[
-        Path,
+        str,
         typer.Argument(
             metavar="SOURCE",
-            help="A bag with depth images, a folder of depth images (16-bit PNG, 32-bit TIFF, .npy, organised PCD), or one of them.",
+            help="A bag with depth images, a folder of depth images (16-bit PNG, 32-bit TIFF, .npy, organised PCD), or one of them; "
+            f"with --live the topic of the images, {_TOPIC} by default.",
             show_default=False,
         ),
-    ],
+    ] = "",
+    live: Annotated[bool, typer.Option("--live", help="Listen to the depth camera that runs now.")] = False,
+    seconds: Annotated[float, typer.Option(min=0.5, help="Longest time to wait for a rest of a live camera [s].")] = 15.0,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for picture, page and parameter file.")] = Path("out/look"),
     json: JsonOption = None,
     camera: CameraOption = None,
@@ -67,20 +75,17 @@ def look_command(
     size, given = _known(known), read_camera(camera)
     if depth_unit is not None and not 0 < depth_unit < 1000:
         raise InputError(f"--depth-unit is {depth_unit:g}, expected metres per unit, such as 0.001 for millimetres.")
-    with console.status("reading"):
-        frames, in_bag, notes = _read(source, _intrinsics(intrinsics), depth_unit)
-        survey = survey_frames(frames, in_bag if given is None else given, notes)
-        check: ScaleCheck | None = None
-        unchecked: PerceptionError | None = None
-        if size is not None:
-            try:
-                check = check_scale(survey, size)
-            except PerceptionError as error:
-                unchecked = error
-    parameters, png = parameter_text(survey, source.name), png_of(draw_survey(survey))
+    name = source or _TOPIC if live else Path(source).name
+    with console.status("reading") as status:
+        if live:
+            _check_live(source, intrinsics, depth_unit)
+        seen = _listen(name, seconds, status.update) if live else _read(source, _intrinsics(intrinsics), depth_unit)
+        survey = survey_frames(seen.frames, seen.camera_in_table if given is None else given, seen.notes)
+        check, unchecked = _checked(survey, size)
+    parameters, png = parameter_text(survey, name), png_of(draw_survey(survey))
     write_whole(out / "look.png", png, "the picture")
     write_whole(out / "perception.yaml", parameters, "the parameters")
-    write_survey_page(out / "look.html", survey, source.name, png, parameters, check or (str(unchecked) if unchecked else None))
+    write_survey_page(out / "look.html", survey, name, png, parameters, check or (str(unchecked) if unchecked else None))
     if json is not None:
         write_json(json, survey_json(survey, check))
     _show(survey, check)
@@ -91,19 +96,50 @@ def look_command(
         raise PerceptionError(survey.failure)
 
 
-def _read(
-    source: Path, intrinsics: tuple[float, float, float, float] | None, unit: float | None
-) -> tuple[list[DepthFrame], Float64Array | None, list[str]]:
-    """Frames at rest, the pose of the camera where the bag has it, and notes. Raises BagError, InputError or FrameError."""
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What a source has."""
+
+    frames: list[DepthFrame]
+    """Those at rest."""
+    camera_in_table: Float64Array | None
+    """Pose of the optical frame, shape (4, 4); None where the source has none."""
+    notes: list[str]
+
+
+def _read(text: str, intrinsics: tuple[float, float, float, float] | None, unit: float | None) -> _Seen:
+    """What a bag or images have. Raises BagError, InputError or FrameError."""
+    if not text:
+        raise InputError("There is no SOURCE; give a bag, a folder of depth images, or --live for a camera that runs.")
+    source = Path(text)
     if not _is_bag(source):
         images = DepthImages(source, intrinsics, unit)
         frames, passed = frames_at_rest(images.frames())
-        return frames, None, [*images.skipped, passed]
+        return _Seen(frames, None, [*images.skipped, passed])
     if intrinsics is not None or unit is not None:
         raise InputError(f"{source} is a bag, which has intrinsics and unit of its images; leave out --intrinsics and --depth-unit.")
     recording = read_depth(source)
     frames, passed = frames_at_rest(recording.frames())
-    return frames, recording.camera_in_table, [*recording.notes, passed]
+    return _Seen(frames, recording.camera_in_table, [*recording.notes, passed])
+
+
+def _check_live(source: str, intrinsics: str, unit: float | None) -> None:
+    """Raises InputError for what a live camera does not have."""
+    if intrinsics or unit is not None:
+        raise InputError("--live has intrinsics from camera_info and the unit from the encoding; leave out --intrinsics and --depth-unit.")
+    if source and Path(source).exists():
+        raise InputError(f"{source} is a file or folder, expected a topic such as {_TOPIC}; leave out --live to look at it.")
+
+
+def _listen(topic: str, seconds: float, show: Callable[[str], None]) -> _Seen:
+    """What a camera that runs now has. Raises InputError or FrameError."""
+    from push_ident.nodes.depth_capture import DepthCapture  # without --live no ROS is needed
+
+    with DepthCapture(topic, seconds=seconds, on_progress=show) as camera:
+        console.print(f"listening to {camera.topic} and {camera.info_topic} for up to {seconds:g} s", highlight=False, soft_wrap=True)
+        frames, passed = frames_at_rest(camera.frames())
+        console.print(f"{len(frames)} depth images at rest", highlight=False)
+        return _Seen(frames, camera.camera_in_table, [*camera.notes, passed])
 
 
 def _is_bag(source: Path) -> bool:
@@ -131,6 +167,16 @@ def _known(text: str) -> KnownSize | None:
     except ValueError:
         raise InputError(f"--known is `{text}`, expected width x depth x height in metres, such as 0.2x0.1x0.05.") from None
     return KnownSize(width, depth, first)
+
+
+def _checked(survey: Survey, size: KnownSize | None) -> tuple[ScaleCheck | None, PerceptionError | None]:
+    """The check of the scale where a size was given, or why there is none."""
+    if size is None:
+        return None, None
+    try:
+        return check_scale(survey, size), None
+    except PerceptionError as error:
+        return None, error
 
 
 def _show(survey: Survey, check: ScaleCheck | None) -> None:

@@ -7,6 +7,7 @@ so a point is the camera centre plus its depth times that direction.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -18,7 +19,16 @@ from push_ident.geometry.outline import points_in_polygon
 from push_ident.perception.kernels import place_points
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
 
-__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "check_size", "depth_from_buffer", "height_inside", "points_in_table", "rays_in_table"]
+__all__ = [
+    "ACCEPTED_ENCODINGS",
+    "check_intrinsics",
+    "check_size",
+    "depth_from_buffer",
+    "height_inside",
+    "points_in_table",
+    "rays_in_table",
+    "usable_frame",
+]
 
 ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
     "16UC1": (np.dtype(np.uint16), 1e-3),
@@ -27,6 +37,10 @@ ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
 """Encoding -> (type of a pixel, metres per unit), as in REP 118."""
 
 _MAX_SIDE: Final = 16384
+_MAX_FOCAL: Final = 1e5
+"""Largest focal length [px]: one pixel then sees 10 um at 1 m, a tenth of the noise of the finest camera (PhoXi, 0.1 mm)."""
+_MAX_TANGENT: Final = 12.0
+"""Of the angle between the optical axis and a line of sight [-], 85 degrees; the widest depth cameras reach 60 degrees."""
 
 
 def depth_from_buffer(
@@ -67,11 +81,24 @@ def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
     """Reject a camera matrix that no pinhole camera has.
 
     Raises:
-        FrameError: Focal length not positive, or a value not finite.
+        FrameError: Focal length not positive or too large, a value not finite, or a line of sight across the optical axis.
     """
     k = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
     if not all(math.isfinite(value) for value in k) or intrinsics.fx <= 0 or intrinsics.fy <= 0:
         raise FrameError(f"Camera info has (fx, fy, cx, cy) = {k}, expected finite values and focal lengths > 0; calibrate the camera.")
+    largest = max(intrinsics.fx, intrinsics.fy)
+    if largest > _MAX_FOCAL:
+        raise FrameError(f"Camera info has a focal length of {largest:.3g} px, expected at most {_MAX_FOCAL:.0f}; calibrate the camera.")
+    tangent = max(
+        max(abs(intrinsics.cx), abs(intrinsics.width - 1 - intrinsics.cx)) / intrinsics.fx,
+        max(abs(intrinsics.cy), abs(intrinsics.height - 1 - intrinsics.cy)) / intrinsics.fy,
+    )
+    if tangent > _MAX_TANGENT:
+        raise FrameError(
+            f"Camera info has (fx, fy, cx, cy) = {k} for {intrinsics.width} x {intrinsics.height} pixels: a pixel would look "
+            f"{math.degrees(math.atan(tangent)):.1f} degrees off the optical axis, expected at most "
+            f"{math.degrees(math.atan(_MAX_TANGENT)):.0f}; calibrate the camera."
+        )
 
 
 def check_size(frame: DepthFrame) -> None:
@@ -83,6 +110,21 @@ def check_size(frame: DepthFrame) -> None:
     expected = (frame.intrinsics.height, frame.intrinsics.width)
     if frame.depth.shape != expected:
         raise FrameError(f"Depth image has shape {frame.depth.shape}, its camera info {expected}; they belong to different cameras.")
+
+
+def usable_frame(frame: DepthFrame) -> DepthFrame:
+    """The frame as perception needs it: depth in single precision, row by row, and NaN in place of all that is no depth.
+
+    Raises:
+        FrameError: The size of the image differs from its camera info, or the intrinsics are none.
+    """
+    check_intrinsics(frame.intrinsics)
+    check_size(frame)
+    with np.errstate(over="ignore"):
+        depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
+    if ((depth <= 0) | np.isinf(depth)).any():
+        depth = np.where((depth > 0) & np.isfinite(depth), depth, np.float32(np.nan))
+    return frame if depth is frame.depth else replace(frame, depth=depth)
 
 
 @lru_cache(maxsize=8)

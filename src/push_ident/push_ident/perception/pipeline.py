@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError, PerceptionError
 from push_ident.geometry.se2 import rotation
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.depth import points_in_table, usable_frame
 from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
 from push_ident.perception.refusals import Reason, Refusal, summary_of
 from push_ident.perception.registration import NewObject, Registration, refusal_of
@@ -32,6 +32,9 @@ _MAX_AGE: Final = 0.2
 """Poses further apart in time do not estimate a velocity [s]."""
 _MOVED: Final = 0.0015
 """A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
+_CALMER: Final = 0.67
+"""A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation that
+the median of 125 points gives, the least number of a plane."""
 _SAME_AREA: Final = (0.4, 1.6)
 """Range of the area of a segment that may be a lost object, relative to the area of that object."""
 _ON_OBJECT: Final = 0.008
@@ -200,9 +203,10 @@ class Perception:
             on_poses: Called with the tracked objects, before the slower search for others and the occupancy grid.
 
         Raises:
-            FrameError: The frame repeats a stamp, or its size differs from its camera info.
+            FrameError: The frame repeats a stamp, its size differs from its camera info, or that is of no camera.
             PerceptionError: The frame has no valid pixel, or no table is found.
         """
+        frame = usable_frame(frame)
         restarted, n_valid = self._begin(frame)
         fits = self._track(frame, robot)
         if on_poses is not None and fits:
@@ -225,6 +229,7 @@ class Perception:
             if occupancy_due:
                 occupancy = top_down(points, labels, self.limits)
                 self._last_occupancy = frame.stamp
+            if occupancy_due or not self._tracked:
                 self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
@@ -373,12 +378,18 @@ class Perception:
         self._camera = plane.correct(self._extrinsics)
 
     def _check_plane(self, frame: DepthFrame, points: NDArray[np.float32]) -> None:
-        """Use a new plane where the table or the camera was moved. Smaller differences are noise and would make the poses jump."""
+        """Use a new plane where the table or the camera was moved. Smaller differences are noise and would make the poses jump.
+
+        A plane that was fitted to a noisy image, such as the first one of a camera that starts, gets the noise of a better one: otherwise
+        the low parts of objects would count as table.
+        """
         try:
             moved = fit_table(points, self.settings)
             (x0, y0), (x1, y1) = self.settings.workspace_low, self.settings.workspace_high
             if max(abs(moved.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1))) > _MOVED:
                 self._use_plane(fit_table(points_in_table(frame, self._extrinsics), self.settings))
+            elif self._plane is not None and moved.noise < _CALMER * self._plane.noise:
+                self._plane = replace(self._plane, noise=moved.noise)
         except PerceptionError:
             # The robot may cover the table for a while; the plane in use remains valid.
             self._table_hidden += 1

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.further_camera import FurtherCamera
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import RobotPart
@@ -64,7 +65,12 @@ class _Candidate:
     """Why the last try gave no shape."""
 
     def is_continued_by(self, segment: Segment, frame: DepthFrame, rest_distance: float) -> bool:
-        """Whether the segment has the place and the size of this candidate; noise moves the middle of a segment by up to a pixel."""
+        """Whether the segment has the place and the size of this candidate; noise moves the middle of a segment by up to a pixel.
+
+        Frames of another size or with other intrinsics, as after a driver has changed its mode, begin anew.
+        """
+        if frame.intrinsics != self.frames[-1].intrinsics:
+            return False
         pixel = float(np.nanmedian(frame.depth[segment.rows, segment.columns][segment.mask])) / frame.intrinsics.fx
         moved = float(np.linalg.norm(segment.centre - np.mean(self.centres, axis=0)))
         return moved < max(rest_distance, pixel) and abs(segment.area - self.segment.area) < _SAME_AREA * segment.area
@@ -138,7 +144,10 @@ class Registration:
         frame = DepthFrame(last.stamp, median_depth(candidate.frames), last.intrinsics, last.frame_id)
         main = SegmentedView(frame, camera, candidate.segment, plane.noise / np.sqrt(len(candidate.frames)))
         traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp, settings)
-        return fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
+        fused = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
+        # What the nodes after this one refuse is no object here either.
+        check_shape(fused.shape, remedy="It may be several things; move them apart.")
+        return fused
 
     def _trace_with_all(
         self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings

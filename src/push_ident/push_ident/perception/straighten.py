@@ -60,7 +60,7 @@ def straighten(contour: Float64Array) -> Float64Array:
         contour: closed, dense (points well below a millimetre apart) [m], shape (n, 2); either orientation, kept.
 
     Returns:
-        Polygon, shape (n_vertices, 2).
+        Polygon, shape (n_vertices, 2), without edges of no length.
     """
     corners = _simplified(contour, _COARSE)
     if len(corners) < 3:
@@ -75,7 +75,10 @@ def straighten(contour: Float64Array) -> Float64Array:
             inner = here.points[_open_simplified(here.points)]
             vertices.extend(inner[1:-1])
         vertices.extend(_joint(here, following))
-    return np.array(vertices)
+    outline = np.array(vertices)
+    # Two stretches may end in the same point; an edge without a length has no normal.
+    outline = outline[np.any(outline != np.roll(outline, 1, axis=0), axis=1)]
+    return outline if len(outline) >= 3 else contour[_simplified(contour, _FINE)]
 
 
 def _simplified(contour: Float64Array, tolerance: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

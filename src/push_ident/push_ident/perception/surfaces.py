@@ -60,7 +60,8 @@ def _folds(depth: NDArray[np.float32], patches: NDArray[np.int32], leg: float, s
     """Pixels that lie behind a chord whose two ends are on the same patch as the pixel."""
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = _averaged(np.reciprocal(depth), patches > 0)
-    lags = [max(2, round(leg / float(np.hypot(rows, columns)))) for rows, columns in _ACROSS]
+    furthest = max(depth.shape)  # a longer chord ends outside; a wrong unit would make one of any length
+    lags = [max(2, round(min(leg / float(np.hypot(rows, columns)), furthest))) for rows, columns in _ACROSS]
     legs = tuple((lag * rows, lag * columns) for lag, (rows, columns) in zip(lags, _ACROSS, strict=True))
     return np.asarray(mark_folds(inverse, patches, legs, sag))
 

@@ -300,7 +300,8 @@ def _beside_areas(frame: DepthFrame, box: tuple[slice, slice]) -> NDArray[np.uin
     areas = unmeasured_areas(measured)
     if not areas.any():
         return areas
-    reach = int(np.ceil(_SHY * frame.intrinsics.fx / float(np.median(frame.depth[box][measured])))) if measured.any() else 0
+    reach = _SHY * frame.intrinsics.fx / float(np.median(frame.depth[box][measured])) if measured.any() else 0.0
+    reach = int(np.ceil(min(reach, max(areas.shape))))  # further than the box there is nothing to mark
     return np.asarray(cv2.dilate(areas, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)))
 
 

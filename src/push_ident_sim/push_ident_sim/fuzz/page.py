@@ -10,10 +10,11 @@ from push_ident_sim.studies.common.files import read_json, write_json
 
 __all__ = ["write_page"]
 
+_KINDS: Final = ("messages", "bags", "frames")
 _HEAD: Final = """# Fuzzing
 
-Made by `make fuzz` (`push-ident fuzz --page {page}`). `--only messages` or `--only bags` replaces one half of the page. A failure is
-minimised, stored in `test/push_ident_sim/fuzz/cases`, and tried again by the tests.
+Made by `make fuzz` (`push-ident fuzz --page {page}`). `--only messages`, `--only bags` or `--only frames` replaces one part of the
+page. A failure is minimised, stored in `test/push_ident_sim/fuzz/cases`, and tried again by the tests.
 """
 
 _MESSAGES: Final = """## Messages
@@ -35,16 +36,29 @@ number that is not finite, a negative cell, or a fit that is said to have conver
 Seed {seed}, load of the machine {load}: **{mutants:,} mutated bags, {runs:,} runs of commands, {failures} failures.**
 """
 
+_FRAMES: Final = """## Depth frames
+
+Depth images of objects on a table, rendered for every sensor of the simulated cell, and recorded ones where they are on the machine, are
+mutated and given to perception in sequences: before, during and after an object is taken in. Nothing but a refusal of the frame may leave
+perception, within 1 s of the processor for 640 x 480 pixels; poses are finite with positive definite covariances, outlines do not cross
+themselves. After each sequence come clean frames, which must be taken: the table within 4 mm of its place, the objects found again.
+
+Seed {seed}, load of the machine {load}: **{frames:,} mutated frames in {sequences:,} sequences, {failures} failures.** Taken {taken:,},
+refused {refused:,}; the slowest frame took {worst_seconds:.2f} s.
+"""
+
 
 def write_page(path: Path, content: dict[str, Any]) -> None:
-    """Write the page. `content` has the results of `messages`, of `bags`, or both; what it lacks is taken from the JSON beside the page."""
+    """Write the page. `content` has the results of some of the kinds; what it lacks is taken from the JSON beside the page."""
     numbers = path.with_suffix(".json")
-    known: dict[str, Any] = (read_json(numbers) if numbers.exists() else {}) | {k: content[k] for k in ("messages", "bags") if k in content}
+    known: dict[str, Any] = (read_json(numbers) if numbers.exists() else {}) | {k: content[k] for k in _KINDS if k in content}
     parts = [_HEAD.format(page=path)]
     if "messages" in known:
         parts += _messages(known["messages"])
     if "bags" in known:
         parts += _bags(known["bags"])
+    if "frames" in known:
+        parts += _frames(known["frames"])
     write_json(numbers, known)
     write_whole(path, "\n".join(parts) + "\n", "the page")
 
@@ -82,4 +96,20 @@ def _bags(content: dict[str, Any]) -> list[str]:
         )
     lines += ["", "| source | mutated bags |", "|---|---|", *(f"| {name} | {n} |" for name, n in sorted(content["by_source"].items()))]
     lines += ["", "| mutation | times |", "|---|---|", *(f"| {name} | {n} |" for name, n in sorted(content["by_mutation"].items()))]
+    return [*lines, ""]
+
+
+def _frames(content: dict[str, Any]) -> list[str]:
+    taken = content["verdicts"].get("taken", 0)
+    refused = {kind: n for kind, n in sorted(content["verdicts"].items()) if kind not in ("taken", "failed")}
+    counts = {"failures": len(content["findings"]), "taken": taken, "refused": sum(refused.values())}
+    tables = {
+        "refused with": refused,
+        "scene": content["by_scene"],
+        "width of the image [px]": content["by_width"],
+        "mutation": dict(sorted(content["by_mutation"].items())),
+    }
+    lines = [_FRAMES.format(**content | counts)]
+    for head, numbers in tables.items():
+        lines += [f"| {head} | mutated frames |", "|---|---|", *(f"| {name} | {n} |" for name, n in numbers.items()), ""]
     return lines

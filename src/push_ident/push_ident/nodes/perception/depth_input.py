@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections import deque
 from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from push_ident.errors import PushIdentError
 from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert import depth_frame_from_msgs, stamp_from_msg
+from push_ident.nodes.convert import stamp_from_msg
+from push_ident.nodes.depth_pairs import DepthPairs
 from push_ident.types import DepthFrame
 
 __all__ = ["DepthInput"]
 
 
 class DepthInput:
-    """Subscribes to `depth/image_rect` and `depth/camera_info` below a prefix, with the QoS of sensors.
-
-    The info may arrive before or after its image; one without a stamp is of a camera that never changes.
-    """
+    """Subscribes to `depth/image_rect` and `depth/camera_info` below a prefix, with the QoS of sensors."""
 
     def __init__(
         self,
@@ -38,20 +33,15 @@ class DepthInput:
 
         Args:
             prefix: Of the topics; empty, or such as `side/`.
-            max_skew: Largest difference of the stamps of an image and its info in force [s].
-            on_frame: Called with each frame and the stamp of its image; a PushIdentError raised there refuses the frame.
-            refuse: Called with a key for diagnostics and the reason, for each image that comes to nothing.
+            max_skew, on_frame, refuse: As of `DepthPairs`.
         """
         self.image_topic = node.resolve_topic_name(f"{prefix}depth/image_rect")
         self.n_images = 0
         self.received = time.perf_counter()
         """When the latest image came, or this began to wait [s], receive time."""
-        self._info_topic = node.resolve_topic_name(f"{prefix}depth/camera_info")
-        self._max_skew, self._on_frame, self._refuse = max_skew, on_frame, refuse
-        self._infos: deque[tuple[float, CameraInfo]] = deque(maxlen=10)
-        """With their stamps [s]."""
-        self._unpaired: Image | None = None
-        node.create_subscription(CameraInfo, f"{prefix}depth/camera_info", self._on_info, qos_profile_sensor_data)
+        info_topic = f"{prefix}depth/camera_info"
+        self._pairs = DepthPairs(node.resolve_topic_name(info_topic), max_skew=max_skew, on_frame=on_frame, refuse=refuse)
+        node.create_subscription(CameraInfo, info_topic, self._pairs.on_info, qos_profile_sensor_data)
         self.arrivals = node.arrivals_of(f"{prefix}depth/image_rect")
         """What was lost because this node is slower than the camera."""
         node.create_subscription(Image, f"{prefix}depth/image_rect", self._on_image, qos_profile_sensor_data, arrivals=self.arrivals)
@@ -61,41 +51,8 @@ class DepthInput:
         """Since the latest image [s]."""
         return time.perf_counter() - self.received
 
-    def _on_info(self, info: CameraInfo) -> None:
-        at = stamp_from_msg(info.header.stamp)
-        self._infos.append((at, info))
-        if self._unpaired is not None and _skew(stamp_from_msg(self._unpaired.header.stamp), at) <= self._max_skew():
-            image, self._unpaired = self._unpaired, None
-            self._take(image, info)
-
     def _on_image(self, image: Image) -> None:
-        stamp = stamp_from_msg(image.header.stamp)
+        stamp_from_msg(image.header.stamp)  # one that cannot be refuses the message before it counts
         self.received = time.perf_counter()
         self.n_images += 1
-        if self._unpaired is not None:
-            self._drop(stamp_from_msg(self._unpaired.header.stamp))
-        self._unpaired = None
-        skew, info = min(((_skew(stamp, at), info) for at, info in self._infos), key=lambda pair: pair[0], default=(math.inf, None))
-        if info is not None and skew <= self._max_skew():
-            self._take(image, info)
-        else:
-            self._unpaired = image
-
-    def _drop(self, stamp: float) -> None:
-        if not self._infos:
-            self._refuse("dropped_without_info", f"no camera info on {self._info_topic} yet; start the camera driver")
-            return
-        skew, limit = min(_skew(stamp, at) for at, _ in self._infos), self._max_skew()
-        self._refuse(
-            "dropped_skew", f"depth image and nearest camera info are {skew * 1e3:.0f} ms apart, expected at most {limit * 1e3:.0f} ms"
-        )
-
-    def _take(self, image: Image, info: CameraInfo) -> None:
-        try:
-            self._on_frame(depth_frame_from_msgs(image, info, max_skew=None), image.header.stamp)
-        except PushIdentError as error:
-            self._refuse("frames_refused", str(error))
-
-
-def _skew(stamp: float, at: float) -> float:
-    return abs(stamp - at) if at else 0.0
+        self._pairs.on_image(image)

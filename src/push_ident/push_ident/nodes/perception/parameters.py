@@ -6,6 +6,7 @@ import re
 from typing import Any, Final
 
 from push_ident.errors import InputError
+from push_ident.nodes.depth_pairs import MAX_SKEW
 from push_ident.nodes.parameters import Parameter
 from push_ident.perception.settings import PerceptionSettings
 
@@ -65,7 +66,7 @@ PARAMETERS: Final = (
     Parameter("mark_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the calibration mark in `table`", -10.0, 10.0, read_only=True),
     Parameter("calibration_frames", 30, "frames at rest that give the extrinsics", 1, 1000, read_only=True),
     Parameter("calibration_file", "", "where calibrated extrinsics are written as a parameter file; empty: nowhere", read_only=True),
-    Parameter("max_skew", 0.05, "a depth image and a camera info further apart do not belong together [s]", 0.0, 10.0),
+    Parameter("max_skew", MAX_SKEW, "a depth image and a camera info further apart do not belong together [s]", 0.0, 10.0),
 )
 
 

@@ -1,0 +1,91 @@
+"""Depth images with the camera info that belongs to each."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CameraInfo, Image
+
+from push_ident.errors import PushIdentError
+from push_ident.nodes.convert import depth_frame_from_msgs, stamp_from_msg
+from push_ident.types import DepthFrame
+
+__all__ = ["MAX_SKEW", "DepthPairs"]
+
+MAX_SKEW: Final = 0.05
+"""An image and a camera info further apart do not belong together, unless a node has another parameter [s]: more than a frame at 30 Hz."""
+
+
+class DepthPairs:
+    """Finds the camera info of each image.
+
+    It may arrive before or after its image; one without a stamp is of a camera that never changes.
+    """
+
+    def __init__(
+        self,
+        info_topic: str,
+        *,
+        max_skew: Callable[[], float],
+        on_frame: Callable[[DepthFrame, Time], None],
+        refuse: Callable[[str, str], None],
+    ) -> None:
+        """Begin without any.
+
+        Args:
+            info_topic: For texts.
+            max_skew: Largest difference of the stamps of an image and its info in force [s].
+            on_frame: Called with each frame and the stamp of its image; a PushIdentError raised there refuses the frame.
+            refuse: Called with a key for diagnostics and the reason, for each image that comes to nothing.
+        """
+        self._info_topic = info_topic
+        self._max_skew, self._on_frame, self._refuse = max_skew, on_frame, refuse
+        self._infos: deque[tuple[float, CameraInfo]] = deque(maxlen=10)
+        """With their stamps [s]."""
+        self._unpaired: Image | None = None
+
+    def on_info(self, info: CameraInfo) -> None:
+        """Take a camera info."""
+        at = stamp_from_msg(info.header.stamp)
+        self._infos.append((at, info))
+        if self._unpaired is not None and _skew(stamp_from_msg(self._unpaired.header.stamp), at) <= self._max_skew():
+            image, self._unpaired = self._unpaired, None
+            self._take(image, info)
+
+    def on_image(self, image: Image) -> None:
+        """Take an image; one without info before it waits for the next info, until the next image comes."""
+        stamp = stamp_from_msg(image.header.stamp)
+        self.drop_unpaired()
+        skew, info = min(((_skew(stamp, at), info) for at, info in self._infos), key=lambda pair: pair[0], default=(math.inf, None))
+        if info is not None and skew <= self._max_skew():
+            self._take(image, info)
+        else:
+            self._unpaired = image
+
+    def drop_unpaired(self) -> None:
+        """Refuse the image that still waits for its info, if there is one."""
+        if self._unpaired is None:
+            return
+        stamp = stamp_from_msg(self._unpaired.header.stamp)
+        self._unpaired = None
+        if not self._infos:
+            self._refuse("dropped_without_info", f"no camera info on {self._info_topic} yet; start the camera driver")
+            return
+        skew, limit = min(_skew(stamp, at) for at, _ in self._infos), self._max_skew()
+        self._refuse(
+            "dropped_skew", f"depth image and nearest camera info are {skew * 1e3:.0f} ms apart, expected at most {limit * 1e3:.0f} ms"
+        )
+
+    def _take(self, image: Image, info: CameraInfo) -> None:
+        try:
+            self._on_frame(depth_frame_from_msgs(image, info, max_skew=None), image.header.stamp)
+        except PushIdentError as error:
+            self._refuse("frames_refused", str(error))
+
+
+def _skew(stamp: float, at: float) -> float:
+    return abs(stamp - at) if at else 0.0

@@ -1,0 +1,190 @@
+"""`push-ident look --live`: a camera that runs, and one line for each camera that cannot be looked through."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from helpers.commands import run_here
+from helpers.depth_scene import CAMERA, Prism, rectangle, render
+from push_ident.nodes.convert import depth_frame_to_msgs, transform_to_msg
+from push_ident.types import CameraIntrinsics
+
+pytestmark = pytest.mark.alone
+
+SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+BOX = Prism(rectangle(-0.1, -0.06, 0.1, 0.06), 0.1).at((0.0, 0.0, 0.4))
+Change = Callable[[Image, CameraInfo], object]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def unchanged(image: Image, info: CameraInfo) -> None:
+    del image, info
+
+
+@contextmanager
+def camera(topic: str = "depth/image_rect", change: Change = unchanged, *, info: bool = True, pose: bool = False) -> Iterator[Node]:
+    """A depth camera over a box, 20 images a second, each with an info beside it, as a driver of image_transport publishes them."""
+    context = Context()
+    rclpy.init(context=context)
+    node = Node("camera", context=context)
+    rng = np.random.default_rng(0)
+    depths = [render([BOX], CAMERA, rng=rng, intrinsics=SMALL) for _ in range(5)]
+    beside = topic.rpartition("/")[0]
+    images = node.create_publisher(Image, topic, qos_profile_sensor_data)
+    infos = node.create_publisher(CameraInfo, f"{beside}/camera_info", qos_profile_sensor_data) if info else None
+    if pose:
+        latched = node.create_publisher(PoseStamped, f"{beside}/camera_pose", LATCHED)
+        latched.publish(transform_to_msg(node.get_clock().now().to_msg(), CAMERA))
+
+    def send() -> None:
+        depths.append(depths.pop(0))
+        messages = depth_frame_to_msgs(depths[0], node.get_clock().now().to_msg())
+        change(*messages)
+        images.publish(messages[0])
+        if infos is not None:
+            infos.publish(messages[1])
+
+    node.create_timer(0.05, send)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    try:
+        yield node
+    finally:
+        executor.shutdown()
+        thread.join(5.0)
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def look(out: Path, *args: object) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    done = run_here("look", "--live", *args, "--out", out, "--json", out / "look.json")
+    return done, json.loads((out / "look.json").read_text()) if (out / "look.json").exists() else {}
+
+
+def test_a_live_camera_gives_what_its_images_in_files_give(tmp_path: Path) -> None:
+    with camera():
+        done, content = look(tmp_path, "--known", "0.2x0.12x0.1")
+    assert done.returncode == 0, done.stderr
+    assert "listening to /depth/image_rect and /depth/camera_info" in done.stdout and "30 depth images at rest" in done.stdout
+    assert content["n_frames"] == 30 and not content["camera"]["is_given"]
+    assert content["scale_check"]["outcome"] == "agrees"
+    (found,) = content["objects"]
+    np.testing.assert_allclose([*found["size_m"], found["top_m"]], (0.2, 0.12, 0.1), atol=0.004)
+    assert {"look.html", "look.png", "perception.yaml"} <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_topics_beside_the_image_and_a_published_pose_are_used(tmp_path: Path) -> None:
+    with camera("/camera/depth/image_rect_raw", pose=True):
+        done, content = look(tmp_path, "/camera/depth/image_rect_raw")
+    assert done.returncode == 0, done.stderr
+    assert content["camera"]["is_given"]
+    np.testing.assert_allclose(content["camera"]["position_m"], CAMERA[:3, 3], atol=0.003)
+
+
+def test_what_ends_before_thirty_frames_is_surveyed_with_those_it_has(tmp_path: Path) -> None:
+    moved = iter(range(10**6))
+
+    def some_are_cut(image: Image, info: CameraInfo) -> None:
+        del info
+        if next(moved) % 2:
+            image.height -= 1
+
+    with camera(change=some_are_cut):
+        done, content = look(tmp_path, "--seconds", 2.5)
+    assert done.returncode == 0, done.stderr
+    assert 2 <= content["n_frames"] < 30
+    assert any("not usable and left out" in note for note in content["notes"])
+
+
+def test_no_publisher_is_named_with_the_topics_that_have_images(tmp_path: Path) -> None:
+    with camera("/other/depth/image_raw"):
+        done, _ = look(tmp_path, "--seconds", 2)
+    assert done.returncode == 1
+    assert "/depth/image_rect has no publisher within 2 s" in done.stderr and "Topics with images: /other/depth/image_raw." in done.stderr
+    done, _ = look(tmp_path, "--seconds", 0.5)
+    assert done.returncode == 1 and "No other topic has images; check ROS_DOMAIN_ID" in done.stderr
+
+
+def wrong_encoding(image: Image, info: CameraInfo) -> None:
+    del info
+    image.encoding = "rgb8"
+
+
+def other_size(image: Image, info: CameraInfo) -> None:
+    del image
+    info.width = 640
+
+
+def late(image: Image, info: CameraInfo) -> None:
+    info.header = deepcopy(image.header)  # they share one
+    info.header.stamp.sec -= 5
+
+
+@pytest.mark.parametrize(
+    ("cameras", "options", "expected"),
+    [
+        ([{"change": wrong_encoding}], (), "/depth/image_rect has images of encoding 'rgb8', expected one of 16UC1, 32FC1"),
+        ([{"change": other_size}], (), "expected the same size"),
+        ([{"change": late}], (), "ms apart, expected at most 50 ms"),
+        ([{"info": False}], (), "but no camera info on /depth/camera_info (0 publishers)"),
+        ([{}, {}], (), "2 publishers send images on /depth/image_rect ("),
+        ([{}], ("depth/camera_info",), "expected that of the images beside it"),
+        ([{}], ("depth image",), "is not a name that ROS allows"),
+        ([{}], ("--intrinsics", "300,300,160,120"), "leave out --intrinsics"),
+        ([{}], (".",), "is a file or folder, expected a topic"),
+    ],
+)
+def test_each_camera_that_cannot_be_used_ends_in_one_line(
+    cameras: list[dict[str, Any]], options: tuple[str, ...], expected: str, tmp_path: Path
+) -> None:
+    with ExitStack() as stack:
+        for own in cameras:
+            stack.enter_context(camera(**own))
+        done, _ = look(tmp_path, "--seconds", 4, *options)
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1 and expected in done.stderr, done.stderr
+
+
+def test_a_topic_of_another_type_is_named(tmp_path: Path) -> None:
+    with camera() as node:
+        node.create_publisher(CompressedImage, "/depth/image_rect/compressedDepth", 1)
+        done, _ = look(tmp_path, "--seconds", 5, "/depth/image_rect/compressedDepth")
+    assert done.returncode == 1 and "has messages of type sensor_msgs/msg/CompressedImage" in done.stderr, done.stderr
+
+
+def test_look_needs_a_source_or_a_live_camera(tmp_path: Path) -> None:
+    done = run_here("look", "--out", tmp_path)
+    assert done.returncode == 1 and "There is no SOURCE" in done.stderr
+
+
+def test_ctrl_c_ends_listening_without_a_traceback(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "push_ident.cli", "look", "--live", "--seconds", "60", "--out", str(tmp_path)]
+    with subprocess.Popen(
+        command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and "listening" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=20)
+    assert process.returncode == 130 and "Traceback" not in error
