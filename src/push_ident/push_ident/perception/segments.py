@@ -16,7 +16,7 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.surfaces import split_surfaces
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
-__all__ = ["Segment", "find_segments"]
+__all__ = ["Segment", "area_from_above", "find_segments"]
 
 _NEAR: Final = 4
 """Distance at which a robot pixel or the image border counts as touching [px]."""
@@ -77,7 +77,7 @@ def find_segments(
             continue
         mask = surfaces[box] == index
         own_points = points[box][mask].astype(np.float64)
-        area = _area_from_above(own_points)
+        area = area_from_above(own_points)
         small = area < settings.min_object_area
         fault = Reason.TOO_SMALL if small else _fault(frame, labels, surfaces, index, box, own_points, settings)
         counts["segments"] += not small
@@ -180,6 +180,6 @@ def _behind_another(depth: NDArray[np.float32], own: BoolArray, others: BoolArra
     return bool(np.count_nonzero(hides) >= _SMALLEST)
 
 
-def _area_from_above(points: Float64Array) -> float:
+def area_from_above(points: Float64Array) -> float:
     """Area of the 4 mm cells that hold points [m^2]; independent of side walls and of the density of the pixels."""
     return 1.6e-5 * len(np.unique(np.floor(points[:, :2] / 0.004).astype(np.int64) @ np.array([1, 1 << 20])))

@@ -88,6 +88,7 @@ class TrackStatus(Enum):
     TRACKED = "tracked"
     HIDDEN = "too little of the object is visible; move the robot out of the way"
     POOR_FIT = "the measured depth does not fit the outline; the object was tipped, lifted, or replaced"
+    PART_MISSING = "a part of it is gone from its place: it is several things, or it was tipped; move the robot away and wait"
     UNDETERMINED = "the visible part of the object does not determine its pose; move the robot out of the way"
     OUT_OF_VIEW = "the object left the image or the workspace; put it back"
 
@@ -155,6 +156,10 @@ class Template:
         """Signed distance [m] at the nearest node of the field, shape (n,): faster, and accurate to half a cell of the field."""
         return np.asarray(nearest_values(self.field, np.ascontiguousarray(points, dtype=np.float64)))
 
+    def nearest_top(self, points: NDArray[np.floating]) -> Float64Array:
+        """Height of the upper side [m] at the nearest cell, shape (n,), at points (n, 2) in the object frame."""
+        return np.asarray(nearest_values(self.tops, np.ascontiguousarray(points, dtype=np.float64)))
+
 
 def _refined(values: Float64Array, factor: int) -> Float64Array:
     """Linear interpolation along the rows of `values`, shape (n, m), to `factor` times as many steps, shape (n, factor (m - 1) + 1)."""
@@ -188,6 +193,8 @@ class LinesOfSight:
     """Where they pass a little below."""
     stopped: Float64Array
     """1 where the object stops them, 0 where they pass, shape (n,)."""
+    height: NDArray[np.float32]
+    """Height of what they measured [m], shape (n,), table frame."""
     n_uninformative: int
     """Number of lines of sight in the narrow band that carry no information."""
 
@@ -288,7 +295,7 @@ def lines_of_sight(template: Template, scene: Scene, pose: Float64Array, band: f
     informative &= ~in_robot(points, scene.robot, scene.mask_margin)
     informative &= ~_in_others(points, scene.others)
     n_uninformative = int(np.count_nonzero(~informative))
-    return LinesOfSight(upper[informative], lower[informative], stopped[informative], n_uninformative)
+    return LinesOfSight(upper[informative], lower[informative], stopped[informative], points[informative, 2], n_uninformative)
 
 
 def _beside_areas(frame: DepthFrame, box: tuple[slice, slice]) -> NDArray[np.uint8]:
