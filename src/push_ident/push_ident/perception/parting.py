@@ -24,7 +24,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["Parting", "is_part_missing"]
 
-_MISSING: Final = 3e-4
+_MISSING: Final = 4e-4
 """Least area that shows that a part is missing [m^2]: below `min_object_area`. Whole objects lack at most 2e-4 along the edges of their
 steps (decision 62)."""
 _OPEN: Final = (0.1, 0.6)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError, PerceptionError
 from push_ident.perception.contacts import unexplained_segments
 from push_ident.perception.depth import points_in_table
+from push_ident.perception.hollows import cover_hollows
 from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
 from push_ident.perception.parting import Parting, is_part_missing
 from push_ident.perception.parts import parts_seen
@@ -333,7 +334,9 @@ class Perception:
         """Look for lost and new objects in the whole image; fits of the objects found again, the new ones, and those given up."""
         assert self._plane is not None
         self._last_search = frame.stamp
-        segments, counts = find_segments(frame, points, labels, self.limits)
+        covered = cover_hollows(frame, points, labels, self._camera, self.limits)
+        points, labels = covered.points, covered.labels
+        segments, counts = find_segments(covered.frame, points, labels, self.limits)
         unexplained = self._unexplained(segments, points)
         found: dict[str, PoseFit] = {}
         for name, known in self._tracked.items():
@@ -347,7 +350,7 @@ class Perception:
                 unexplained = self._unexplained(unexplained, points)
         unexplained, touching, removed = self._parting.refuse(unexplained, points, self.settings.rest_frames)
         whole = [segment for segment in unexplained if segment.whole]
-        traced, waiting = self._registration.update(whole, frame, points, self._camera, self._plane, self.limits)
+        traced, waiting = self._registration.update(whole, covered, self._camera, self._plane, self.limits)
         cut = [refusal_of(segment, points, segment.fault) for segment in unexplained if segment.fault is not None]
         self._refused = (*cut, *touching, *waiting)
         new = {self._add(thing, frame.stamp): thing for thing in traced}

@@ -130,6 +130,8 @@ class Template:
             traced.top.astype(np.float64, order="C"), np.array(traced.top_origin, dtype=np.float64), float(traced.top_resolution)
         )
         """Heights of the upper side [m]."""
+        self.hollow: Final = None if traced.hollow is None else self.tops._replace(values=traced.hollow.astype(np.float64, order="C"))
+        """1 in the cells of `tops` that lie over a hollow; None where there is none."""
         origin = self.outline.min(axis=0) - _MARGIN
         columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - origin) / (4 * _GRID)) * 4 + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -292,6 +294,11 @@ def lines_of_sight(template: Template, scene: Scene, pose: Float64Array, band: f
         (rows.start, rows.stop, columns.start, columns.stop, stride),
         (level, band + slack, _STEP, _ABOVE),
     )
+    if template.hollow is not None:
+        # What is measured through an opening depends on the walls inside, which nobody knows.
+        in_object = (upper - pose[:2]) @ rotation(pose[2])
+        solid = nearest_values(template.hollow, np.ascontiguousarray(in_object)) < 0.5
+        upper, lower, points, stopped, informative = (values[solid] for values in (upper, lower, points, stopped, informative))
     informative &= ~in_robot(points, scene.robot, scene.mask_margin)
     informative &= ~_in_others(points, scene.others)
     n_uninformative = int(np.count_nonzero(~informative))
