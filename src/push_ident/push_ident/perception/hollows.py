@@ -153,8 +153,9 @@ def _openings(own: NDArray[np.float32], settings: PerceptionSettings) -> Iterato
                 continue
             hole, filled = (cv2.drawContours(np.zeros(high.shape, np.uint8), contours, k, 1, cv2.FILLED) for k in (i, outer))
             hole = (hole > 0) & (high == 0)
-            enclosed = heights[hole & np.isfinite(heights)]
-            if (known & hole).any() or (len(enclosed) and level - float(np.median(enclosed)) < settings.min_step - _BELOW_RIM):
+            # Where nothing raised is seen, the table or a shadow is.
+            floor = float(np.median(np.maximum(heights[hole], 0.0)))
+            if (known & hole).any() or level - floor < settings.min_step - _BELOW_RIM:
                 continue
             beside = (cv2.dilate(hole.astype(np.uint8), _GAP) > 0) & (heights > level)
             known |= hole

@@ -21,6 +21,10 @@ _INSIDE: Final = 0.005
 """Only lines of sight that pass the top so far inside the outline count [m]: pixels at an edge may show either side of it."""
 _BORDER: Final = (0.0045, 0.0015)
 """Middle and half width of the strips on both sides of the outline [m]: pixels nearer to the edge cannot contradict a pose."""
+_BELOW: Final = 0.005
+"""What is so far below the upper side is not the upper side [m], as in pose fits, and ..."""
+_DEVIATIONS: Final = 4.0
+"""... so many deviations of a height, as the least height of an object is [-]."""
 _CELL: Final = 0.004
 """Edge of the cells in which missing area is counted [m]."""
 _WINDOW: Final = (3, 3)
@@ -45,10 +49,10 @@ class PartsSeen:
     """Fraction of those just outside that are stopped, as by another thing that touches the object [-]."""
 
 
-def parts_seen(template: Template, scene: Scene, pose: Float64Array) -> PartsSeen:
+def parts_seen(template: Template, scene: Scene, pose: Float64Array, noise: float) -> PartsSeen:
     """Compare the upper side of an object with the lines of sight at a pose (x, y, yaw) [m, m, rad], table frame.
 
-    Hidden places, and those where something higher is measured, count neither as there nor as missing.
+    `noise`: standard deviation of a height [m]. Hidden places, and those where something higher is measured, count neither as there nor as missing.
 
     Raises:
         FrameError: The size of the image differs from its camera info.
@@ -61,7 +65,8 @@ def parts_seen(template: Template, scene: Scene, pose: Float64Array) -> PartsSee
     beside = np.abs(np.abs(distance) - _BORDER[0]) < _BORDER[1]
     is_open, is_crowded = _share(passed[beside & (distance < 0)]), _share(~passed[beside & (distance > 0)])
     inside = distance < -_INSIDE
-    places, passed, height = places[inside], passed[inside], lines.height[inside]
+    places, height = places[inside], lines.height[inside]
+    passed = height < template.least_top(places) - max(_BELOW, _DEVIATIONS * noise)
     n = int(np.ceil(2.0 * template.radius / _CELL)) + 1
     cell = np.floor((places + template.radius) / _CELL).astype(np.int64) @ np.array([1, n])
     votes = np.bincount(cell, weights=np.where(passed, 1.0, -1.0), minlength=n * n).reshape(n, n)

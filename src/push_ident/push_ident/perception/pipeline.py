@@ -237,6 +237,11 @@ class Perception:
         return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted, removed)
 
     @property
+    def _noise(self) -> float:
+        """Standard deviation of a height [m]."""
+        return 0.0 if self._plane is None else self._plane.noise
+
+    @property
     def limits(self) -> PerceptionSettings:
         """The settings in force: with a least height of objects that the noise of the table allows."""
         assert self._plane is not None
@@ -307,7 +312,7 @@ class Perception:
         """Take the fit of an object, unless a part of it is missing there; the fit with the status that results."""
         known = self._tracked[name]
         if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT):
-            seen = parts_seen(known.template, self._scene(name, frame, robot), fit.pose)
+            seen = parts_seen(known.template, self._scene(name, frame, robot), fit.pose, self._noise)
             if fit.status is TrackStatus.TRACKED and is_part_missing(seen):
                 fit = replace(fit, status=TrackStatus.PART_MISSING)
             if fit.status is TrackStatus.TRACKED:
@@ -369,7 +374,7 @@ class Perception:
         for segment in segments:
             if _SAME_AREA[0] * known.area < segment.area < _SAME_AREA[1] * known.area:
                 fit = relocate(known.template, scene, segment.centre, last_yaw=float(known.pose[2]))
-                if fit.status is TrackStatus.TRACKED and not is_part_missing(parts_seen(known.template, scene, fit.pose)):
+                if fit.status is TrackStatus.TRACKED and not is_part_missing(parts_seen(known.template, scene, fit.pose, self._noise)):
                     return fit
         return None
 

@@ -78,6 +78,8 @@ _MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
 """A pose with larger standard deviations is not used [m, m, rad]."""
 _SHY: Final = 0.005
 """Lines of sight nearer to an unmeasured area are left out [m]: as far as the narrow width of the fit reaches."""
+_UNCERTAIN: Final = 0.004
+"""The place of a step of the upper side, and of the edge of a hollow, is known to this [m]: two cells of the heights."""
 _DAMPING: Final = np.array([1.0, 1.0, 1e-4])
 """Added to the diagonal of the normal matrix of a pose (x, y, yaw) [1/m^2, 1/m^2, 1]."""
 
@@ -132,6 +134,12 @@ class Template:
         """Heights of the upper side [m]."""
         self.hollow: Final = None if traced.hollow is None else self.tops._replace(values=traced.hollow.astype(np.float64, order="C"))
         """1 in the cells of `tops` that lie over a hollow; None where there is none."""
+        around = np.ones(2 * (2 * int(np.ceil(_UNCERTAIN / self.tops.step)) + 1,), np.uint8)
+        lowest = cv2.erode(self.tops.values, around)
+        if traced.hollow is not None:
+            lowest[cv2.dilate(traced.hollow.astype(np.uint8), around) > 0] = 0.0
+        self.lowest: Final = self.tops._replace(values=lowest)
+        """Lowest height of the upper side nearby [m]: 0 beside a hollow."""
         origin = self.outline.min(axis=0) - _MARGIN
         columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - origin) / (4 * _GRID)) * 4 + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -161,6 +169,10 @@ class Template:
     def nearest_top(self, points: NDArray[np.floating]) -> Float64Array:
         """Height of the upper side [m] at the nearest cell, shape (n,), at points (n, 2) in the object frame."""
         return np.asarray(nearest_values(self.tops, np.ascontiguousarray(points, dtype=np.float64)))
+
+    def least_top(self, points: NDArray[np.floating]) -> Float64Array:
+        """The lowest height of the upper side within some millimetres [m], shape (n,), at points (n, 2) in the object frame."""
+        return np.asarray(nearest_values(self.lowest, np.ascontiguousarray(points, dtype=np.float64)))
 
 
 def _refined(values: Float64Array, factor: int) -> Float64Array:
