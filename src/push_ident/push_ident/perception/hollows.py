@@ -25,8 +25,8 @@ __all__ = ["Covered", "cover_hollows", "with_hollow"]
 
 _CELL: Final = 0.002
 """Edge of a cell of the view from above [m]."""
-_GAP: Final = np.ones((7, 7), np.uint8)
-"""A rim may have gaps so many cells wide: 14 mm, two pixels of a coarse camera that both miss it."""
+_BESIDE: Final = np.ones((7, 7), np.uint8)
+"""Window in which the cells beside an opening give the height of its rim [cells]."""
 _TORN: Final = np.ones((7, 7), np.uint8)
 """Pieces of a patch so near to each other belong together [px]."""
 _LEVEL: Final = 0.01
@@ -34,7 +34,8 @@ _LEVEL: Final = 0.01
 _BELOW_RIM: Final = 0.005
 """Points so far below the rim are in the hollow [m]: three times the noise of a height."""
 _INSIDE: Final = 1.5
-"""What is measured through an opening lies so far inside the outer edge of the rim [cells]: points of the outer wall scatter about it."""
+"""Lines of sight that enter or end so far inside the outer edge of the rim have passed it [cells]: points of the outer wall scatter about
+the edge."""
 _SMALLEST: Final = 100
 """Patches with fewer pixels are not looked at: a rim has more."""
 _MOST: Final = 0.5
@@ -52,7 +53,6 @@ class Covered:
     """Those of lids are OBJECT, shape (height, width)."""
     lid: BoolArray | None
     """Which pixels are lids, shape (height, width); None where there is none."""
-
 
     def lid_of(self, box: tuple[slice, slice], mask: BoolArray) -> Float64Array:
         """Points of the lid of a segment, the pixels `mask` in `box` [m], shape (n, 2), table frame; none where it has no lid."""
@@ -111,14 +111,16 @@ def cover_hollows(
         with np.errstate(invalid="ignore"):
             raised = (points[box][..., 2] > settings.min_object_height) & (patches[part] == index) & (labels[box] != ROBOT)
         own = points[box][raised]
-        for opening in _openings(own, settings):
+        pixel = float(np.median(frame.depth[box][raised])) / frame.intrinsics.fx if len(own) else 0.0
+        for opening in _openings(own, pixel, settings):
             reach = (opening.rim - centre[2]) / rays[box][..., 2]
             crossing = (centre[:2] + rays[box][..., :2] * reach[..., None]).astype(np.float32)
             seen = points[box].reshape(-1, 3)
-            through = opening.depth_within(crossing.reshape(-1, 2)) > 0
+            entry, end = opening.depth_within(crossing.reshape(-1, 2)), opening.depth_within(seen[:, :2])
+            # A line of sight that enters inside the rim ends in the hollow; just at the rim, only where its end shows that.
             below = seen[:, 2] < opening.rim - _BELOW_RIM
-            ends_inside = through & below & (opening.depth_within(seen[:, :2]) > _INSIDE)
-            unmeasured = ~np.isfinite(seen[:, 2]) & (opening.depth_within(crossing.reshape(-1, 2)) > _INSIDE)
+            ends_inside = below & ((entry > _INSIDE) | ((entry > 0) & (end > _INSIDE)))
+            unmeasured = ~np.isfinite(seen[:, 2]) & (entry > _INSIDE)
             robot = labels[box].ravel() == ROBOT
             if np.count_nonzero(ends_inside) < _MOST * np.count_nonzero(ends_inside | unmeasured):
                 continue
@@ -132,20 +134,24 @@ def cover_hollows(
     return Covered(replace(frame, depth=depth), place, labels, lid) if lid.any() else Covered(frame, points, labels, None)
 
 
-def _openings(own: NDArray[np.float32], settings: PerceptionSettings) -> Iterator[_Opening]:
-    """Rims among the points of a patch, shape (n, 3), the highest first."""
+def _openings(own: NDArray[np.float32], pixel: float, settings: PerceptionSettings) -> Iterator[_Opening]:
+    """Rims among the points of a patch, shape (n, 3), the highest first; `pixel`: the size of a pixel there [m].
+
+    A rim may have gaps of two pixels; wider ones, as between the handles of pliers, are no part of a rim.
+    """
     highest = float(np.quantile(own[:, 2], 0.98)) if len(own) else 0.0
     if highest < settings.min_step:
         return
-    origin = own[:, :2].min(axis=0).astype(np.float64) - len(_GAP) * _CELL
+    reach = round(pixel / _CELL)
+    gap = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    origin = own[:, :2].min(axis=0).astype(np.float64) - len(gap) * _CELL
     cell = np.floor((own[:, :2] - origin) / _CELL).astype(np.int64)
-    columns, rows = (int(n) for n in cell.max(axis=0) + len(_GAP) + 1)
-    heights = np.full(rows * columns, -np.inf, dtype=np.float32)
-    np.maximum.at(heights, cell[:, 1] * columns + cell[:, 0], own[:, 2])
-    heights = heights.reshape(rows, columns)
+    columns, rows = (int(n) for n in cell.max(axis=0) + len(gap) + 1)
+    heights = np.full((rows, columns), -np.inf, dtype=np.float32)
+    np.maximum.at(heights, (cell[:, 1], cell[:, 0]), own[:, 2])
     known = np.zeros((rows, columns), dtype=bool)
     for level in np.arange(highest - _BELOW_RIM, settings.min_step, -_LEVEL):
-        high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, _GAP)
+        high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap)
         contours, tree = cv2.findContours(high, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         for i, contour in enumerate(contours):
             outer = int(tree[0, i, 3])
@@ -157,7 +163,7 @@ def _openings(own: NDArray[np.float32], settings: PerceptionSettings) -> Iterato
             floor = float(np.median(np.maximum(heights[hole], 0.0)))
             if (known & hole).any() or level - floor < settings.min_step - _BELOW_RIM:
                 continue
-            beside = (cv2.dilate(hole.astype(np.uint8), _GAP) > 0) & (heights > level)
+            beside = (cv2.dilate(hole.astype(np.uint8), _BESIDE) > 0) & (heights > level)
             known |= hole
             yield _Opening(cv2.distanceTransform(filled, cv2.DIST_L2, 3), origin, float(np.median(heights[beside])))
 

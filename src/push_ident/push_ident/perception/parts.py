@@ -52,7 +52,9 @@ class PartsSeen:
 def parts_seen(template: Template, scene: Scene, pose: Float64Array, noise: float) -> PartsSeen:
     """Compare the upper side of an object with the lines of sight at a pose (x, y, yaw) [m, m, rad], table frame.
 
-    `noise`: standard deviation of a height [m]. Hidden places, and those where something higher is measured, count neither as there nor as missing.
+    `noise`: standard deviation of a height [m].
+
+    Hidden places, and those where something higher is measured, count neither as there nor as missing.
 
     Raises:
         FrameError: The size of the image differs from its camera info.

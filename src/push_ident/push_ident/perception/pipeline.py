@@ -219,7 +219,8 @@ class Perception:
             search_due = False  # both in one frame would delay the next one
         new_shapes: dict[str, ObjectShape] = {}
         further_views: dict[str, str] = {}
-        occupancy, removed = None, ()
+        occupancy = None
+        removed: tuple[Removal, ...] = ()
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
             labels = label_pixels(points, robot, self.limits)
@@ -428,6 +429,9 @@ def observe_offline(
         frames: In the order of their stamps.
         robot_at: Parts of the robot at a time [s].
 
+    Returns:
+        Shape and track by id, without those that came apart.
+
     Raises:
         PerceptionError: No object has two poses; the text gives the stage that failed.
     """
@@ -436,7 +440,7 @@ def observe_offline(
     recent: deque[DepthFrame] = deque(maxlen=perception.settings.rest_frames)
     shapes: dict[str, ObjectShape] = {}
     tracks: dict[str, list[tuple[float, Float64Array, Float64Array]]] = {}
-    n_frames, why = 0, "there are no frames"
+    n_frames, why, given_up = 0, "there are no frames", ""
     for frame in frames:
         n_frames += 1
         try:
@@ -447,6 +451,10 @@ def observe_offline(
         if observation.restarted:
             raise PerceptionError(f"Time goes back at {frame.stamp:.3f} s in the recording; cut it there and process the parts separately.")
         recent.append(frame)
+        for removal in observation.removed:
+            # Its track is that of several things.
+            tracks.pop(removal.object_id)
+            given_up = f"object {removal.object_id} is {removal.reason.value}"
         for name, shape in observation.new_shapes.items():
             shapes[name] = shape
             fits = [(earlier.stamp, perception.fit(name, earlier, parts_at(earlier.stamp))) for earlier in recent]
@@ -461,7 +469,9 @@ def observe_offline(
         if len(track) >= 2
     }
     if not result:
-        raise PerceptionError(f"No object was found in {n_frames} depth frames: {why or 'each has a pose in fewer than two frames'}.")
+        raise PerceptionError(
+            f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."
+        )
     return result
 
 

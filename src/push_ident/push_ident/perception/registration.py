@@ -138,11 +138,14 @@ class Registration:
     def _shape_of(
         self, candidate: _Candidate, lid: Float64Array, camera: Float64Array, plane: TablePlane, settings: PerceptionSettings
     ) -> TracedObject:
-        """Its shape; `lid` has the points of its lid [m], shape (n, 2). Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen."""
+        """Its shape; `lid` has the points of its lid [m], shape (n, 2).
+
+        Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen.
+        """
         last = candidate.frames[-1]
         frame = DepthFrame(last.stamp, median_depth(candidate.frames), last.intrinsics, last.frame_id)
         main = SegmentedView(frame, camera, candidate.segment, plane.noise / np.sqrt(len(candidate.frames)))
-        is_hollow = len(lid) * (candidate.segment.area / np.count_nonzero(candidate.segment.mask)) > settings.min_object_area
+        is_hollow = len(lid) * candidate.segment.area > settings.min_object_area * int(np.count_nonzero(candidate.segment.mask))
         traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp, settings, alone=is_hollow)
         fused = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
         return with_hollow(fused, lid) if is_hollow else fused

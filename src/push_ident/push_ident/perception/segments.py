@@ -25,6 +25,9 @@ _SHADOW: Final = 0.05
 leaves is baseline * height / (distance - height), 5 cm for an object of 0.4 m seen from 1 m at a baseline of 75 mm."""
 _UNMEASURED: Final = 0.15
 """Largest fraction of the surrounding pixels beside which nothing is measured for further than that: half of one of four sides."""
+_ON_ANOTHER: Final = 0.6
+"""Fraction of the surrounding pixels that show other things from which something stands on one of them: things beside it are on one side,
+in a corner on two of four."""
 _SKIRT: Final = 0.004
 """Distance from the border of the workspace at which a segment counts as cut by it [m]."""
 _SMALLEST: Final = 12
@@ -109,6 +112,9 @@ def _fault(
         return Reason.BESIDE_ROBOT
     if _behind_another(frame.depth[wide], own, near & (surfaces[wide] > 0) & ~own, settings.min_step):
         return Reason.BEHIND_ANOTHER
+    around = near & ~own
+    if np.count_nonzero(around & (surfaces[wide] > 0)) > _ON_ANOTHER * np.count_nonzero(around):
+        return Reason.STACKED
     if _beside_unmeasured(frame, labels, box, own, near & ~own):
         return Reason.BESIDE_UNMEASURED
     return None
