@@ -95,6 +95,8 @@ def cover_hollows(
     Returns:
         The frame itself where nothing is hollow.
     """
+    if not (labels == OBJECT).any():
+        return Covered(frame, points, labels, None)
     lid = np.zeros(labels.shape, dtype=bool)
     depth, place = frame.depth, points
     centre, rays = rays_in_table(frame.intrinsics, camera)
