@@ -54,7 +54,7 @@ def with_correlated_noise(records: list[PushRecord], rho: float, seed: int) -> l
 
 def traced_by_camera(records: list[PushRecord]) -> list[PushRecord]:
     """The same pushes of an object whose outline a camera traced."""
-    return [replace(record, shape=replace(record.shape, traced_by_camera=True)) for record in records]
+    return [replace(record, shape=replace(record.shape, outline_std=np.full(len(record.shape.outline), 4e-4))) for record in records]
 
 
 def stub_fit(*names: str, log_evidence: float = 0.0) -> Fit:

@@ -115,11 +115,17 @@ class ObjectShape:
     cells: CellGrid
     outline: Float64Array
     """Simple polygon, counter-clockwise, not closed [m], shape (n_vertices, 2), object frame."""
-    traced_by_camera: bool = False
-    """Whether a camera traced the outline, which then has an error of some tenths of a millimetre."""
+    outline_std: Float64Array | None = None
+    """Standard deviation of the place of each edge along its normal [m], shape (n_vertices,), of the edge from each vertex to the next,
+    where a camera traced the outline; None for one that is exact."""
 
     def __post_init__(self) -> None:
-        _freeze(self, "outline", ("n_vertices", 2), {})
+        sizes: dict[str, int] = {}
+        _freeze(self, "outline", ("n_vertices", 2), sizes)
+        if self.outline_std is not None:
+            _freeze(self, "outline_std", ("n_vertices",), sizes)
+            if np.any(self.outline_std <= 0):
+                raise InputError("ObjectShape.outline_std must be positive; leave it out for an outline that is exact.")
         if len(self.outline) < 3:
             raise InputError(f"ObjectShape.outline has {len(self.outline)} points, expected at least 3.")
         x, y = self.outline.T
@@ -130,6 +136,19 @@ class ObjectShape:
             flipped = self.outline[::-1].copy()
             flipped.setflags(write=False)
             object.__setattr__(self, "outline", flipped)
+            if self.outline_std is not None:
+                # The edge that began at a vertex now ends there.
+                flipped = np.roll(self.outline_std[::-1], -1)
+                flipped.setflags(write=False)
+                object.__setattr__(self, "outline_std", flipped)
+
+    @property
+    def outline_error(self) -> float | None:
+        """Root mean square of `outline_std` along the outline [m]; None for an outline that is exact."""
+        if self.outline_std is None:
+            return None
+        length = np.linalg.norm(np.roll(self.outline, -1, axis=0) - self.outline, axis=1)
+        return float(np.sqrt(np.average(self.outline_std**2, weights=length)))
 
     def is_same_object(self, other: ObjectShape) -> bool:
         """Whether both are views of one object: the same cells, at the same places to within half a cell."""

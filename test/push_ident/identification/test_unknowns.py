@@ -11,9 +11,9 @@ from push_ident.identification.fit import Fit
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem, without_first_pose
-from push_ident.identification.unknowns import Block, Layout, Unknowns
+from push_ident.identification.unknowns import Block, Layout, Unknowns, nuisances_of
 from push_ident.physics.effects import EFFECTS
-from push_ident.types import SolveStatus
+from push_ident.types import ObjectShape, SolveStatus
 
 SHAPE = hammer(1).shape
 PRIOR = Prior(max_modes=4)
@@ -91,6 +91,21 @@ def test_accuracy_of_a_sensor_replaces_the_prior_of_the_catalogue_and_survives_o
     assert unknowns.effect_std == pytest.approx([EFFECTS["pusher_lag"].parameters[0].scale, 4e-4])
     assert unknowns.with_effects(("outline_error",)).effect_std == pytest.approx([4e-4])
     assert unknowns.at_amplitude(0.1).effect_std == pytest.approx(unknowns.effect_std)
+
+
+def test_an_outline_that_a_camera_traced_is_an_unknown_as_uncertain_as_it_says() -> None:
+    assert nuisances_of(SHAPE) == ()
+    square = ObjectShape(
+        SHAPE.cells, np.array([(-0.1, -0.05), (0.1, -0.05), (0.1, 0.05), (-0.1, 0.05)]), np.array([1e-3, 2e-3, 1e-3, 2e-3])
+    )
+    assert square.outline_error == pytest.approx(np.sqrt((2 * 1e-6 + 4e-6) / 3))  # the long edges count twice
+    unknowns = Unknowns(square, PRIOR, effects=nuisances_of(square))
+    assert unknowns.effect_std == pytest.approx([square.outline_error])
+    assert Unknowns(square, PRIOR, effects=("outline_error",), effect_std={"outline_error": (4e-4,)}).effect_std == pytest.approx([4e-4])
+    clockwise = ObjectShape(SHAPE.cells, square.outline[::-1], np.array([1e-3, 2e-3, 3e-3, 4e-3]))  # top, left, bottom, right
+    assert clockwise.outline == pytest.approx(square.outline) and clockwise.outline_std == pytest.approx([3e-3, 2e-3, 1e-3, 4e-3])
+    with pytest.raises(InputError, match="positive"):
+        ObjectShape(SHAPE.cells, square.outline, np.zeros(4))
 
 
 @pytest.mark.parametrize("prior", [PRIOR, PRESSURE])

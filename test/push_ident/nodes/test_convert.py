@@ -17,6 +17,7 @@ from push_ident.nodes.convert import (
     force_from_msg,
     force_to_msg,
     occupancy_to_msg,
+    outline_std_to_msg,
     planar_pose_from_msg,
     planar_pose_to_msg,
     position_from_msg,
@@ -84,6 +85,21 @@ def test_positions_forces_and_pusher_come_back():
         box = cylinder_to_msg(0.018, 0.1)
         box.type = box.BOX
         cylinder_radius_from_msg(box)
+
+
+def test_deviations_of_an_outline_come_back_and_those_of_another_outline_are_left_out():
+    shape = ObjectShape(cells_in_outline(L_SHAPE, 0.007), L_SHAPE, np.linspace(1e-4, 2e-3, len(L_SHAPE)))
+    cells, outline = shape_to_msgs(shape, "o1", STAMP)
+    msg = outline_std_to_msg(shape)
+    assert (msg.layout.dim[0].label, msg.layout.dim[0].size) == ("edge", len(L_SHAPE))
+    np.testing.assert_allclose(shape_from_msgs(cells, outline, msg).outline_std, shape.outline_std, rtol=1e-6)
+    del msg.data[0]
+    assert shape_from_msgs(cells, outline, msg).outline_std is None
+    for value in (0.0, -1e-3, float("nan"), 1e9):
+        msg.data[0] = value
+        with pytest.raises(InputError, match="eviation"):
+            shape_from_msgs(cells, outline, msg)
+    assert shape_from_msgs(cells, outline, outline_std_to_msg(ObjectShape(shape.cells, shape.outline))).outline_std is None
 
 
 def test_shapes_come_back_with_their_cells_in_the_same_order():

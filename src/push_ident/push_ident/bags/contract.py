@@ -30,6 +30,7 @@ class Role(Enum):
     POSE = _Entry("objects/{id}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
     CELLS = _Entry("objects/{id}/cells", "nav_msgs/msg/OccupancyGrid")
     OUTLINE = _Entry("objects/{id}/outline", "geometry_msgs/msg/PolygonStamped")
+    OUTLINE_STD = _Entry("objects/{id}/outline_std", "std_msgs/msg/Float32MultiArray")
     PUSHER = _Entry("pusher/pose", "geometry_msgs/msg/PoseStamped")
     PUSHER_SHAPE = _Entry("pusher/shape", "shape_msgs/msg/SolidPrimitive")
     WRENCH = _Entry("pusher/wrench", "geometry_msgs/msg/WrenchStamped")
@@ -42,7 +43,7 @@ class Role(Enum):
         return self.value.msgtype
 
 
-OBJECT_ROLES: Final = frozenset({Role.POSE, Role.CELLS, Role.OUTLINE})
+OBJECT_ROLES: Final = frozenset({Role.POSE, Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD})
 """Roles that exist once per object."""
 
 _PATTERNS: Final = {role: re.compile(r"(?:^|/)" + re.escape(role.value.name).replace(r"\{id\}", r"(?P<id>[^/]+)") + r"$") for role in Role}

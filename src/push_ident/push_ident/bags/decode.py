@@ -22,6 +22,7 @@ __all__ = [
     "homogeneous_of",
     "intrinsics_of",
     "outline_of",
+    "outline_std_of",
     "planar_pose_of",
     "stamp_ns",
     "traced_outline",
@@ -89,6 +90,12 @@ def cells_of(grid: Any) -> tuple[CellGrid, float]:
     centres = transform_points(origin, np.column_stack([columns + 0.5, rows + 0.5]) * size)
     check_coordinates(centres, "occupancy grid", error=BagError)
     return CellGrid(centres, size), float(origin[2])
+
+
+def outline_std_of(message: Any, n_edges: int) -> Float64Array | None:
+    """Standard deviations of the edges of an outline [m], shape (n_edges,); None where they are not those of so many edges."""
+    values = np.array(message.data, dtype=np.float64)
+    return values if len(values) == n_edges and np.all((values > 0) & (values < LIMITS.COORDINATE.value)) else None
 
 
 def outline_of(polygon: Any) -> Float64Array | None:

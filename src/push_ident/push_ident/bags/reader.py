@@ -25,7 +25,7 @@ __all__ = ["BagContents", "DepthRecording", "ObjectTrack", "Samples", "read_bag"
 _MAX_JUMP_BACK: Final = 1_000_000_000
 """Stamps may run backwards by less than this [ns] (late delivery); a larger jump means that a clock was reset."""
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
-_LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.PUSHER_SHAPE})
+_LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE})
 """Latched topics: a newer message replaces the previous one."""
 _DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
 
@@ -316,7 +316,9 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
             outline = decode.traced_outline(cells, yaw)
             LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
-        return check_shape(ObjectShape(cells, outline)), measured is not None
+        deviations = recorded.get(TopicRole(Role.OUTLINE_STD, object_id), _Recorded()).messages
+        std = decode.outline_std_of(deviations[-1], len(outline)) if deviations and measured is not None else None
+        return check_shape(ObjectShape(cells, outline, std)), measured is not None
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
         return None, bool(polygons)

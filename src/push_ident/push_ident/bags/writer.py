@@ -159,7 +159,10 @@ class BagWriter:
         self._write(Role.WRENCH, stamp, self._header(stamp, TABLE_FRAME), self._new("geometry_msgs/msg/Wrench", *parts))
 
     def write_shape(self, object_id: str, shape: ObjectShape, stamp: float) -> None:
-        """Cells and outline of an object, in its own frame. Raises BagError for cells on no lattice along the axes of that frame."""
+        """Cells and outline of an object, in its own frame, and how well the outline is known.
+
+        Raises BagError for cells on no lattice along the axes of that frame.
+        """
         header = self._header(stamp, object_frame(object_id))
         origin, occupied = _lattice(shape.cells)
         height, width = occupied.shape
@@ -168,6 +171,10 @@ class BagWriter:
         self._write(Role.CELLS, stamp, header, info, np.where(occupied, 100, 0).astype(np.int8).ravel(), object_id=object_id)
         points = [self._new("geometry_msgs/msg/Point32", float(x), float(y), 0.0) for x, y in shape.outline]
         self._write(Role.OUTLINE, stamp, header, self._new("geometry_msgs/msg/Polygon", points), object_id=object_id)
+        if shape.outline_std is not None:
+            n = len(shape.outline_std)
+            layout = self._new("std_msgs/msg/MultiArrayLayout", [self._new("std_msgs/msg/MultiArrayDimension", "edge", n, n)], 0)
+            self._write(Role.OUTLINE_STD, stamp, layout, shape.outline_std.astype(np.float32), object_id=object_id)
 
     def write_depth(self, stamp: float, depth: NDArray[np.uint16] | NDArray[np.float32], *, frame_id: str = CAMERA_FRAME) -> None:
         """Depth image, shape (height, width): uint16 in millimetres (0: no value) or float32 in metres (NaN: no value)."""

@@ -19,6 +19,7 @@ from push_ident.diagnosis.state import DiagnosisState
 from push_ident.identification.fit import Fit
 from push_ident.identification.observation import NoiseModel
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
+from push_ident.types import ObjectShape
 
 __all__ = [
     "OUTLINE_ERRORS", "POSE_ERRORS", "camera_is_in_question", "camera_settings", "is_in_question", "outlier_pushes", "question_camera",
@@ -32,10 +33,15 @@ POSE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if not EFFECTS[name].m
 """Camera errors of the measured poses."""
 
 
-def camera_settings(settings: DiagnosisSettings) -> DiagnosisSettings:
-    """Settings for poses and outlines from a camera: its errors belong to the base model, noise and margins are larger."""
+def camera_settings(settings: DiagnosisSettings, shape: ObjectShape) -> DiagnosisSettings:
+    """Settings for poses and outlines from a camera: its errors belong to the base model, noise and margins are larger.
+
+    The outline is as accurate as its own deviations say; without them, as that of a calibrated camera.
+    """
     own = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
     accuracy = {name: tuple(p.camera_std or p.scale for p in EFFECTS[name].parameters) for name in CAMERA_ERRORS}
+    if shape.outline_error is not None:
+        accuracy |= {name: (shape.outline_error,) for name in OUTLINE_ERRORS}
     return replace(
         settings,
         base_effects=(*settings.base_effects, *own),

@@ -60,6 +60,6 @@ def _initial_state(records: Sequence[PushRecord], settings: DiagnosisSettings) -
         raise InputError("There is no push to diagnose; give at least three.")
     if missing := [name for name in settings.base_effects if name not in EFFECTS]:
         raise InputError(f"There is no effect `{missing[0]}`; choose from {', '.join(EFFECTS)}.")
-    from_camera = settings.outline_from_camera or records[0].shape.traced_by_camera
-    in_force = camera_settings(settings) if from_camera else settings
+    from_camera = settings.outline_from_camera or records[0].shape.outline_std is not None
+    in_force = camera_settings(settings, records[0].shape) if from_camera else settings
     return DiagnosisState(tuple(records), requested=settings, settings=in_force, from_camera=from_camera)

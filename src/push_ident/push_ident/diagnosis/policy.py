@@ -50,9 +50,9 @@ class GatePolicy:
     max_step_effect: float = 0.2
     """Median change of end poses under half the time steps and half the smoothing speed, below which numerics are accepted, in standard
     deviations of the poses' noise [1]. Twice what the steps are chosen for (`physics/accuracy.py`); judgement."""
-    max_outline_offset: float = 1.5e-3
-    """Fitted distance of the surface from an outline that a camera traced, below which the outline is accepted [m]. Nearly four standard
-    deviations of a traced outline (0.4 mm)."""
+    max_outline_deviations: float = 3.75
+    """Fitted distance of the surface from an outline that a camera traced, in standard deviations of that outline, below which it is
+    accepted [-]: 1.5 mm where the simulated camera traced it (0.4 mm)."""
 
 
 @dataclass(frozen=True, slots=True)

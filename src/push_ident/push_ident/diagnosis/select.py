@@ -44,14 +44,19 @@ def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Ga
         names: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
         policy: limits.
     """
-    offsets = [float(value) for name in names if name in fit.names for value in fit.effects.values[fit.effects.slice_of(name)]]
+    places = [fit.effects.slice_of(name) for name in names if name in fit.names]
+    pairs = [
+        (float(offset), float(std))
+        for own in places
+        for offset, std in zip(fit.effects.values[own], fit.unknowns.effect_std[own], strict=True)
+    ]
     return [
         Gate(
-            abs(offset) < policy.max_outline_offset,
+            abs(offset) < policy.max_outline_deviations * std,
             f"the surface that the pusher met lies {1e3 * offset:+.2f} mm outside the outline",
             "Measure the radius of the pusher; calibrate the camera; compare the outline with the object.",
         )
-        for offset in offsets
+        for offset, std in pairs
     ]
 
 

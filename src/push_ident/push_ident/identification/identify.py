@@ -21,7 +21,7 @@ from push_ident.identification.solver import FitTask, MapFit
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_measured_forces
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.unknowns import Unknowns, nuisances_of
 from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["Earlier", "identify", "uniform_model"]
@@ -60,7 +60,8 @@ def identify(
         records: pushes of one object. The two end poses of a push are enough.
         prior: nominal values and their standard deviations.
         method: name of a solver in `SOLVERS`.
-        effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`).
+        effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`),
+            beside those of `nuisances_of`.
         options: noise, numerics, iterations and seed. Errors of poses count as at least as correlated as the frames at rest show.
         budget: limits of the solve; 30 s by default.
         earlier: results to start from.
@@ -77,6 +78,8 @@ def identify(
         raise InputError("There is no push to learn from; give at least one push record.")
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
+    if solver.capabilities.takes_effects:
+        effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape))))
     prior, options, earlier = prior or Prior(), options or FitOptions(), earlier or Earlier()
     options = replace(options, noise=noise_at_rest(records, options.noise))
     meter = Meter(budget, on_progress)

@@ -45,6 +45,8 @@ class ModelContent(BaseModel):
     cell_size: float
     cells: list[tuple[float, float]]
     outline: list[tuple[float, float]]
+    outline_std: list[float] | None = None
+    """Of each edge along its normal [m], where a camera traced the outline."""
     prior: dict[str, float]
     modes: list[list[float]]
     """Of the maps, one row per cell. Kept, since eigenvectors differ between machines."""
@@ -77,6 +79,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         cell_size=shape.cells.size,
         cells=[(float(x), float(y)) for x, y in shape.cells.centres],
         outline=[(float(x), float(y)) for x, y in shape.outline],
+        outline_std=None if shape.outline_std is None else shape.outline_std.tolist(),
         prior=asdict(posterior.prior),
         modes=posterior.unknowns.modes.tolist(),
         effects=list(posterior.effects.names),
@@ -154,7 +157,8 @@ def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
     if content.format != _FORMAT:
         raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
     try:
-        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline))
+        std = None if content.outline_std is None else np.array(content.outline_std)
+        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), std)
         unknowns = Unknowns(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
     except (InputError, ValueError) as error:
         raise ModelFileError(f"{path} does not describe an object: {error}") from None

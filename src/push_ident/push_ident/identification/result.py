@@ -10,7 +10,7 @@ import numpy as np
 from push_ident.identification.explanation import Explanation
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.prior import MapPrior, Prior
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.unknowns import Unknowns, nuisances_of
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus
 
@@ -124,7 +124,7 @@ class ModelPosterior:
 
 def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPosterior:
     """The posterior of an object that was never pushed: its prior."""
-    return ModelPosterior.of_prior(Unknowns(shape, prior or Prior()))
+    return ModelPosterior.of_prior(Unknowns(shape, prior or Prior(), effects=nuisances_of(shape)))
 
 
 @dataclass(frozen=True, slots=True)

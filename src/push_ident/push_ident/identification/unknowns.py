@@ -35,12 +35,13 @@ from push_ident.identification.load import balanced_load, balanced_load_derivati
 from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
+from push_ident.physics.effects import EFFECTS
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape
 
-__all__ = ["Block", "Layout", "Mechanics", "Unknowns"]
+__all__ = ["Block", "Layout", "Mechanics", "Unknowns", "nuisances_of"]
 
 _ROUNDING: Final = 1e-12
 """Added to the covariance of the modes, which are independent with a variance of 1 at the own length [-]."""
@@ -135,6 +136,11 @@ class Mechanics:
         )
 
 
+def nuisances_of(shape: ObjectShape) -> tuple[str, ...]:
+    """Effects that are unknown of an object by how its shape was measured: pushes show where an outline that a camera traced really is."""
+    return () if shape.outline_std is None else ("outline_error",)
+
+
 class Unknowns:
     """The unknowns `z` of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_places`, `foot_width`,
     `foot_preferences`, `effects`, `friction_scale` and `pusher_friction`. There is no
@@ -146,8 +152,8 @@ class Unknowns:
         maps: False leaves equal cells, with only the scales free (the `scalar` model).
         modes: of a map, where they are known already (from a file), shape (n_cells, n_modes).
         effects: names of effects whose parameters are unknown too.
-        effect_std: prior standard deviations of the parameters of an effect, by its name; by default those of the catalogue. Names of
-            effects that are not among `effects` are ignored.
+        effect_std: prior standard deviations of the parameters of an effect, by its name; by default those of the catalogue, of errors of
+            an outline that a camera traced its own. Names of effects that are not among `effects` are ignored.
         frozen_effects: numbers of values of the effects that keep their nominal value.
 
     Attributes:
@@ -200,6 +206,10 @@ class Unknowns:
 
     def _effect_std(self) -> Float64Array:
         std = np.array([parameter.scale for parameter in self.effects.parameters], dtype=np.float64)
+        if self.shape.outline_error is not None:
+            for name in self.effects.names:
+                if EFFECTS[name].moves_outline:
+                    std[self.effects.slice_of(name)] = self.shape.outline_error
         for name, given in self._given_effect_std.items():
             if name in self.effects.names:
                 std[self.effects.slice_of(name)] = given

@@ -16,6 +16,7 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import Float32MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
@@ -41,6 +42,8 @@ __all__ = [
     "joints_from_msg",
     "object_frame",
     "outline_from_msg",
+    "outline_std_from_msg",
+    "outline_std_to_msg",
     "occupancy_to_msg",
     "planar_pose_from_msg",
     "planar_pose_of",
@@ -221,6 +224,13 @@ def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
     return check_pusher_radius(float(msg.dimensions[SolidPrimitive.CYLINDER_RADIUS]))
 
 
+def outline_std_to_msg(shape: ObjectShape) -> Float32MultiArray:
+    """Standard deviations of the edges of the outline [m]; empty for an outline that is exact."""
+    values = [] if shape.outline_std is None else [float(value) for value in shape.outline_std]
+    edges = MultiArrayDimension(label="edge", size=len(values), stride=len(values))
+    return Float32MultiArray(layout=MultiArrayLayout(dim=[edges]), data=values)
+
+
 def shape_to_msgs(shape: ObjectShape, object_id: str, stamp: Time) -> tuple[OccupancyGrid, PolygonStamped]:
     """Cells (100 = cell, 0 = none) and outline, both in the object frame."""
     size = shape.cells.size
@@ -236,8 +246,12 @@ def shape_to_msgs(shape: ObjectShape, object_id: str, stamp: Time) -> tuple[Occu
     return cells, outline
 
 
-def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None) -> ObjectShape:
+def shape_from_msgs(
+    cells: OccupancyGrid, outline: PolygonStamped | None = None, outline_std: Float32MultiArray | None = None
+) -> ObjectShape:
     """Shape of an object; without an outline it is traced from the cells. Cells run row by row: x fastest, then y.
+
+    Deviations that are not as many as the outline has edges belong to another outline and are left out.
 
     Raises:
         InputError: No cells, too many, sizes that do not fit, an outline that cannot be one, or cells and outline of different objects.
@@ -261,7 +275,9 @@ def shape_from_msgs(cells: OccupancyGrid, outline: PolygonStamped | None = None)
     if outline is None:
         return check_shape(ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size, yaw=yaw)))
     _check_frame(outline.header.frame_id, cells.header.frame_id)
-    return check_shape(ObjectShape(CellGrid(centres, size), outline_from_msg(outline)))
+    vertices = outline_from_msg(outline)
+    std = None if outline_std is None else outline_std_from_msg(outline_std)
+    return check_shape(ObjectShape(CellGrid(centres, size), vertices, std if std is not None and len(std) == len(vertices) else None))
 
 
 def outline_from_msg(outline: PolygonStamped) -> Float64Array:
@@ -277,6 +293,20 @@ def outline_from_msg(outline: PolygonStamped) -> Float64Array:
         raise InputError(f"{name} has {len(points)} points, expected at least 3.")
     check_coordinates(points, name)
     return points
+
+
+def outline_std_from_msg(msg: Float32MultiArray) -> Float64Array:
+    """Standard deviations of the edges of an outline [m], shape (n_edges,).
+
+    Raises:
+        InputError: Too many, or not all of them lengths.
+    """
+    LIMITS.VERTICES.check(len(msg.data), "Deviations of an outline")
+    values = np.array(msg.data, dtype=np.float64)
+    check_coordinates(values, "Deviations of an outline")
+    if not np.all(values > 0):
+        raise InputError(f"A deviation of an outline is {values.min()} m, expected more than 0; an outline that is exact has none.")
+    return values
 
 
 def joints_from_msg(msg: JointState) -> tuple[float, dict[str, float]]:

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Final
 
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
@@ -14,6 +15,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import Float32MultiArray
 
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import transform_points
@@ -192,14 +194,14 @@ class PushCollector:
     def _on_new_object(self, object_id: str) -> None:
         node, prefix = self._node, f"objects/{object_id}"
         self._on_object(object_id)
-        node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda m: self._on_shape_msg(object_id, cells=m), _LATCHED)
-        node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda m: self._on_shape_msg(object_id, outline=m), _LATCHED)
+        for kind, name in ((OccupancyGrid, "cells"), (PolygonStamped, "outline"), (Float32MultiArray, "outline_std")):
+            node.create_subscription(kind, f"{prefix}/{name}", partial(self._on_shape_msg, object_id, name), _LATCHED)
         self._subscribe(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m))
         node.get_logger().info(f"object {object_id} found")
 
-    def _on_shape_msg(self, object_id: str, *, cells: OccupancyGrid | None = None, outline: PolygonStamped | None = None) -> None:
-        with self._taking("shapes", f"objects/{object_id}/{'cells' if cells is not None else 'outline'}"):
-            shape = self._shape_input.add(object_id, cells=cells, outline=outline)
+    def _on_shape_msg(self, object_id: str, part: str, msg: Any) -> None:
+        with self._taking("shapes", f"objects/{object_id}/{part}"):
+            shape = self._shape_input.add(object_id, **{part: msg})
             if shape is None:
                 return
             self._on_shape(object_id, shape)

@@ -16,31 +16,17 @@ import numpy as np
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_centroid
 from push_ident.geometry.se2 import transform_points
+from push_ident.perception.edges import EdgeLines, edge_std, lines_near_edges, prior_curvature, same_curve, without_teeth
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.shape import TracedObject
-from push_ident.perception.shape_kernels import edges_nearest
 from push_ident.perception.straighten import straighten
-from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose, lines_of_sight
-from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
+from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose
+from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["View", "fuse_views", "relative_size"]
 
-_BAND: Final = 0.005
-"""Lines of sight within this distance of an edge are used [m]."""
-_WIDTH: Final = 0.0015
-"""Width of the step from stopped to passing [m], as in the tracker."""
-_CORNER: Final = 0.004
-"""Lines of sight within this distance of the end of an edge are left out, as they depend on both edges of the corner [m]."""
-_PRIOR: Final = 0.001
-"""Prior standard deviation of the offset of an edge [m]."""
-_VARIANCE: Final = 0.05
-"""Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
 _LARGEST: Final = 0.003
 """Largest offset of an edge over all passes [m]."""
-_SAME_CURVE: Final = 0.35
-"""Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
-_REACH: Final = 0.008
-"""Largest distance along a curve between edges that share their lines of sight [m]."""
 _LEAST_SINE2: Final = 0.12
 """Two edges whose angle has a smaller squared sine meet too far away: their corner moves by the mean offset."""
 _PASSES: Final = 3
@@ -59,6 +45,12 @@ class View:
     """(x, y, yaw) of the object in `table`, to about a centimetre and ten degrees [m, m, rad]."""
     robot: Sequence[RobotPart] = ()
     """Parts of the robot; their pixels are left out."""
+
+    @property
+    def pixel(self) -> float:
+        """Width of a pixel on the object [m]."""
+        to_camera = self.camera_in_table[:3, 3] - (*self.pose[:2], 0.0)
+        return float(np.linalg.norm(to_camera)) / self.frame.intrinsics.fx
 
     @property
     def scene(self) -> Scene:
@@ -85,84 +77,61 @@ def fuse_views(traced: TracedObject, views: Sequence[View], *, pose_known: bool 
     moved = np.zeros(len(traced.shape.outline))
     outline = np.array(traced.shape.outline)
     for _ in range(_PASSES):
-        template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline, traced_by_camera=True)))
-        gradient, curvature = np.zeros(len(outline)), np.full(len(outline), _VARIANCE / _PRIOR**2)
-        n_found = 0
-        for number, view in enumerate(views):
-            pose = view.pose
-            if not (pose_known and number == 0):
-                fit = fit_pose(template, view.scene, view.pose)
-                if fit.status is not TrackStatus.TRACKED:
-                    continue
-                pose = fit.pose
-            n_found += 1
-            g, c = _edge_derivatives(template, outline, view, pose)
-            gradient += g
-            curvature += c
-        if n_found == 0:
-            raise PerceptionError(f"The object is found in none of {len(views)} views; give poses near the true ones.")
-        shared = _same_curve(outline)
+        template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
+        found = _found_in(template, views, pose_known)
+        gradient, curvature = _derivatives(template, outline, found)
+        shared = same_curve(outline)
         step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -_LARGEST, _LARGEST) - moved
         outline, moved = _without_reversed(outline, _with_edges_moved(outline, step), moved + step)
     straight = straighten(_dense(outline))
     outline = straight if len(straight) >= 3 else outline
+    pixel = min(view.pixel for view, _ in found)
+    std = edge_std(outline, *(_lines_of(traced, edges, found) for edges in (outline, without_teeth(outline, pixel))))
     x, y = polygon_centroid(outline)
-    shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), traced_by_camera=True)
+    shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
     return replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
+
+
+def _found_in(template: Template, views: Sequence[View], pose_known: bool) -> list[tuple[View, Float64Array]]:
+    """The views in which the object is found, with its pose. Raises PerceptionError where there are none."""
+    found = []
+    for number, view in enumerate(views):
+        if pose_known and number == 0:
+            found.append((view, view.pose))
+            continue
+        fit = fit_pose(template, view.scene, view.pose)
+        if fit.status is TrackStatus.TRACKED:
+            found.append((view, fit.pose))
+    if not found:
+        raise PerceptionError(f"The object is found in none of {len(views)} views; give poses near the true ones.")
+    return found
+
+
+def _lines_of(traced: TracedObject, outline: Float64Array, found: Sequence[tuple[View, Float64Array]]) -> list[EdgeLines]:
+    """Lines of sight near the edges of an outline, of each view."""
+    template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
+    return [lines_near_edges(template, outline, view.scene, pose) for view, pose in found]
+
+
+def _derivatives(
+    template: Template, outline: Float64Array, found: Sequence[tuple[View, Float64Array]]
+) -> tuple[Float64Array, Float64Array]:
+    """J'r and the diagonal of J'J of the offsets of the edges, with their prior, shapes (n_edges,)."""
+    gradient, curvature = np.zeros(len(outline)), prior_curvature(len(outline))
+    for view, pose in found:
+        g, c = lines_near_edges(template, outline, view.scene, pose).derivatives(len(outline))
+        gradient += g
+        curvature += c
+    return gradient, curvature
 
 
 def relative_size(view: View, traced: TracedObject) -> float:
     """Size of the object in a view at its fitted pose, divided by the size of `traced`: not 1 with a wrong focal length or depth unit."""
     outline = traced.shape.outline
-    gradient, curvature = _edge_derivatives(Template(traced), outline, view, view.pose)
+    gradient, curvature = lines_near_edges(Template(traced), outline, view.scene, view.pose).derivatives(len(outline))
     # An edge moves by its distance from the origin times the relative growth.
     lever = np.sum(outline * edge_normals(outline), axis=1)
     return 1.0 + float(np.sum(gradient * lever) / max(float(np.sum(curvature * lever**2)), 1e-9))
-
-
-def _edge_derivatives(template: Template, outline: Float64Array, view: View, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """J'r and the diagonal of J'J, J the derivative of the expected by the offset of each edge, shapes (n_edges,)."""
-    lines = lines_of_sight(template, view.scene, pose, _BAND, 1)
-    gradient, curvature = np.zeros(len(outline)), np.zeros(len(outline))
-    if lines is None:
-        return gradient, curvature
-    points = lines.innermost_points(template, pose)
-    distance, _ = template.distance(points)
-    expected = 1.0 / (1.0 + np.exp(np.clip(distance / _WIDTH, -30.0, 30.0)))
-    slope = expected * (1.0 - expected) / _WIDTH
-    edge, clear = _nearest_edge(points, outline)
-    clear &= np.abs(distance) < _BAND
-    np.add.at(gradient, edge[clear], (slope * (lines.stopped - expected))[clear])
-    np.add.at(curvature, edge[clear], np.square(slope[clear]))
-    return gradient, curvature
-
-
-def _nearest_edge(points: Float64Array, outline: Float64Array) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], BoolArray]:
-    """Index of the edge nearest to each point, and whether the point is clear of the corners of a long edge."""
-    index, position = edges_nearest(points, np.ascontiguousarray(outline))
-    own = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)[index]
-    # A short edge of a curve has no corners of its own.
-    margin = np.minimum(_CORNER, 0.25 * own)
-    return index, (position > margin) & (position < own - margin)
-
-
-def _same_curve(outline: Float64Array) -> Float64Array:
-    """Which edges share their lines of sight, shape (n_edges, n_edges): nearby pieces of one curve."""
-    n = len(outline)
-    edge = np.roll(outline, -1, axis=0) - outline
-    length, heading = np.linalg.norm(edge, axis=1), np.arctan2(edge[:, 1], edge[:, 0])
-    shared = np.eye(n)
-    for i in range(n):
-        for step in (1, -1):
-            j, travel = i, 0.0
-            while True:
-                j = (j + step) % n
-                turned = abs((heading[j] - heading[i] + np.pi) % (2 * np.pi) - np.pi)
-                if j == i or turned > _SAME_CURVE or travel > _REACH:
-                    break
-                shared[i, j] = 1.0
-                travel += length[j]
-    return shared
 
 
 def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:

@@ -131,7 +131,7 @@ def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_coun
         full = [stopped.points(outline) for stopped, _, _ in lines]
         outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.points(outline) for _, passing, _ in lines]))
     x, y = polygon_centroid(outline)
-    shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y), traced_by_camera=True)
+    shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
     grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines]), origin)
     return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
 

@@ -37,6 +37,7 @@ class _Object(BaseModel):
     format: str
     object_id: str
     outline: list[tuple[float, float]]
+    outline_std: list[float] | None = None
     cells: list[tuple[float, float]]
     cell_size: float
     pose: tuple[float, float, float]
@@ -77,6 +78,7 @@ class ObjectMemory:
             format=_FORMAT,
             object_id=object_id,
             outline=traced.shape.outline.tolist(),
+            outline_std=None if traced.shape.outline_std is None else traced.shape.outline_std.tolist(),
             cells=traced.shape.cells.centres.tolist(),
             cell_size=traced.shape.cells.size,
             pose=tuple(traced.pose.tolist()),
@@ -126,7 +128,8 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
     if content.format != _FORMAT or not content.object_id[1:].isdigit() or path.name != content.object_id + _SUFFIX:
         raise ModelFileError(f"{path} has the format `{content.format}` and the id `{content.object_id}`, expected `{_FORMAT}`; {_REMEDY}.")
     try:
-        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), traced_by_camera=True)
+        std = None if content.outline_std is None else np.array(content.outline_std)
+        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), std)
         top = np.array(content.top, dtype=np.float32)
         hollow = None if content.hollow is None else np.array(content.hollow, dtype=bool)
     except (InputError, ValueError) as error:

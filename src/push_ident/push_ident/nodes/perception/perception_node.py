@@ -21,7 +21,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
-from std_msgs.msg import String
+from std_msgs.msg import Float32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
@@ -33,6 +33,7 @@ from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
     joints_from_msg,
     occupancy_to_msg,
+    outline_std_to_msg,
     planar_pose_to_msg,
     position_from_msg,
     shape_to_msgs,
@@ -109,7 +110,7 @@ class _Perception(Component):
         self._latencies: list[float] = []
         self._last_stamp = -np.inf
 
-        self._object_publishers: dict[str, tuple[Publisher, Publisher, Publisher]] = {}
+        self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
         self._camera_publisher = self._node.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
         self._camera_published: Float64Array | None = None
         self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
@@ -325,9 +326,10 @@ class _Perception(Component):
             self._give_up(removal)
         for object_id, shape in observation.new_shapes.items():
             self._node.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
-            _, cells_publisher, outline_publisher = self._publishers_of(object_id)
+            _, cells_publisher, outline_publisher, std_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
+            std_publisher.publish(outline_std_to_msg(shape))
             outline_publisher.publish(outline)
         if observation.new_shapes:
             self._note_views(observation.further_views)
@@ -371,12 +373,13 @@ class _Perception(Component):
         self._node.get_logger().warning(f"Time went back to {stamp:.3f} s; all objects are looked for anew.")
         self._forget_objects()
 
-    def _publishers_of(self, object_id: str) -> tuple[Publisher, Publisher, Publisher]:
+    def _publishers_of(self, object_id: str) -> tuple[Publisher, ...]:
         if object_id not in self._object_publishers:
             self._object_publishers[object_id] = (
                 self._node.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", 10),
                 self._node.create_publisher(OccupancyGrid, f"objects/{object_id}/cells", _LATCHED),
                 self._node.create_publisher(PolygonStamped, f"objects/{object_id}/outline", _LATCHED),
+                self._node.create_publisher(Float32MultiArray, f"objects/{object_id}/outline_std", _LATCHED),
             )
         return self._object_publishers[object_id]
 

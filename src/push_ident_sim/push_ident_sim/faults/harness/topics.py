@@ -12,7 +12,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
-from std_msgs.msg import String
+from std_msgs.msg import Float32MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -55,6 +55,7 @@ TOPICS: Final[dict[str, Topic]] = {
     f"objects/{SEEN}/pose": Topic(PoseWithCovarianceStamped),
     f"objects/{OBJECT}/cells": Topic(OccupancyGrid, latched=True),
     f"objects/{OBJECT}/outline": Topic(PolygonStamped, latched=True),
+    f"objects/{OBJECT}/outline_std": Topic(Float32MultiArray, latched=True),
     f"objects/{OBJECT}/mass_friction_map": Topic(MassFrictionMap, latched=True),
     f"objects/{OBJECT}/prediction": Topic(PushPrediction),
 }

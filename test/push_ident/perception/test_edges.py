@@ -1,0 +1,76 @@
+"""How well the place of an edge of a traced outline is known: as well as its deviation says, for every sensor model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from push_ident.geometry.outline import polygon_centroid, signed_distance
+from push_ident.geometry.se2 import transform_points
+from push_ident.perception.edges import EdgeLines, edge_std, same_curve, without_teeth
+from push_ident.perception.pipeline import Perception
+from push_ident.types import DepthFrame
+from push_ident_sim.cell.sensor_unit import Sensor
+from push_ident_sim.cell.sensors import suitable_pose
+from push_ident_sim.objects import make_object
+
+SQUARE = np.array([(-0.05, -0.05), (0.05, -0.05), (0.05, 0.05), (-0.05, 0.05)])
+
+
+def lines_of(scatter, n=20000, seed=0):
+    """Lines of sight near the first edge of a square whose place scatters [m]."""
+    rng = np.random.default_rng(seed)
+    distance = rng.uniform(-0.005, 0.005, n)
+    expected = 1.0 / (1.0 + np.exp(distance / 0.0015))
+    stopped = distance < scatter * rng.standard_normal(n)
+    return EdgeLines(np.zeros(n, dtype=np.int64), expected * (1.0 - expected) / 0.0015, stopped - expected)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 5e-4, 1e-3, 2e-3])
+def test_deviation_of_an_edge_follows_its_scatter(scatter):
+    std = edge_std(SQUARE, [lines_of(scatter)], [lines_of(scatter, seed=1)])
+    assert std[0] == pytest.approx(1.5 * scatter, abs=2.5e-4)
+    assert np.all(std[1:] > 9e-4)  # no line of sight passes the others: the prior of 1 mm
+
+
+def test_edges_that_no_line_of_sight_passes_have_the_deviation_of_the_prior():
+    nothing = EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+    assert edge_std(SQUARE, [nothing], [nothing]) == pytest.approx(np.full(4, 1e-3))
+    assert edge_std(SQUARE, [], []) == pytest.approx(np.full(4, 1e-3))
+
+
+def test_teeth_of_a_pixel_are_no_shape_and_larger_ones_are():
+    rng = np.random.default_rng(0)
+    along = np.linspace(-0.05, 0.05, 30)
+    for height, n in ((0.002, 4), (0.02, 32)):
+        teeth = np.stack([along, 0.03 + height * (np.arange(30) % 2) + 1e-5 * rng.standard_normal(30)], axis=1)[::-1]
+        assert len(without_teeth(np.vstack([(-0.05, -0.05), (0.05, -0.05), teeth]), 0.0017)) == n
+
+
+def test_pieces_of_a_curve_share_their_lines_of_sight():
+    angle = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
+    circle = 0.03 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert np.all(same_curve(SQUARE) == np.eye(4))
+    assert np.all(np.sum(same_curve(circle), axis=1) == 5)
+
+
+@pytest.mark.parametrize("sensor", ["plain", "kinect_v1", "realsense_d435_848x480", "phoxi"])
+def test_edges_are_where_their_deviations_say(sensor):
+    """Longer edges of the book, as far as no rigid motion of the whole explains: that is the error of the extrinsics."""
+    thing, unit, reported = make_object("book", 101), Sensor(sensor, 101), suitable_pose(sensor)
+    rng, pose = np.random.default_rng(7), np.array([0.03, -0.02, 0.4])
+    camera, perception = unit.camera(thing, reported), Perception(reported)
+    seen = unit.look(camera, pose, {})
+    for i in range(10):
+        found = perception.observe(DepthFrame(i / 30, unit.read(seen, rng), unit.intrinsics), ()).new_shapes
+        if found:
+            break
+    shape, first = found["o1"], perception.first_pose("o1")
+    outline, truth = transform_points(first, shape.outline), transform_points(pose, thing.outline)
+    outline = outline - polygon_centroid(outline) + polygon_centroid(truth)
+    end = np.roll(outline, -1, axis=0)
+    long = np.linalg.norm(end - outline, axis=1) > 0.03
+    share = np.linspace(0.2, 0.8, 9)[:, None]
+    error = np.array([signed_distance(a + share * (b - a), truth).mean() for a, b in zip(outline, end, strict=True)])
+    ratio = np.sqrt(np.mean((error[long] / shape.outline_std[long]) ** 2))
+    assert 0.05 < ratio < 2.5 and shape.outline_error < 4e-3
