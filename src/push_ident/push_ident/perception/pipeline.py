@@ -37,6 +37,9 @@ _MOVED: Final = 0.0015
 """A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
 _SAME_AREA: Final = (0.4, 1.6)
 """Range of the area of a segment that may be a lost object, relative to the area of that object."""
+_DOUBTFUL: Final = 0.02
+"""Where more of the pixels contradict a pose, it is checked in every frame whether a part is missing, else only before a search: whole
+objects have 0.002 of the plain camera."""
 _ROUNDING: Final = 1e-3
 """Tolerance of the periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
 
@@ -214,7 +217,7 @@ class Perception:
         if on_poses is not None and fits:
             on_poses(tuple(_observed(name, fit) for name, fit in fits.items()))
         occupancy_due = frame.stamp - self._last_occupancy >= self.settings.occupancy_period - _ROUNDING
-        search_due = not self._tracked or frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
+        search_due = not self._tracked or self._is_search_due(frame)
         if occupancy_due and self._tracked:
             search_due = False  # both in one frame would delay the next one
         new_shapes: dict[str, ObjectShape] = {}
@@ -236,6 +239,9 @@ class Perception:
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
         return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted, removed)
+
+    def _is_search_due(self, frame: DepthFrame) -> bool:
+        return frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
 
     @property
     def _noise(self) -> float:
@@ -312,7 +318,8 @@ class Perception:
     def _accept(self, name: str, fit: PoseFit, frame: DepthFrame, robot: Sequence[RobotPart]) -> PoseFit:
         """Take the fit of an object, unless a part of it is missing there; the fit with the status that results."""
         known = self._tracked[name]
-        if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT):
+        doubtful = known.status is not TrackStatus.TRACKED or fit.share_contradicting > _DOUBTFUL
+        if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT) and (doubtful or self._is_search_due(frame)):
             seen = parts_seen(known.template, self._scene(name, frame, robot), fit.pose, self._noise)
             if fit.status is TrackStatus.TRACKED and is_part_missing(seen):
                 fit = replace(fit, status=TrackStatus.PART_MISSING)
