@@ -36,6 +36,13 @@ def circle(radius, n=24) -> np.ndarray:
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+def hollow(outer, inner, top, floor=0.004) -> list[Prism]:
+    """A thing open at the top: walls between two outlines with as many points, and a floor; without floor a ring."""
+    after = np.roll(np.arange(len(outer)), -1)
+    walls = [Prism(np.array([inner[i], outer[i], outer[j], inner[j]]), top) for i, j in enumerate(after)]
+    return [Prism(outer, floor), *walls] if floor else walls
+
+
 @dataclass(frozen=True)
 class Prism:
     polygon: np.ndarray

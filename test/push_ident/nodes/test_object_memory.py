@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,3 +76,25 @@ def test_without_a_folder_nothing_is_kept(before: Perception) -> None:
     memory.keep("o1", before.known("o1"))
     memory.keep_pose("o1", LATER)
     assert memory.load() == {}
+
+
+def test_object_that_was_given_up_is_not_looked_for_again(before: Perception, tmp_path: Path) -> None:
+    memory = ObjectMemory(str(tmp_path))
+    memory.keep("o1", before.known("o1"))
+    memory.keep_pose("o1", before.known("o1").pose)
+    memory.forget("o1")
+    assert memory.load() == {} and not list(tmp_path.iterdir())
+    memory.forget("o1")
+
+
+def test_hollow_of_an_object_is_kept(before: Perception, tmp_path: Path) -> None:
+    known = before.known("o1")
+    hollow = np.zeros(known.traced.top.shape, dtype=bool)
+    hollow[4:9, 3:7] = True
+    memory = ObjectMemory(str(tmp_path))
+    memory.keep("o1", replace(known, traced=replace(known.traced, hollow=hollow)))
+    np.testing.assert_array_equal(memory.load()["o1"].traced.hollow, hollow)
+    wrong = (tmp_path / "o1.object.json").read_text().replace('"hollow":[[', '"hollow":[[true],[')
+    (tmp_path / "o1.object.json").write_text(wrong)
+    with pytest.raises(ModelFileError):
+        memory.load()

@@ -293,6 +293,22 @@ def test_time_going_back_starts_anew(camera, node):
     send_until(camera, lambda: camera.poses and stamp_from_msg(camera.poses[-1].header.stamp) < 90.0)
 
 
+def test_an_object_that_came_apart_is_no_longer_published(camera, node):
+    def boxes(gap):
+        return [render([Prism(rectangle(-0.04, y, 0.04, y + 0.06), 0.05) for y in (-0.06, gap)], rng=np.random.default_rng(0))]
+
+    before, camera.stamp, frames = int(camera.values().get("restarts", 0)), 1.0, camera.frames
+    try:
+        camera.frames = boxes(0.0)
+        send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
+        camera.frames = boxes(0.05)
+        send_until(camera, lambda: camera.values().get("given_up") == "1" and camera.values().get("object_o3") == "tracked")
+    finally:
+        camera.frames = frames
+    assert camera.values()["note_object_o1"].startswith("given up: several things that touch")
+    assert camera.count_publishers("objects/o1/pose") == 0 and camera.count_publishers("objects/o2/pose") == 1
+
+
 def test_an_impossible_parameter_ends_the_process_with_one_line(domain):
     process = start(domain, "-p", "min_object_height:=7.0")
     output, _ = process.communicate(timeout=15.0)

@@ -27,6 +27,7 @@ from push_ident.identification.running_record import running_record
 from push_ident.identification.scoring import PushScore
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 from push_ident.offline.loading import LoadedPushes, load_pushes
+from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
 
 __all__ = ["CameraOption", "ObjectOption", "identify_command", "read_camera"]
@@ -82,6 +83,8 @@ def identify_command(
 
         loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
         chosen = _chosen(train, len(loaded.records))
+        report("loading the kernels")
+        compile_kernels(effects=True)  # else their compilation, a minute the first time, would count as time of the solve
         report(f"identifying from {len(chosen)} pushes")
         result = identify(
             [loaded.records[i] for i in chosen],

@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError, PerceptionError
-from push_ident.geometry.se2 import rotation
+from push_ident.perception.contacts import unexplained_segments
 from push_ident.perception.depth import points_in_table, usable_frame
+from push_ident.perception.hollows import cover_hollows
 from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
-from push_ident.perception.refusals import Reason, Refusal, summary_of
+from push_ident.perception.parting import Parting, is_part_missing
+from push_ident.perception.parts import parts_seen
+from push_ident.perception.refusals import Reason, Refusal, Removal, summary_of
 from push_ident.perception.registration import NewObject, Registration, refusal_of
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
@@ -37,8 +40,9 @@ _CALMER: Final = 0.67
 the median of 125 points gives, the least number of a plane."""
 _SAME_AREA: Final = (0.4, 1.6)
 """Range of the area of a segment that may be a lost object, relative to the area of that object."""
-_ON_OBJECT: Final = 0.008
-"""Points within this distance of the outline of an object belong to it [m]."""
+_DOUBTFUL: Final = 0.02
+"""Where more of the pixels contradict a pose, it is checked in every frame whether a part is missing, else only before a search: whole
+objects have 0.002 of the plain camera."""
 _ROUNDING: Final = 1e-3
 """Tolerance of the periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
 
@@ -77,6 +81,8 @@ class Observation:
     """When an object was registered: per further camera the reason why its view was left out; empty where it was used."""
     restarted: bool = False
     """Whether time went back, so that everything known was dropped."""
+    removed: tuple[Removal, ...] = ()
+    """Objects that were given up with this frame, and why: they came apart. Their ids are not used again."""
 
     def why_no_pose(self) -> str:
         """Why no object has a pose; empty when one has."""
@@ -154,6 +160,8 @@ class Perception:
         self._camera = self._extrinsics
         self._tracked: dict[str, _TrackedObject] = {}
         self._registration = Registration()
+        self._parting = Parting()
+        self._n_ids = 0
         self._refused: tuple[Refusal, ...] = ()
         self._search_counts = dict.fromkeys(("table", "robot", "object_pixels", "segments"), 0)
         self._table_hidden = 0
@@ -179,6 +187,7 @@ class Perception:
             tracked = _TrackedObject(known.traced, Template(known.traced), known.area, known.traced.pose, pose, -np.inf)
             tracked.status, tracked.announced = TrackStatus.OUT_OF_VIEW, False
             self._tracked[name] = tracked
+            self._n_ids = max(self._n_ids, int(name[1:]))
 
     def known(self, object_id: str) -> KnownObject:
         """A known object, for `remember`."""
@@ -212,19 +221,20 @@ class Perception:
         if on_poses is not None and fits:
             on_poses(tuple(_observed(name, fit) for name, fit in fits.items()))
         occupancy_due = frame.stamp - self._last_occupancy >= self.settings.occupancy_period - _ROUNDING
-        search_due = not self._tracked or frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
+        search_due = not self._tracked or self._is_search_due(frame)
         if occupancy_due and self._tracked:
             search_due = False  # both in one frame would delay the next one
         new_shapes: dict[str, ObjectShape] = {}
         further_views: dict[str, str] = {}
         occupancy = None
+        removed: tuple[Removal, ...] = ()
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
             labels = label_pixels(points, robot, self.limits)
             if search_due:
-                found, new = self._search(frame, points, labels, robot)
-                fits.update(found)
-                new_shapes = self._announce() | {self._add(thing, frame.stamp): thing.traced.shape for thing in new}
+                found, new, removed = self._search(frame, points, labels, robot)
+                fits = {name: fit for name, fit in (fits | found).items() if name in self._tracked}
+                new_shapes = self._announce() | {name: thing.traced.shape for name, thing in new.items()}
                 further_views = self._registration.further_views
             if occupancy_due:
                 occupancy = top_down(points, labels, self.limits)
@@ -233,7 +243,15 @@ class Perception:
                 self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
-        return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted)
+        return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted, removed)
+
+    def _is_search_due(self, frame: DepthFrame) -> bool:
+        return frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
+
+    @property
+    def _noise(self) -> float:
+        """Standard deviation of a height [m]."""
+        return 0.0 if self._plane is None else self._plane.noise
 
     @property
     def limits(self) -> PerceptionSettings:
@@ -299,9 +317,23 @@ class Perception:
             if fit.can_start_next and jumped:
                 # With most of the object behind the arm, a fit may slide to a pose that no visible pixel contradicts.
                 fit = replace(fit, status=TrackStatus.POOR_FIT)
-            known.accept(fit, frame.stamp)
-            fits[name] = fit
+            fits[name] = self._accept(name, fit, frame, robot)
         return fits
+
+    def _accept(self, name: str, fit: PoseFit, frame: DepthFrame, robot: Sequence[RobotPart]) -> PoseFit:
+        """Take the fit of an object, unless a part of it is missing there; the fit with the status that results."""
+        known = self._tracked[name]
+        doubtful = known.status is not TrackStatus.TRACKED or fit.share_contradicting > _DOUBTFUL
+        if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT) and (doubtful or self._is_search_due(frame)):
+            seen = parts_seen(known.template, self._scene(name, frame, robot), fit.pose, self._noise)
+            if fit.status is TrackStatus.TRACKED and is_part_missing(seen):
+                fit = replace(fit, status=TrackStatus.PART_MISSING)
+            if fit.status is TrackStatus.TRACKED:
+                self._parting.found(name)
+            else:
+                self._parting.lost(name, known.template, known.pose, known.area, seen)
+        known.accept(fit, frame.stamp)
+        return fit
 
     def _others(self, name: str) -> list[tuple[Template, Float64Array]]:
         """Other objects near enough to be mistaken for parts of this one."""
@@ -316,49 +348,53 @@ class Perception:
 
     def _search(
         self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]
-    ) -> tuple[dict[str, PoseFit], list[NewObject]]:
-        """Look for lost and new objects in the whole image; fits of the objects found again, and the new ones."""
+    ) -> tuple[dict[str, PoseFit], dict[str, NewObject], tuple[Removal, ...]]:
+        """Look for lost and new objects in the whole image; fits of the objects found again, the new ones, and those given up."""
         assert self._plane is not None
         self._last_search = frame.stamp
-        segments, counts = find_segments(frame, points, labels, self.limits)
-        unexplained = [segment for segment in segments if not self._explained(segment, points)]
+        covered = cover_hollows(frame, points, labels, self._camera, self.limits)
+        points, labels = covered.points, covered.labels
+        segments, counts = find_segments(covered.frame, points, labels, self.limits)
+        unexplained = self._unexplained(segments, points)
         found: dict[str, PoseFit] = {}
         for name, known in self._tracked.items():
             if known.status is TrackStatus.TRACKED:
                 continue
             fit = self._find_again(name, known, unexplained, frame, robot)
             if fit is not None:
+                self._parting.found(name)
                 known.accept(fit, frame.stamp)
                 found[name] = fit
-                unexplained = [segment for segment in unexplained if not self._explained(segment, points)]
+                unexplained = self._unexplained(unexplained, points)
+        unexplained, touching, removed = self._parting.refuse(unexplained, points, self.settings.rest_frames)
         whole = [segment for segment in unexplained if segment.whole]
-        new, waiting = self._registration.update(whole, frame, points, self._camera, self._plane, self.limits)
+        traced, waiting = self._registration.update(whole, covered, self._camera, self._plane, self.limits)
         cut = [refusal_of(segment, points, segment.fault) for segment in unexplained if segment.fault is not None]
-        self._refused = (*cut, *waiting)
+        self._refused = (*cut, *touching, *waiting)
+        new = {self._add(thing, frame.stamp): thing for thing in traced}
+        removed += self._parting.taken_in(new)
+        for removal in removed:
+            del self._tracked[removal.object_id]
         table, on_robot = int(np.count_nonzero(labels == TABLE)), int(np.count_nonzero(labels == ROBOT))
         self._search_counts = {"table": table, "robot": on_robot, **counts}
-        return found, new
+        return found, new, tuple(removed)
 
     def _find_again(
         self, name: str, known: _TrackedObject, segments: Sequence[Segment], frame: DepthFrame, robot: Sequence[RobotPart]
     ) -> PoseFit | None:
-        """Fit of a lost object to the first segment of similar area that it fits; None where it fits none."""
+        """Fit of a lost object to the first segment of similar area that it fits as a whole; None where it fits none."""
+        scene = self._scene(name, frame, robot)
         for segment in segments:
             if _SAME_AREA[0] * known.area < segment.area < _SAME_AREA[1] * known.area:
-                fit = relocate(known.template, self._scene(name, frame, robot), segment.centre, last_yaw=float(known.pose[2]))
-                if fit.status is TrackStatus.TRACKED:
+                fit = relocate(known.template, scene, segment.centre, last_yaw=float(known.pose[2]))
+                if fit.status is TrackStatus.TRACKED and not is_part_missing(parts_seen(known.template, scene, fit.pose, self._noise)):
                     return fit
         return None
 
-    def _explained(self, segment: Segment, points: NDArray[np.float32]) -> bool:
-        """Whether more than half of the segment lies in the outline of a tracked object."""
-        own_points = points[segment.rows, segment.columns][segment.mask][:, :2]
-
-        def share_on(known: _TrackedObject) -> float:
-            in_object = (own_points - known.pose[:2]) @ rotation(known.pose[2])
-            return float(np.mean(known.template.nearest_distance(in_object) < _ON_OBJECT))
-
-        return any(share_on(known) > 0.5 for known in self._tracked.values() if known.status is TrackStatus.TRACKED)
+    def _unexplained(self, segments: Sequence[Segment], points: NDArray[np.float32]) -> list[Segment]:
+        """The segments that are no tracked object."""
+        tracked = [(known.template, known.pose) for known in self._tracked.values() if known.status is TrackStatus.TRACKED]
+        return unexplained_segments(segments, points, tracked, self.limits.min_object_area)
 
     def _announce(self) -> dict[str, ObjectShape]:
         """Shapes of the remembered objects that were just found."""
@@ -369,7 +405,8 @@ class Perception:
 
     def _add(self, new: NewObject, stamp: float) -> str:
         """Follow a new object from now on; its id."""
-        name = f"o{1 + max((int(name[1:]) for name in self._tracked), default=0)}"
+        self._n_ids += 1
+        name = f"o{self._n_ids}"
         self._tracked[name] = _TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, new.traced.pose, stamp)
         return name
 
@@ -410,6 +447,9 @@ def observe_offline(
         frames: In the order of their stamps.
         robot_at: Parts of the robot at a time [s].
 
+    Returns:
+        Shape and track by id, without those that came apart.
+
     Raises:
         PerceptionError: No object has two poses; the text gives the stage that failed.
     """
@@ -418,7 +458,7 @@ def observe_offline(
     recent: deque[DepthFrame] = deque(maxlen=perception.settings.rest_frames)
     shapes: dict[str, ObjectShape] = {}
     tracks: dict[str, list[tuple[float, Float64Array, Float64Array]]] = {}
-    n_frames, why = 0, "there are no frames"
+    n_frames, why, given_up = 0, "there are no frames", ""
     for frame in frames:
         n_frames += 1
         try:
@@ -429,6 +469,10 @@ def observe_offline(
         if observation.restarted:
             raise PerceptionError(f"Time goes back at {frame.stamp:.3f} s in the recording; cut it there and process the parts separately.")
         recent.append(frame)
+        for removal in observation.removed:
+            # Its track is that of several things.
+            tracks.pop(removal.object_id)
+            given_up = f"object {removal.object_id} is {removal.reason.value}"
         for name, shape in observation.new_shapes.items():
             shapes[name] = shape
             fits = [(earlier.stamp, perception.fit(name, earlier, parts_at(earlier.stamp))) for earlier in recent]
@@ -443,7 +487,9 @@ def observe_offline(
         if len(track) >= 2
     }
     if not result:
-        raise PerceptionError(f"No object was found in {n_frames} depth frames: {why or 'each has a pose in fewer than two frames'}.")
+        raise PerceptionError(
+            f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."
+        )
     return result
 
 

@@ -9,7 +9,7 @@ from enum import Enum
 
 from push_ident.types import Float64Array
 
-__all__ = ["Reason", "Refusal", "summary_of"]
+__all__ = ["Reason", "Refusal", "Removal", "summary_of"]
 
 
 class Reason(Enum):
@@ -20,6 +20,9 @@ class Reason(Enum):
     BESIDE_ROBOT = "touches the robot, or something higher than max_object_height, in the image; move the robot away"
     BESIDE_UNMEASURED = "the camera measures nothing beside it; move camera, light or object, or make it less dark and glossy"
     BEHIND_ANOTHER = "partly hidden behind another one; move the nearer one out of the way"
+    TOUCHING = "several things that touch: a part of it moved against the rest; move them apart"
+    STACKED = "stacked or leaning: a thing that rests on another one; put each on the table itself"
+    TOUCHES_KNOWN = "touches a known object, so where it ends cannot be seen; move them apart"
     TOO_SMALL = "smaller than min_object_area"
     NOT_AT_REST = "not at rest yet"
     NO_SHAPE = "its shape cannot be traced"
@@ -36,6 +39,14 @@ class Refusal:
     """Convex outline of its points [m], shape (n, 2), table frame."""
     height: float
     """Of its highest points above the table [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """An object that was given up, because it never was one thing."""
+
+    object_id: str
+    reason: Reason
 
 
 def summary_of(refusals: Iterable[Refusal]) -> str:

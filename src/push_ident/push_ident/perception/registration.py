@@ -16,6 +16,7 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.further_camera import FurtherCamera
 from push_ident.perception.fusion import View, fuse_views
+from push_ident.perception.hollows import Covered, with_hollow
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.refusals import Reason, Refusal
 from push_ident.perception.segments import Segment
@@ -37,6 +38,7 @@ _CHECKED: Final = 2000
 """About so many of the points are compared with the outline; more do not change the fraction."""
 _LONGEST_WAIT: Final = 16
 """A segment without a shape is traced anew after twice as many frames each time, up to so many times `rest_frames`."""
+_HOLLOW: Final = "the object is hollow, and only the main camera sees where its hollow is"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +94,7 @@ class Registration:
     def update(
         self,
         segments: Sequence[Segment],
-        frame: DepthFrame,
-        points: NDArray[np.float32],
+        covered: Covered,
         camera: Float64Array,
         plane: TablePlane,
         settings: PerceptionSettings,
@@ -101,7 +102,7 @@ class Registration:
         """Take the whole segments of a frame that no object explains.
 
         Args:
-            points: Of the frame [m], shape (height, width, 3), table frame.
+            covered: The frame in which they were found.
             camera: Optical frame in the table frame, shape (4, 4).
 
         Returns:
@@ -109,12 +110,14 @@ class Registration:
             segment stays with it.
         """
         self.further_views = {}
+        frame, points = covered.frame, covered.points
         self._candidates = [self._continued(segment, frame, settings) for segment in segments]
         new, refused, left = [], [], []
         for candidate in self._candidates:
             if candidate.waited >= candidate.wait * settings.rest_frames:
                 try:
-                    traced = self._shape_of(candidate, camera, plane, settings)
+                    own = candidate.segment
+                    traced = self._shape_of(candidate, covered.lid_of((own.rows, own.columns), own.mask), camera, plane, settings)
                     _check_covered(traced, candidate.segment, points)
                     new.append(NewObject(traced, candidate.segment.area))
                     continue
@@ -138,27 +141,39 @@ class Registration:
                 return _Candidate(segment, frames, centres, candidate.waited + 1, candidate.wait, candidate.failure)
         return _Candidate(segment, [frame], [segment.centre])
 
-    def _shape_of(self, candidate: _Candidate, camera: Float64Array, plane: TablePlane, settings: PerceptionSettings) -> TracedObject:
-        """Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen."""
+    def _shape_of(
+        self, candidate: _Candidate, lid: Float64Array, camera: Float64Array, plane: TablePlane, settings: PerceptionSettings
+    ) -> TracedObject:
+        """Its shape; `lid` has the points of its lid [m], shape (n, 2).
+
+        Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen.
+        """
         last = candidate.frames[-1]
         frame = DepthFrame(last.stamp, median_depth(candidate.frames), last.intrinsics, last.frame_id)
         main = SegmentedView(frame, camera, candidate.segment, plane.noise / np.sqrt(len(candidate.frames)))
-        traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp, settings)
+        is_hollow = len(lid) * candidate.segment.area > settings.min_object_area * int(np.count_nonzero(candidate.segment.mask))
+        traced, views = self._trace_with_all(main, candidate.frames[0].stamp, last.stamp, settings, alone=is_hollow)
         fused = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
         # What the nodes after this one refuse is no object here either.
         check_shape(fused.shape, remedy="It may be several things; move them apart.")
-        return fused
+        return with_hollow(fused, lid) if is_hollow else fused
 
     def _trace_with_all(
-        self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings
+        self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings, *, alone: bool
     ) -> tuple[TracedObject, list[SegmentedView]]:
-        """The object traced from the main camera's view and those of further cameras that agree with it, and all these views."""
+        """The object traced from the main camera's view and those of further cameras that agree with it, and all these views.
+
+        `alone`: from the main camera only, since the lid of a hollow object is in its view only.
+        """
 
         def trace(views: Sequence[SegmentedView]) -> TracedObject:
             return trace_object(views, min_height=settings.min_object_height, cell_count=settings.cell_count)
 
         traced, views = trace([main]), [main]
         for name, camera in self._further.items():
+            if alone:
+                self.further_views[name] = _HOLLOW
+                continue
             try:
                 more = [*views, camera.view_of(traced, began, ended, settings)]
                 traced, views = trace(more), more

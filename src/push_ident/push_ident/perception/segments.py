@@ -16,7 +16,7 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.surfaces import split_surfaces
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
-__all__ = ["Segment", "find_segments"]
+__all__ = ["Segment", "area_from_above", "find_segments"]
 
 _NEAR: Final = 4
 """Distance at which a robot pixel or the image border counts as touching [px]."""
@@ -25,6 +25,9 @@ _SHADOW: Final = 0.05
 leaves is baseline * height / (distance - height), 5 cm for an object of 0.4 m seen from 1 m at a baseline of 75 mm."""
 _UNMEASURED: Final = 0.15
 """Largest fraction of the surrounding pixels beside which nothing is measured for further than that: half of one of four sides."""
+_ON_ANOTHER: Final = 0.6
+"""Fraction of the surrounding pixels that show other things from which something stands on one of them: things beside it are on one side,
+in a corner on two of four."""
 _SKIRT: Final = 0.004
 """Distance from the border of the workspace at which a segment counts as cut by it [m]."""
 _SMALLEST: Final = 12
@@ -77,7 +80,7 @@ def find_segments(
             continue
         mask = surfaces[box] == index
         own_points = points[box][mask].astype(np.float64)
-        area = _area_from_above(own_points)
+        area = area_from_above(own_points)
         small = area < settings.min_object_area
         fault = Reason.TOO_SMALL if small else _fault(frame, labels, surfaces, index, box, own_points, settings)
         counts["segments"] += not small
@@ -109,6 +112,9 @@ def _fault(
         return Reason.BESIDE_ROBOT
     if _behind_another(frame.depth[wide], own, near & (surfaces[wide] > 0) & ~own, settings.min_step):
         return Reason.BEHIND_ANOTHER
+    around = near & ~own
+    if np.count_nonzero(around & (surfaces[wide] > 0)) > _ON_ANOTHER * np.count_nonzero(around):
+        return Reason.STACKED
     if _beside_unmeasured(frame, labels, box, own, near & ~own):
         return Reason.BESIDE_UNMEASURED
     return None
@@ -180,6 +186,6 @@ def _behind_another(depth: NDArray[np.float32], own: BoolArray, others: BoolArra
     return bool(np.count_nonzero(hides) >= _SMALLEST)
 
 
-def _area_from_above(points: Float64Array) -> float:
+def area_from_above(points: Float64Array) -> float:
     """Area of the 4 mm cells that hold points [m^2]; independent of side walls and of the density of the pixels."""
     return 1.6e-5 * len(np.unique(np.floor(points[:, :2] / 0.004).astype(np.int64) @ np.array([1, 1 << 20])))

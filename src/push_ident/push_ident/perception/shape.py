@@ -81,6 +81,8 @@ class TracedObject:
     """Centre of the first cell of `top` [m], shape (2,), object frame."""
     top_resolution: float
     """Edge of a cell of `top` [m]."""
+    hollow: BoolArray | None = None
+    """Which cells of `top` lie over a hollow, same shape; `top` has the height of the rim there. None where nothing is hollow."""
 
 
 def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:

@@ -78,6 +78,8 @@ _MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
 """A pose with larger standard deviations is not used [m, m, rad]."""
 _SHY: Final = 0.005
 """Lines of sight nearer to an unmeasured area are left out [m]: as far as the narrow width of the fit reaches."""
+_UNCERTAIN: Final = 0.004
+"""The place of a step of the upper side, and of the edge of a hollow, is known to this [m]: two cells of the heights."""
 _DAMPING: Final = np.array([1.0, 1.0, 1e-4])
 """Added to the diagonal of the normal matrix of a pose (x, y, yaw) [1/m^2, 1/m^2, 1]."""
 
@@ -88,6 +90,7 @@ class TrackStatus(Enum):
     TRACKED = "tracked"
     HIDDEN = "too little of the object is visible; move the robot out of the way"
     POOR_FIT = "the measured depth does not fit the outline; the object was tipped, lifted, or replaced"
+    PART_MISSING = "a part of it is gone from its place: it is several things, or it was tipped; move the robot away and wait"
     UNDETERMINED = "the visible part of the object does not determine its pose; move the robot out of the way"
     OUT_OF_VIEW = "the object left the image or the workspace; put it back"
 
@@ -129,6 +132,14 @@ class Template:
             traced.top.astype(np.float64, order="C"), np.array(traced.top_origin, dtype=np.float64), float(traced.top_resolution)
         )
         """Heights of the upper side [m]."""
+        self.hollow: Final = None if traced.hollow is None else self.tops._replace(values=traced.hollow.astype(np.float64, order="C"))
+        """1 in the cells of `tops` that lie over a hollow; None where there is none."""
+        around = np.ones(2 * (2 * int(np.ceil(_UNCERTAIN / self.tops.step)) + 1,), np.uint8)
+        lowest = cv2.erode(self.tops.values, around)
+        if traced.hollow is not None:
+            lowest[cv2.dilate(traced.hollow.astype(np.uint8), around) > 0] = 0.0
+        self.lowest: Final = self.tops._replace(values=lowest)
+        """Lowest height of the upper side nearby [m]: 0 beside a hollow."""
         origin = self.outline.min(axis=0) - _MARGIN
         columns, rows = (int(n) for n in np.ceil((self.outline.max(axis=0) + _MARGIN - origin) / (4 * _GRID)) * 4 + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -154,6 +165,14 @@ class Template:
     def nearest_distance(self, points: NDArray[np.floating]) -> Float64Array:
         """Signed distance [m] at the nearest node of the field, shape (n,): faster, and accurate to half a cell of the field."""
         return np.asarray(nearest_values(self.field, np.ascontiguousarray(points, dtype=np.float64)))
+
+    def nearest_top(self, points: NDArray[np.floating]) -> Float64Array:
+        """Height of the upper side [m] at the nearest cell, shape (n,), at points (n, 2) in the object frame."""
+        return np.asarray(nearest_values(self.tops, np.ascontiguousarray(points, dtype=np.float64)))
+
+    def least_top(self, points: NDArray[np.floating]) -> Float64Array:
+        """The lowest height of the upper side within some millimetres [m], shape (n,), at points (n, 2) in the object frame."""
+        return np.asarray(nearest_values(self.lowest, np.ascontiguousarray(points, dtype=np.float64)))
 
 
 def _refined(values: Float64Array, factor: int) -> Float64Array:
@@ -188,6 +207,8 @@ class LinesOfSight:
     """Where they pass a little below."""
     stopped: Float64Array
     """1 where the object stops them, 0 where they pass, shape (n,)."""
+    height: NDArray[np.float32]
+    """Height of what they measured [m], shape (n,), table frame."""
     n_uninformative: int
     """Number of lines of sight in the narrow band that carry no information."""
 
@@ -285,10 +306,15 @@ def lines_of_sight(template: Template, scene: Scene, pose: Float64Array, band: f
         (rows.start, rows.stop, columns.start, columns.stop, stride),
         (level, band + slack, _STEP, _ABOVE),
     )
+    if template.hollow is not None:
+        # What is measured through an opening depends on the walls inside, which nobody knows.
+        in_object = (upper - pose[:2]) @ rotation(pose[2])
+        solid = nearest_values(template.hollow, np.ascontiguousarray(in_object)) < 0.5
+        upper, lower, points, stopped, informative = (values[solid] for values in (upper, lower, points, stopped, informative))
     informative &= ~in_robot(points, scene.robot, scene.mask_margin)
     informative &= ~_in_others(points, scene.others)
     n_uninformative = int(np.count_nonzero(~informative))
-    return LinesOfSight(upper[informative], lower[informative], stopped[informative], n_uninformative)
+    return LinesOfSight(upper[informative], lower[informative], stopped[informative], points[informative, 2], n_uninformative)
 
 
 def _beside_areas(frame: DepthFrame, box: tuple[slice, slice]) -> NDArray[np.uint8]:

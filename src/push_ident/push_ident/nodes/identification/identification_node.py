@@ -188,7 +188,7 @@ class _Identification(Component):
 
     def _work(self) -> None:
         with self._node.guard.watch("identify"):
-            compile_kernels()
+            compile_kernels(effects=True)
             settle_memory()
         while True:
             with self._wake:

@@ -44,6 +44,7 @@ class _Object(BaseModel):
     top: list[list[float]]
     top_origin: tuple[float, float]
     top_resolution: float
+    hollow: list[list[bool]] | None = None
     area: float
 
 
@@ -84,9 +85,21 @@ class ObjectMemory:
             top=traced.top.tolist(),
             top_origin=tuple(np.asarray(traced.top_origin).tolist()),
             top_resolution=float(traced.top_resolution),
+            hollow=None if traced.hollow is None else traced.hollow.tolist(),
             area=float(known.area),
         )
         write_whole(path, content.model_dump_json(), "a known object", private=True, error=ModelFileError)
+
+    def forget(self, object_id: str) -> None:
+        """Remove an object that was given up. Raises ModelFileError: its files cannot be removed."""
+        if self._folder is None:
+            return
+        self._written.pop(object_id, None)
+        try:
+            for suffix in (_SUFFIX, _POSE_SUFFIX):
+                (self._folder / f"{object_id}{suffix}").unlink(missing_ok=True)
+        except OSError as error:
+            raise ModelFileError(f"{self._folder} still has the object {object_id}: {error.strerror}; {_REMEDY}.") from None
 
     def keep_pose(self, object_id: str, pose: Float64Array) -> None:
         """Write the latest pose of an object where it has moved; the file survives a kill, not a power cut."""
@@ -118,12 +131,12 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         std = None if content.outline_std is None else np.array(content.outline_std)
         shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), std)
         top = np.array(content.top, dtype=np.float32)
+        hollow = None if content.hollow is None else np.array(content.hollow, dtype=bool)
     except (InputError, ValueError) as error:
         raise ModelFileError(f"{path} does not describe an object: {error}; {_REMEDY}.") from None
     if top.ndim != 2 or top.size == 0 or not content.top_resolution > 0:
         raise ModelFileError(f"{path} has heights of shape {top.shape}, expected two dimensions; {_REMEDY}.")
-    return (
-        content.object_id,
-        TracedObject(shape, np.array(content.pose), top, np.array(content.top_origin), content.top_resolution),
-        content.area,
-    )
+    if hollow is not None and hollow.shape != top.shape:
+        raise ModelFileError(f"{path} has a hollow of shape {hollow.shape}, expected {top.shape} as its heights; {_REMEDY}.")
+    traced = TracedObject(shape, np.array(content.pose), top, np.array(content.top_origin), content.top_resolution, hollow)
+    return content.object_id, traced, content.area

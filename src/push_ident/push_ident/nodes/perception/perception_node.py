@@ -50,7 +50,7 @@ from push_ident.nodes.stamps import StampCheck
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.parameter_file import pose_lines
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
-from push_ident.perception.refusals import Refusal
+from push_ident.perception.refusals import Refusal, Removal
 from push_ident.perception.robot_history import RobotHistory
 from push_ident.types import DepthFrame, Float64Array
 
@@ -322,6 +322,8 @@ class _Perception(Component):
         return tracked
 
     def _publish(self, observation: Observation, stamp: Time, followed: list[str]) -> None:
+        for removal in observation.removed:
+            self._give_up(removal)
         for object_id, shape in observation.new_shapes.items():
             self._node.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
             _, cells_publisher, outline_publisher, std_publisher = self._publishers_of(object_id)
@@ -380,6 +382,18 @@ class _Perception(Component):
                 self._node.create_publisher(Float32MultiArray, f"objects/{object_id}/outline_std", _LATCHED),
             )
         return self._object_publishers[object_id]
+
+    def _give_up(self, removal: Removal) -> None:
+        """An object that came apart is no longer published, nor looked for after a restart."""
+        note = self._notes[f"object_{removal.object_id}"] = f"given up: {removal.reason.value}"
+        self._counter["given_up"] += 1
+        self._node.get_logger().warning(f"Object {removal.object_id} {note}.")
+        for publisher in self._object_publishers.pop(removal.object_id, ()):
+            self._node.destroy_publisher(publisher)
+        try:
+            self._memory.forget(removal.object_id)
+        except ModelFileError as error:
+            self._refuse("state_not_written", "state_directory", str(error))
 
     def _forget_objects(self) -> None:
         for publishers in self._object_publishers.values():

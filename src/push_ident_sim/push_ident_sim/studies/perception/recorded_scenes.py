@@ -20,6 +20,7 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.offline.depth_images import read_cloud
 from push_ident.perception.calibration import camera_over_table, table_extent
 from push_ident.perception.depth import points_in_table
+from push_ident.perception.hollows import cover_hollows
 from push_ident.perception.labels import label_pixels
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.segments import Segment, find_segments
@@ -84,7 +85,9 @@ def find_objects(scene: Scene) -> tuple[Json, list[Segment]]:
     shapes, followed = _taken_in(perception, frame)
     camera = perception.camera_in_table
     points = points_in_table(frame, camera)
-    segments, counts = find_segments(frame, points, label_pixels(points, (), perception.limits), perception.limits)
+    covered = cover_hollows(frame, points, label_pixels(points, (), perception.limits), camera, perception.limits)
+    points = covered.points
+    segments, counts = find_segments(covered.frame, points, covered.labels, perception.limits)
     reach = np.array([*np.subtract(low, _AROUND), *np.add(high, _AROUND)])
     masks = [_from_above(points[s.rows, s.columns][s.mask], reach) for s in segments]
     areas = {name: _inside(outline, reach) for name, outline in shapes.items()}
