@@ -81,10 +81,8 @@ def identify_command(
         def report(text: str) -> None:
             progress.update(task, description=text)
 
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
+        loaded = _load(bags, object_id, camera, report)
         chosen = _chosen(train, len(loaded.records))
-        report("loading the kernels")
-        compile_kernels(effects=True)  # else their compilation, a minute the first time, would count as time of the solve
         report(f"identifying from {len(chosen)} pushes")
         result = identify(
             [loaded.records[i] for i in chosen],
@@ -110,6 +108,13 @@ def identify_command(
     if result.status.is_failure:
         warn(f"push-ident: {result.status.value}; the maps that are written are the prior")
         raise typer.Exit(1)
+
+
+def _load(bags: Sequence[Path], object_id: str, camera: Path | None, report: Callable[[str], None]) -> LoadedPushes:
+    """The pushes; kernels first, since their compilation, a minute the first time, would count as time of the solve."""
+    report("loading the kernels")
+    compile_kernels(effects=True)
+    return load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
 
 
 def _scores(loaded: LoadedPushes, prior: Prior, report: Callable[[str], None]) -> list[PushScore]:

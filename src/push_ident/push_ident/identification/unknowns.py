@@ -35,7 +35,7 @@ from push_ident.identification.load import balanced_load, balanced_load_derivati
 from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
@@ -138,7 +138,7 @@ class Mechanics:
 
 def nuisances_of(shape: ObjectShape) -> tuple[str, ...]:
     """Effects that are unknown of an object by how its shape was measured: pushes show where an outline that a camera traced really is."""
-    return () if shape.outline_std is None else ("outline_error",)
+    return () if shape.outline_std is None else tuple(name for name in CAMERA_ERRORS if EFFECTS[name].moves_outline)
 
 
 class Unknowns:
