@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -97,6 +98,20 @@ def test_a_noisy_first_frame_does_not_hide_the_low_parts_of_an_object(frames: li
     shapes = [shape for frame in frames[1:] for shape in perception.observe(frame).new_shapes.values()]
     assert perception.plane.least_height < 0.009
     assert len(shapes) == 1 and np.ptp(shapes[0].outline, axis=0).max() > 0.17
+
+
+def test_a_table_that_was_far_from_its_place_in_the_first_frame_is_found_in_its_place(frames: list[DepthFrame]) -> None:
+    """Tilted by nearly as much as extrinsics may be wrong, and the other way round after that: more from one to the other."""
+    turned = [cv2.Rodrigues(np.array([0.0, angle, 0.0]))[0] for angle in (0.05, -0.05)]
+    cameras = []
+    for rotation in turned:
+        camera = CAMERA.copy()
+        camera[:3, :3], camera[:3, 3] = rotation @ CAMERA[:3, :3], rotation @ CAMERA[:3, 3]
+        cameras.append(camera)
+    perception = Perception(CAMERA, PerceptionSettings(rest_frames=3))
+    for number, camera in enumerate([cameras[0], cameras[1], cameras[1]]):
+        perception.observe(render([], camera, rng=np.random.default_rng(number), stamp=1.1 * number, intrinsics=SMALL))
+    np.testing.assert_allclose(perception.camera_in_table[:3, :3], cameras[1][:3, :3], atol=0.003)
 
 
 @pytest.mark.parametrize("depth", [1e-30, 1e-6])

@@ -420,16 +420,30 @@ class Perception:
         A plane that was fitted to a noisy image, such as the first one of a camera that starts, gets the noise of a better one: otherwise
         the low parts of objects would count as table.
         """
+        assert self._plane is not None
         try:
             moved = fit_table(points, self.settings)
-            (x0, y0), (x1, y1) = self.settings.workspace_low, self.settings.workspace_high
-            if max(abs(moved.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1))) > _MOVED:
+            if _difference(moved, TablePlane((0.0, 0.0), 0.0, 0.0, 0), self.settings) > _MOVED:
                 self._use_plane(fit_table(points_in_table(frame, self._extrinsics), self.settings))
-            elif self._plane is not None and moved.noise < _CALMER * self._plane.noise:
+            elif moved.noise < _CALMER * self._plane.noise:
                 self._plane = replace(self._plane, noise=moved.noise)
         except PerceptionError:
-            # The robot may cover the table for a while; the plane in use remains valid.
-            self._table_hidden += 1
+            # The robot may cover the table for a while; the plane in use remains valid. Or it was fitted to an image in which the table was
+            # elsewhere: as far from there as a correction goes, and as near to the extrinsics.
+            try:
+                anew = fit_table(points_in_table(frame, self._extrinsics), self.settings)
+            except PerceptionError:
+                anew = self._plane
+            if _difference(anew, self._plane, self.settings) > _MOVED:
+                self._use_plane(anew)
+            else:
+                self._table_hidden += 1
+
+
+def _difference(plane: TablePlane, other: TablePlane, settings: PerceptionSettings) -> float:
+    """Largest difference of the heights of two planes at the corners of the workspace [m]."""
+    (x0, y0), (x1, y1) = settings.workspace_low, settings.workspace_high
+    return max(abs(plane.height(x, y) - other.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1)))
 
 
 def observe_offline(

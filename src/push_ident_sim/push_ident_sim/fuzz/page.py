@@ -41,7 +41,8 @@ _FRAMES: Final = """## Depth frames
 Depth images of objects on a table, rendered for every sensor of the simulated cell, and recorded ones where they are on the machine, are
 mutated and given to perception in sequences: before, during and after an object is taken in. Nothing but a refusal of the frame may leave
 perception, within 1 s of the processor for 640 x 480 pixels; poses are finite with positive definite covariances, outlines do not cross
-themselves. After each sequence come clean frames, which must be taken: the table within 4 mm of its place, the objects found again.
+themselves. After each sequence come clean frames, which must be taken: the table within 4 mm of its place and, in images of 320 pixels and
+more, the objects found again within 20 mm.
 
 Seed {seed}, load of the machine {load}: **{frames:,} mutated frames in {sequences:,} sequences, {failures} failures.** Taken {taken:,},
 refused {refused:,}; the slowest frame took {worst_seconds:.2f} s.
