@@ -423,7 +423,7 @@ class Perception:
         assert self._plane is not None
         try:
             moved = fit_table(points, self.settings)
-            if _difference(moved, TablePlane((0.0, 0.0), 0.0, 0.0, 0), self.settings) > _MOVED:
+            if moved.difference(TablePlane.expected(), self.settings) > _MOVED:
                 self._use_plane(fit_table(points_in_table(frame, self._extrinsics), self.settings))
             elif moved.noise < _CALMER * self._plane.noise:
                 self._plane = replace(self._plane, noise=moved.noise)
@@ -434,16 +434,10 @@ class Perception:
                 anew = fit_table(points_in_table(frame, self._extrinsics), self.settings)
             except PerceptionError:
                 anew = self._plane
-            if _difference(anew, self._plane, self.settings) > _MOVED:
+            if anew.difference(self._plane, self.settings) > _MOVED:
                 self._use_plane(anew)
             else:
                 self._table_hidden += 1
-
-
-def _difference(plane: TablePlane, other: TablePlane, settings: PerceptionSettings) -> float:
-    """Largest difference of the heights of two planes at the corners of the workspace [m]."""
-    (x0, y0), (x1, y1) = settings.workspace_low, settings.workspace_high
-    return max(abs(plane.height(x, y) - other.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1)))
 
 
 def observe_offline(

@@ -58,6 +58,16 @@ class TablePlane:
         """Height of the plane above the expected one at (x, y) [m]."""
         return self.slope[0] * x + self.slope[1] * y + self.offset
 
+    @classmethod
+    def expected(cls) -> TablePlane:
+        """The plane z = 0 of exact extrinsics."""
+        return cls((0.0, 0.0), 0.0, 0.0, 0)
+
+    def difference(self, other: TablePlane, settings: PerceptionSettings) -> float:
+        """Largest difference of the heights of two planes at the corners of the workspace [m]."""
+        (x0, y0), (x1, y1) = settings.workspace_low, settings.workspace_high
+        return max(abs(self.height(x, y) - other.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1)))
+
     def correct(self, camera_in_table: ArrayLike) -> Float64Array:
         """Camera pose, shape (4, 4), corrected by the smallest rigid motion that moves the plane to z = 0."""
         normal = np.array([-self.slope[0], -self.slope[1], 1.0])
