@@ -22,7 +22,7 @@ from push_ident.perception.registration import NewObject, Registration, refusal_
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import TracedObject
-from push_ident.perception.table import TablePlane, fit_table
+from push_ident.perception.table import TablePlane, fit_table, plane_now
 from push_ident.perception.topdown import TopDownGrid, top_down
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose, relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack
@@ -33,11 +33,6 @@ _MAX_JUMP: Final = (0.02, 0.2)
 """Largest distance of a fitted pose from the predicted one [m, rad]: no pushed object moves further between two frames."""
 _MAX_AGE: Final = 0.2
 """Poses further apart in time do not estimate a velocity [s]."""
-_MOVED: Final = 0.0015
-"""A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
-_CALMER: Final = 0.67
-"""A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation that
-the median of 125 points gives, the least number of a plane."""
 _SAME_AREA: Final = (0.4, 1.6)
 """Range of the area of a segment that may be a lost object, relative to the area of that object."""
 _DOUBTFUL: Final = 0.02
@@ -415,29 +410,14 @@ class Perception:
         self._camera = plane.correct(self._extrinsics)
 
     def _check_plane(self, frame: DepthFrame, points: NDArray[np.float32]) -> None:
-        """Use a new plane where the table or the camera was moved. Smaller differences are noise and would make the poses jump.
-
-        A plane that was fitted to a noisy image, such as the first one of a camera that starts, gets the noise of a better one: otherwise
-        the low parts of objects would count as table.
-        """
         assert self._plane is not None
         try:
-            moved = fit_table(points, self.settings)
-            if moved.difference(TablePlane.expected(), self.settings) > _MOVED:
-                self._use_plane(fit_table(points_in_table(frame, self._extrinsics), self.settings))
-            elif moved.noise < _CALMER * self._plane.noise:
-                self._plane = replace(self._plane, noise=moved.noise)
+            plane = plane_now(self._plane, points, lambda: points_in_table(frame, self._extrinsics), self.settings)
         except PerceptionError:
-            # The robot may cover the table for a while; the plane in use remains valid. Or it was fitted to an image in which the table was
-            # elsewhere: as far from there as a correction goes, and as near to the extrinsics.
-            try:
-                anew = fit_table(points_in_table(frame, self._extrinsics), self.settings)
-            except PerceptionError:
-                anew = self._plane
-            if anew.difference(self._plane, self.settings) > _MOVED:
-                self._use_plane(anew)
-            else:
-                self._table_hidden += 1
+            self._table_hidden += 1  # The robot may cover the table for a while; the plane in use remains valid.
+            return
+        if plane is not self._plane:
+            self._use_plane(plane)
 
 
 def observe_offline(

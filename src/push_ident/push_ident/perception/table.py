@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from push_ident.errors import PerceptionError
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import Float64Array
 
-__all__ = ["TablePlane", "fit_table"]
+__all__ = ["TablePlane", "fit_table", "plane_now"]
 
 _SEARCH: Final = 0.05
 """Points within this height of the expected plane are candidates for the table [m]."""
@@ -34,6 +35,11 @@ _UNDER: Final = 0.01
 """Points that are further below the plane lie under the table [m], unless noise is larger."""
 _MAX_UNDER: Final = 0.1
 """Largest fraction of the points in the workspace that may lie under the table: more is a reflection, or a rim taken for the table."""
+_MOVED: Final = 0.0015
+"""A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
+_CALMER: Final = 0.67
+"""A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation that
+the median of 125 points gives, the least number of a plane."""
 _HEIGHTS_OF_NOISE: Final = 4.0
 """An object is at least that many deviations of a height high: one pixel in 16,000 of a flat table is further off."""
 
@@ -148,3 +154,33 @@ def _best_random_plane(points: Float64Array) -> Float64Array:
         return np.zeros(3)
     distance = scored[:, 2:] - scored[:, :2] @ planes[:, :2].T - planes[:, 2]
     return np.asarray(planes[np.argmax(np.count_nonzero(np.abs(distance) < 0.006, axis=0))])
+
+
+def plane_now(
+    plane: TablePlane, points: NDArray[np.float32], uncorrected: Callable[[], NDArray[np.float32]], settings: PerceptionSettings
+) -> TablePlane:
+    """The plane to use from a frame on: the one in use, unless the table or the camera was moved. Smaller differences are noise and would
+    make the poses jump.
+
+    A plane that was fitted to a noisy image, such as the first one of a camera that starts, gets the noise of a better one: otherwise the
+    low parts of objects would count as table. One that was fitted to an image in which the table was elsewhere is found again.
+
+    Args:
+        plane: In use.
+        points: Of the frame [m], shape (height, width, 3), with the camera corrected by that plane.
+        uncorrected: Gives the same with the camera as its extrinsics are.
+
+    Raises:
+        PerceptionError: The table is hidden.
+    """
+    try:
+        moved = fit_table(points, settings)
+    except PerceptionError:
+        # As far from the plane in use as a correction goes, and as near to the extrinsics.
+        anew = fit_table(uncorrected(), settings)
+        if anew.difference(plane, settings) <= _MOVED:
+            raise
+        return anew
+    if moved.difference(TablePlane.expected(), settings) > _MOVED:
+        return fit_table(uncorrected(), settings)
+    return replace(plane, noise=moved.noise) if moved.noise < _CALMER * plane.noise else plane
