@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from helpers.diagnosis import frame_residuals
+from helpers.objects import hammer_shape
 from push_ident.diagnosis.camera import OUTLINE_ERRORS, POSE_ERRORS, camera_settings, outlier_pushes
 from push_ident.diagnosis.policy import CameraPolicy, DecisionPolicy, SelectionPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
 
 
 def test_errors_of_a_camera_join_the_base_model_once() -> None:
-    settings = camera_settings(DiagnosisSettings(base_effects=("wear", *POSE_ERRORS[:1])))
+    settings = camera_settings(DiagnosisSettings(base_effects=("wear", *POSE_ERRORS[:1])), hammer_shape())
     assert settings.base_effects[:2] == ("wear", POSE_ERRORS[0])
     assert sorted(settings.base_effects) == sorted({"wear", *OUTLINE_ERRORS, *POSE_ERRORS})
 
 
+def test_an_outline_is_as_accurate_as_its_deviations_say() -> None:
+    exact = hammer_shape()
+    traced = replace(exact, outline_std=np.full(len(exact.outline), 1.5e-3))
+    (name,) = OUTLINE_ERRORS
+    assert camera_settings(DiagnosisSettings(), traced).effect_std[name] == pytest.approx((1.5e-3,))
+    assert camera_settings(DiagnosisSettings(), exact).effect_std[name] == pytest.approx((4e-4,))
+
+
 def test_camera_raises_margins_and_noise_and_lowers_none() -> None:
     strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(tie_margin=99.0)))
-    policy = camera_settings(strict).policy
+    policy = camera_settings(strict, hammer_shape()).policy
     assert policy.selection.tie_margin == 99.0
     assert policy.selection.min_log_bayes_factor == policy.camera.min_log_bayes_factor
     assert policy.for_camera() == policy
-    assert camera_settings(strict).noise.floor_position >= strict.noise.floor_position
+    assert camera_settings(strict, hammer_shape()).noise.floor_position >= strict.noise.floor_position
 
 
 def test_pushes_that_disagree_with_all_others_are_outliers_unless_they_are_many() -> None:

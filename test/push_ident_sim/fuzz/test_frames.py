@@ -15,6 +15,8 @@ from push_ident_sim.fuzz.frames import FrameFinding, FrameFuzzSummary, read_sequ
 from push_ident_sim.fuzz.mutate_frame import FRAME_MUTATIONS, Around, mutated
 
 CASES = sorted((Path(__file__).parent / "frame_cases").glob("*.json"))
+UNTIMED = float("inf")
+"""Other tests run beside these: `push-ident fuzz` looks at the time."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.stem[:60])
@@ -22,14 +24,14 @@ def test_failures_that_were_found_do_not_return(case: Path) -> None:
     recipe = read_sequence(case)
     if recipe.scene not in scenes_here():
         pytest.skip(f"{recipe.scene} is not on this machine")
-    assert run_sequence(recipe).failure == ""
+    assert run_sequence(recipe, UNTIMED).failure == ""
 
 
 def test_a_sample_of_mutated_frames_is_survived() -> None:
     summary = FrameFuzzSummary(5)
     for number in range(8):
         recipe = draw_sequence(5, number, ("plain",))
-        summary.add(recipe, run_sequence(recipe))
+        summary.add(recipe, run_sequence(recipe, UNTIMED))
     assert summary.frames > 30 and [(found.failure, found.recipe) for found in summary.findings] == []
     assert summary.to_json()["by_scene"] == {"plain": summary.frames}
 
@@ -49,7 +51,7 @@ def test_a_mutation_with_a_seed_is_always_the_same_and_spares_the_original(name:
 
 def test_every_kind_of_wrong_result_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = FrameRecipe("plain", 160, (Step(0, 0.1),))
-    assert run_sequence(recipe).failure == ""
+    assert run_sequence(recipe, UNTIMED).failure == ""
     observe = Perception.observe
 
     def broken(self: Perception, frame: DepthFrame, *rest: object) -> object:
