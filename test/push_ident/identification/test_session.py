@@ -10,6 +10,7 @@ import pytest
 
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
+from push_ident.identification.identify import identify
 from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.state_file import load_state, save_state
@@ -162,3 +163,33 @@ def _session(folder: Path | None = None) -> ObjectSession:
 def _moved(shape: ObjectShape) -> ObjectShape:
     shift = np.array([0.03, 0.0])
     return ObjectShape(CellGrid(shape.cells.centres + shift, shape.cells.size), shape.outline + shift)
+
+
+def _traced(shape: ObjectShape) -> ObjectShape:
+    return replace(shape, outline_std=np.full(len(shape.outline), 1e-3))
+
+
+def test_the_outline_after_the_cells_is_taken_until_a_push_was_learned() -> None:
+    session, traced = _session(), _traced(TRUTH.shape)
+    session.refine_shape(traced)
+    assert session.shape is traced and session.posterior.effects.names == ("outline_error",)
+    session.finish(RECORDS[0])
+    assert session.posterior.effects.names == ("outline_error",)
+    session.refine_shape(TRUTH.shape)
+    assert session.shape.outline_std is not None and session.n_pushes == 1
+
+
+def test_pushes_with_a_better_known_outline_do_not_change_the_unknowns_of_a_model() -> None:
+    """As after a restart from a file that was written before outlines had deviations."""
+    session = ObjectSession("o1", TRUTH.shape, SessionOptions(window=2))
+    for record in RECORDS[:4]:
+        assert session.finish(replace(record, shape=_traced(record.shape))) is not None
+    assert session.n_pushes == 4 and session.posterior.effects.names == ()
+
+
+def test_a_model_with_effects_goes_on_with_them_once_adopted() -> None:
+    session = _session()
+    session.adopt(identify(RECORDS[:2], effects=("outline_error",)).posterior, "model.json")
+    session.finish(RECORDS[2])
+    assert session.posterior.effects.names == ("outline_error",)
+    assert session.posterior.effects_std[0] < 1e-3

@@ -127,9 +127,12 @@ class OnlineIdentifier:
             oldest = summarise(records[0], state.posterior, noise_at_rest(records, options.noise), options.numerics)
             starts = tuple(replace(start, x=without_first_pose(start.x, len(records))) for start in starts)
             records, past = records[1:], oldest if past is None else past + oldest
-        records = (*records, record)
+        # An object has one shape, and its unknowns stay the same from push to push: what is summed up counts in them.
+        records = (*records, replace(record, shape=state.shape))
+        effects = state.posterior.effects.names if self._solver.capabilities.takes_effects else ()
+        earlier = Earlier(starts, past)
         result = identify(
-            records, state.prior, method=self._solver.name, options=options, budget=self._budget, earlier=Earlier(starts, past)
+            records, state.prior, method=self._solver.name, effects=effects, options=options, budget=self._budget, earlier=earlier
         )
         self.result, self.posterior, self._under_way = result, result.posterior, None
         self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, options.noise))

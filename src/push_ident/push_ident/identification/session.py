@@ -117,6 +117,16 @@ class ObjectSession:
         """Number of finished pushes in the estimate."""
         return self.online.n_pushes
 
+    @property
+    def is_new(self) -> bool:
+        """Whether nothing is known of the object but its shape."""
+        return not self.online.state.records and self.online.state.past is None
+
+    def refine_shape(self, shape: ObjectShape) -> None:
+        """Take a better shape of the same object, such as the one with its outline after its cells; not once more is known of it."""
+        if self.is_new:
+            self.online = self._identifier(OnlineIdentifier.new(shape, self.options.prior))
+
     def knows(self, record: PushRecord) -> bool:
         """Whether this push is in the estimate already."""
         return _key(record) in self._known

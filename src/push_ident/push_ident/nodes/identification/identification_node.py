@@ -160,6 +160,9 @@ class _Identification(Component):
             )
             self._counts["objects replaced"] += 1
             self._sessions[object_id] = self._new_session(known.replaced_by(shape))
+        elif known.is_new:
+            with self._solving:
+                known.refine_shape(shape)
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:
         if session.restored:
