@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["MAX_ITERATIONS", "minimise"]
+__all__ = ["COARSE", "MAX_ITERATIONS", "minimise"]
 
 MAX_ITERATIONS = 60
 """Default number of evaluations."""
@@ -22,6 +22,8 @@ _FAILED_DAMPING = 1e-2
 """Smallest damping after a failed step: less would hardly shorten the next one."""
 _TOLERANCE = 5e-3
 """Converged when a full step is expected to lower the cost by less [nat]: far below a unit of log evidence."""
+COARSE = 0.1
+"""Tolerance of fits that others start from, or that decide whether a candidate is negligible [nat]."""
 _CREEP = 10.0
 _CREEP_STEPS = 6
 """Converged, too, when this many steps together lowered the cost by less than `_CREEP` tolerances. The cost has kinks (stick and slip),
@@ -92,10 +94,10 @@ def _descend(
         expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
         if len(costs) > _SMOOTH_STEPS and pieces.gradients:
             step, expected = pieces.step(best, factor)
-        if expected < tolerance and damping <= _FAILED_DAMPING:
-            return x, best, SolveStatus.CONVERGED
-        if len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance:
-            return x, best, SolveStatus.CONVERGED
+        arrived = expected < tolerance and damping <= _FAILED_DAMPING
+        creeps = len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance
+        if arrived or creeps:
+            return x, best, SolveStatus.CONVERGED if best.cost <= needed_cost else SolveStatus.OUT_OF_REACH
         if len(costs) > _STEPS_BEFORE_GIVING_UP and damping <= _FAILED_DAMPING and best.cost - _REACH * expected > needed_cost:
             return x, best, SolveStatus.OUT_OF_REACH
         if problem.meter.spent:

@@ -23,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from push_ident.identification.fit import Fit
-from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.levenberg_marquardt import COARSE, minimise
 from push_ident.identification.prior import MapPrior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
@@ -38,8 +38,6 @@ _LARGEST_STEP: Final = float(np.log(4.0))
 """Of a logarithm in one round: the linear problem holds near the fit that it comes from [-]."""
 _NO_GAIN: Final = 0.1
 """Expected gain of log evidence at which the search ends [nat]."""
-_COARSE: Final = 0.1
-"""Tolerance of the fits before the last one [nat]."""
 _FINE: Final = 0.02
 """Tolerance of the last fit: a fiftieth of a unit of log evidence [nat]."""
 _ROUNDS: Final = 4
@@ -101,7 +99,7 @@ def fit_by_evidence(
         problem = problem_of(unknowns.under(maps), transform)
         x0 = start.copy()
         x0[:n] = solve_triangular(transform, start[:n], lower=True)
-        fit = Fit(problem, *minimise(problem, x0, max_iterations, tolerance=_COARSE, refine=False))
+        fit = Fit(problem, *minimise(problem, x0, max_iterations, tolerance=COARSE, refine=False))
         if not np.isfinite(fit.end.cost):
             break
         linear = LinearEvidence(unknowns, fit, transform, centre)

@@ -10,7 +10,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from push_ident.identification.fit import Fit
-from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.levenberg_marquardt import COARSE, minimise
 from push_ident.identification.map_prior import STARTS, fit_by_evidence
 from push_ident.identification.observation import UNCHECKED, NoiseModel
 from push_ident.identification.prior import MapPrior
@@ -205,7 +205,10 @@ class _Candidates:
             if not np.isfinite(first.cost):
                 continue
             needed = self._needed_cost(Fit(problem, x0, first, SolveStatus.CONVERGED))
-            fit = Fit(problem, *minimise(problem, x0, task.options.max_iterations, start=first, needed_cost=needed))
+            steps = task.options.max_iterations
+            fit = Fit(problem, *minimise(problem, x0, steps, tolerance=COARSE, start=first, needed_cost=needed, refine=False))
+            if fit.status is not SolveStatus.OUT_OF_REACH:
+                fit = Fit(problem, *minimise(problem, fit.x, steps, start=fit.end, needed_cost=needed))
             covariance = transform @ fit.covariance @ transform.T
             covariance[own_maps, own_maps] += _EVENNESS**2
             self.fits.append(_Entry(name, own, fit.log_evidence, None, fit, transform @ fit.z, covariance))
@@ -282,9 +285,11 @@ class _Candidates:
             starts.append(flat.copy())
             starts[0][: len(warm.x)] = warm.x
         rng = np.random.default_rng(0)
-        while not warm and len(starts) < _FOOT_STARTS:
-            starts.append(flat.copy())
-            starts[-1][own.slice_of("foot_places")] = own.foot_place_unknowns(self._clusters(number, rng))
+        for _ in range(0 if warm else _FOOT_STARTS):
+            start = flat.copy()
+            start[own.slice_of("foot_places")] = own.foot_place_unknowns(self._clusters(number, rng))
+            if not any(np.allclose(start, other) for other in starts):
+                starts.append(start)
         first = min((Fit(problem, *minimise(problem, start, _SCREENING, refine=False)) for start in starts), key=lambda fit: fit.end.cost)
         if not np.isfinite(first.end.cost):
             return
@@ -295,7 +300,7 @@ class _Candidates:
         self.warm_starts.append(WarmStart(name, fit.x))
 
     def _clusters(self, number: int, rng: np.random.Generator) -> Float64Array:
-        """Centres of clusters of the load of the best maps so far [m], shape (number, 2)."""
+        """Centres of clusters of the load of the best maps so far [m], shape (number, 2), in an order of their own."""
         cells = self._task.shape.cells.centres
         maps = [entry for entry in self.fits if entry.unknowns is self._unknowns]
         load = np.ones(len(cells))
@@ -308,7 +313,7 @@ class _Candidates:
             for k in range(number):
                 if np.any(nearest == k):
                     centres[k] = np.average(cells[nearest == k], axis=0, weights=load[nearest == k])
-        return centres
+        return centres[np.lexsort(centres.T)]
 
     def _flat(self, unknowns: Unknowns) -> Float64Array:
         """The fit of equal cells in unknowns with maps and first poses."""
