@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,11 @@ from push_ident.identification.unknowns import Unknowns, nuisances_of
 from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["Earlier", "identify", "uniform_model"]
+
+_SCALARS: Final = "scalars"
+"""Name of the start of the fit of equal cells, after those of the solver."""
+_WARM_STEPS: Final = 4
+"""Of the fit of equal cells after one push more: nothing depends on it then but what equal cells are compared by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +89,7 @@ def identify(
     prior, options, earlier = prior or Prior(), options or FitOptions(), earlier or Earlier()
     options = replace(options, noise=noise_at_rest(records, options.noise))
     meter = Meter(budget, on_progress)
-    scalar = _fit_scalars(records, prior, options)
+    scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
     fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past))
     explanation = explain(fit.posterior, records, settings=options.numerics)
@@ -98,14 +104,14 @@ def identify(
         reduced_chi2=fit.reduced_chi2,
         n_simulations=meter.n_simulations,
         time_s=meter.seconds,
-        warm_starts=fit.warm_starts,
+        warm_starts=(*fit.warm_starts, WarmStart(_SCALARS, scalar.x)) if fit.warm_starts else (),
         history=_checkpoints(fit.problem),
         candidates=fit.candidates,
         explanation=explanation,
     )
 
 
-def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOptions) -> Fit:
+def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:
     """Equal cells with the friction scale and the pusher friction fitted.
 
     Not to the last hundredth of a nat: they explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from
@@ -113,7 +119,9 @@ def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOption
     """
     unknowns = Unknowns(records[0].shape, prior, maps=False)
     problem = FitProblem(records, unknowns, noise=options.noise, settings=options.numerics)
-    return Fit(problem, *minimise(problem, np.zeros(problem.size), options.max_iterations, tolerance=COARSE, refine=False))
+    warm = next((start.x for start in warm_starts if start.name == _SCALARS), np.empty(0))
+    start, steps = problem.continued(np.zeros(problem.size), warm), _WARM_STEPS if len(warm) else options.max_iterations
+    return Fit(problem, *minimise(problem, start, steps, tolerance=COARSE, refine=False))
 
 
 def _checked(
