@@ -98,7 +98,7 @@ class GaussNewton(Solver):
         if not problem.observations[0].touched:
             return None
         start = np.r_[before.z, np.zeros(3)] if task.latest is None else task.latest
-        fit = Fit(problem, *minimise(problem, start, _FRAME_ITERATIONS))
+        fit = Fit(problem, *minimise(problem, start, _FRAME_ITERATIONS, refine=False))
         return FrameFit(fit.x, replace(before, z=fit.z, covariance=fit.covariance), fit.status)
 
 
