@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from push_ident.physics.effects import CAUSES, EFFECTS
+from push_ident_sim.cell.sensors import PLAIN
 from push_ident_sim.studies.blind.scoring import twins_of
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.experiment import CaseResult
@@ -52,6 +53,8 @@ class Judged:
     clearly_detectable: bool
     """Each is detectable nine times out of ten."""
     values: Json
+    sensor: str = PLAIN
+    """Model of the sensor, where the engine is a camera."""
 
     @property
     def right(self) -> bool:
@@ -87,6 +90,7 @@ def judge(result: CaseResult) -> Judged:
         detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
         clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
         values=values,
+        sensor=truth.get("sensor", PLAIN),
     )
 
 
@@ -206,8 +210,15 @@ def _size_errors(case: Judged) -> list[tuple[float, list[bool]]]:
 
 
 def summarise_cases(results: Sequence[CaseResult]) -> Json:
-    """Figures by engine and by number of pushes, the confusion matrix, the smallest detectable sizes, and every case in a line."""
-    cases = [judge(result) for result in results]
+    """Figures by engine and by number of pushes, the confusion matrix, the smallest detectable sizes, and every case in a line.
+
+    Cases through a model of a sensor have figures of their own and count nowhere else.
+    """
+    judged = [judge(result) for result in results]
+    cases, by_sensor = [c for c in judged if c.sensor == PLAIN], {}
+    for case in judged:
+        if case.sensor != PLAIN:
+            by_sensor.setdefault(case.sensor, []).append(case)
     groups: dict[str, list[Judged]] = {"all": cases}
     for case in cases:
         # The camera is an engine and a variant.
@@ -215,6 +226,7 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
             groups.setdefault(name, []).append(case)
     return {
         "figures": {name: figures(own) for name, own in groups.items()},
+        "sensors": {name: {"n": len(own), **figures(own)} for name, own in by_sensor.items()},
         "by_noncentrality": _by_noncentrality(cases),
         "confusion": _confusion(cases),
         "smallest": _smallest(cases),
@@ -231,7 +243,7 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
                 "named": list(case.named),
                 "confusable": result.values["confusable"],
             }
-            for result, case in zip(results, cases, strict=True)
+            for result, case in zip(results, judged, strict=True)
         ],
     }
 
