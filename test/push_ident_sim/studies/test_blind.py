@@ -241,6 +241,20 @@ def test_cases_of_a_sensor_count_in_its_own_row_only() -> None:
     assert "100 %" in row
 
 
+def test_error_of_the_calibration_of_a_unit_is_neither_right_nor_wrong() -> None:
+    both = outcome("single", ["wear"], "several", ["tool_offset", "wear"], [], 30, 60)
+    null = outcome("null", [], "named", ["camera_rotation"], [], 0, 0)
+    assert judge(both).wrong and judge(null).named == ("camera_rotation",)
+    for result in (both, null):
+        result.values["truth"] |= {"engine": "camera", "sensor": "xtion"}
+    assert judge(both).right and not judge(both).wrong and len(judge(both).of_the_unit) == 1
+    assert judge(null).verdict == "no_gap" and judge(null).named == ()
+    # One that was injected is to be found.
+    injected = outcome("single", ["camera_rotation"], "named", ["camera_rotation"], [], 30, 60)
+    injected.values["truth"] |= {"engine": "camera", "sensor": "xtion"}
+    assert judge(injected).right and judge(injected).of_the_unit == ()
+
+
 # --- one case
 
 

@@ -59,7 +59,9 @@ _SENSOR_COLUMNS = {
     "silent_undetectable": "undetectable sizes: no gap",
     "pairs_one": "two effects: one named",
     "unknown_misnamed": "outside the catalogue: named with confidence",
+    "of_the_unit": "calibration named",
 }
+"""Calibration: an error of the pose or scale of the camera, or of the tool, its exact twin; each unit has some, and nobody injected it."""
 
 
 def _number(figure: Json) -> str:

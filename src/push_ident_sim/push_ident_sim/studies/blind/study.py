@@ -116,7 +116,8 @@ STUDY = Experiment(
         "explains. Where a verdict leaves more than one effect, up to two requested pushes are made. `camera`: the same through "
         "rendered depth images and perception. `camera-NAME`: the same pushes as the first of those, through a sensor of that model, "
         "another unit for each ground truth; perception gets the pose and intrinsics that the unit publishes, not its own. Only a table "
-        "of their own counts these cases. `engines`: the distance between the engines without any effect."
+        "of their own counts these cases; a named error of calibration, which every unit has, is neither right nor wrong "
+        "there. `engines`: the distance between the engines without any effect."
     ),
     variants=("14-pushes", "8-pushes", "6-pushes", *CAMERAS, ENGINES),
     fewer=_N_MODELS,

@@ -30,6 +30,8 @@ _SIZED = (
     "camera_scale", "pusher_friction", "table_anisotropy", "base_anisotropy",
 )  # fmt: skip
 """Effects whose law is the same in the engines and in the model."""
+_OF_A_UNIT = ("camera_translation", "camera_rotation", "camera_scale")
+"""Errors of calibration that every unit of a model of a sensor has."""
 _N_BOOTSTRAP = 2000
 
 
@@ -55,6 +57,8 @@ class Judged:
     values: Json
     sensor: str = PLAIN
     """Model of the sensor, where the engine is a camera."""
+    of_the_unit: tuple[str, ...] = ()
+    """Effects that were named and are those of a sensor's calibration, which nobody injected; taken out of `named`."""
 
     @property
     def right(self) -> bool:
@@ -77,20 +81,26 @@ def judge(result: CaseResult) -> Judged:
     truth = values["truth"]
     names = tuple(map(_one_of_twins, truth["names"])) if truth["kind"] in ("single", "pair") else ()
     named = tuple(_one_of_twins(effect["name"]) for effect in values["effects"])
+    sensor, verdict = truth.get("sensor", PLAIN), values["verdict"]
+    own = {_one_of_twins(name) for name in _OF_A_UNIT} - set(names) if sensor != PLAIN else set()
+    of_the_unit, named = tuple(name for name in named if name in own), tuple(name for name in named if name not in own)
+    if of_the_unit and not named:
+        verdict = "no_gap"
     detectability = values.get("detectability", {}).values()
     return Judged(
         engine=truth["engine"],
         kind=truth["kind"],
         pushes=result.case.variant,
         truth=names,
-        verdict=values["verdict"],
+        verdict=verdict,
         named=named,
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
         noncentrality=_noncentrality(values),
         detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
         clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
         values=values,
-        sensor=truth.get("sensor", PLAIN),
+        sensor=sensor,
+        of_the_unit=of_the_unit,
     )
 
 
@@ -215,7 +225,8 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
     Cases through a model of a sensor have figures of their own and count nowhere else.
     """
     judged = [judge(result) for result in results]
-    cases, by_sensor = [c for c in judged if c.sensor == PLAIN], {}
+    cases = [case for case in judged if case.sensor == PLAIN]
+    by_sensor: dict[str, list[Judged]] = {}
     for case in judged:
         if case.sensor != PLAIN:
             by_sensor.setdefault(case.sensor, []).append(case)
@@ -226,7 +237,9 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
             groups.setdefault(name, []).append(case)
     return {
         "figures": {name: figures(own) for name, own in groups.items()},
-        "sensors": {name: {"n": len(own), **figures(own)} for name, own in by_sensor.items()},
+        "sensors": {
+            name: {"n": len(own), "of_the_unit": _share(own, lambda c: c.of_the_unit), **figures(own)} for name, own in by_sensor.items()
+        },
         "by_noncentrality": _by_noncentrality(cases),
         "confusion": _confusion(cases),
         "smallest": _smallest(cases),
