@@ -41,7 +41,7 @@ MINUTES ?= 60
 fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and perception, MINUTES=60; then docs/results/fuzzing.md
 	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
-blind: setup  ## the diagnosis on sealed cases of two other engines (three hours; the seeds of the published page), then the page
+blind: setup  ## the diagnosis on sealed cases of two other engines (two hours; the seeds of the published page), then the page
 	$(VENV)/push-ident experiment blind --seed 9000 --models 50 --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment report
 
