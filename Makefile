@@ -41,7 +41,7 @@ MINUTES ?= 60
 fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and perception, MINUTES=60; then docs/results/fuzzing.md
 	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
-blind: setup  ## the diagnosis on sealed cases of two other engines (an hour; the seeds of the published page), then the page
+blind: setup  ## the diagnosis on sealed cases of two other engines (two hours; the seeds of the published page), then the page
 	$(VENV)/push-ident experiment blind --seed 9000 --models 50 --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment report
 
@@ -52,15 +52,18 @@ endurance: setup  ## the live cell for an hour while its nodes are killed at ran
 faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
 	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json
 
-# Tests that look at the clock run one by one; all others fill the idle time of both cores at the lowest priority, in a session of their
-# own: Linux schedules sessions against each other first, and niceness alone counts only within one.
-test: setup lint  ## lint, types and all tests
+# Tests that look at the clock run one by one; all others, and lint, fill the idle time of both cores at the lowest priority, in a session of
+# their own: Linux schedules sessions against each other first, and niceness alone counts only within one.
+test: setup  ## lint, types and all tests
 	@mkdir -p log; \
-	OMP_NUM_THREADS=1 setsid bash -c 'echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 $(VENV)/pytest -m "not alone" -n 2 --dist loadfile --no-loadscope-reorder' \
+	OMP_NUM_THREADS=1 setsid nice -n 19 bash -c 'echo 19 2>/dev/null >/proc/self/autogroup; \
+	  $(MAKE) --no-print-directory lint >log/lint.log 2>&1 & \
+	  $(VENV)/pytest -m "not alone" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
+	  wait $$!; lint=$$?; exit $$((tests || lint))' \
 	  >log/tests.log 2>&1 & others=$$!; \
 	trap 'kill -- -$$others 2>/dev/null' EXIT; \
 	$(VENV)/pytest -m alone; alone=$$?; \
-	echo "The other tests (log/tests.log):"; wait $$others; status=$$?; cat log/tests.log; \
+	echo "Lint and the other tests (log/tests.log):"; wait $$others; status=$$?; cat log/lint.log log/tests.log; \
 	exit $$((alone || status))
 
 lint: setup  ## ruff and mypy

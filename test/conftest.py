@@ -1,4 +1,4 @@
-"""Settings that must be made before any ROS module is imported and before any process is started."""
+"""Settings that must be made before numpy or any ROS module is imported and before any process is started."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import pytest
 
 from helpers.domains import own_domain
 
+# As nodes and commands have it: with several threads the last bits of a sum depend on how they shared it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Without the check a value of a wrong type is corrupted silently.
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 # Test runs beside each other, and a cell that is in use, must not hear each other.

@@ -31,7 +31,7 @@ REQUIREMENTS = ROOT / "requirements"
 ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
 PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
 CORE = ROOT / "src" / "push_ident" / "push_ident"
-KERNELS = (*sorted((CORE / "physics").rglob("*.py")), CORE / "perception" / "kernels.py")
+KERNELS = (*sorted((CORE / "physics").rglob("*.py")), *sorted((CORE / "perception").glob("*kernels.py")))
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}
@@ -323,7 +323,8 @@ def build(ros: Ros) -> None:
 
 def compile_kernels() -> None:
     """Fill numba's cache, so that no node waits for the compiler at its start or first push."""
-    perception, physics = "import push_ident.perception.kernels", "from push_ident.physics.simulation import compile_kernels"
+    perception = "import push_ident.perception.kernels, push_ident.perception.shape_kernels"
+    physics = "from push_ident.physics.simulation import compile_kernels"
     run([str(VENV_PYTHON), "-c", f"{perception}; {physics}; compile_kernels(effects=True)"])
 
 

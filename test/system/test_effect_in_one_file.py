@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +14,20 @@ import pytest
 from push_ident.physics.effect_folders import VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = """
-import json, sys
+PROGRAM = """
+import json, runpy, sys
+from contextlib import redirect_stdout
 from push_ident.cli.main import main
-for arguments in json.load(sys.stdin):
-    sys.argv = ["push-ident", *arguments]
-    try:
-        main()
-    except SystemExit as ended:
-        if ended.code:
-            raise
+for output, (program, *arguments) in json.load(sys.stdin):
+    sys.argv = [program, *arguments]
+    with open(output, "w") as file, redirect_stdout(file):
+        try:
+            main() if program == "push-ident" else runpy.run_path(program, run_name="__main__")
+        except SystemExit as ended:
+            if ended.code:
+                raise
 """
-"""In one process: each would compile the kernels of the effect anew."""
+"""Programs one after another in one process: each process would compile the kernels of the effect anew."""
 TORQUE = 0.04
 MASS, FRICTION = 0.969949, 0.382953
 """Of the simulated toolbox [kg], [-]."""
@@ -61,60 +62,58 @@ from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import make_object
 
 away = PusherPath(np.array([0.0, 0.01]), np.full((2, 2), 5.0), 0.008)
-turned = [
-    PlanarWorld(make_object("toolbox"), 0.008, effects=InjectedEffects.of({"swirl": torque})).push((0.0, 0.0, 0.0), away).pose[-1, 2]
+print([
+    PlanarWorld(make_object("toolbox"), 0.008, effects=InjectedEffects.of({"swirl": torque})).push((0.0, 0.0, 0.0), away).pose[-1, 2].item()
     for torque in (0.0, 0.1)
-]
-# Held by friction, a small torque turns it by as much as the bristles under its cells give way.
-assert turned[0] == 0.0 and 1e-5 < turned[1] < 1e-2, turned
+])
 """
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    folder = tmp_path_factory.mktemp("effects")
-    (folder / "swirl.py").write_text(EFFECT)
-    return {**os.environ, VARIABLE: str(folder), "OMP_NUM_THREADS": "1"}
-
-
-def run(environment: dict[str, str], *arguments: str | Path, text: str = "") -> str:
-    call = [sys.executable, *map(str, arguments)]
-    done = subprocess.run(call, env=environment, input=text, capture_output=True, text=True, timeout=1800, check=False)
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with what every program made of the effect, and with what it printed, in NAME.txt."""
+    folder = tmp_path_factory.mktemp("effect")
+    (folder / "effects").mkdir()
+    (folder / "effects" / "swirl.py").write_text(EFFECT)
+    (folder / "planar.py").write_text(PLANAR)
+    simulate = ("--object", "toolbox", "--effect", f"swirl={TORQUE}", "--pushes", "5", "--seed", "3")
+    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
+    known = ("--nominal-mass", MASS, "--friction", FRICTION)
+    programs = {
+        "page": (ROOT / "tools" / "document_effects.py",),
+        "listed": ("push-ident", "simulate", "--effects"),
+        "planar": (folder / "planar.py",),
+        "simulated": ("push-ident", "simulate", *simulate, "--out", folder / "bag", "--truth", folder / "truth.json"),
+        "diagnosed": ("push-ident", "diagnose", folder / "bag", *known, "--out", folder, "--json", folder / "result.json"),
+        "exported": ("push-ident", "export", folder / "model.json", "--format", "mjcf", "--out", folder / "model.xml"),
+    }
+    calls = [[str(folder / f"{name}.txt"), list(map(str, program))] for name, program in programs.items()]
+    environment = {**os.environ, VARIABLE: str(folder / "effects"), "OMP_NUM_THREADS": "1"}
+    call = [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(call, env=environment, input=json.dumps(calls), capture_output=True, text=True, timeout=1800, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return folder
 
 
-def push_ident(environment: dict[str, str], *commands: Sequence[str | Path]) -> str:
-    return run(environment, "-c", COMMANDS, text=json.dumps([[str(argument) for argument in command] for command in commands]))
-
-
-def test_effect_of_a_new_file_is_documented_and_offered_for_injection(environment: dict[str, str]) -> None:
-    assert "A turn to one side in every push." in run(environment, ROOT / "tools" / "document_effects.py")
-    listed = push_ident(environment, ("simulate", "--effects"))
+def test_effect_of_a_new_file_is_documented_and_offered_for_injection(made: Path) -> None:
+    assert "A turn to one side in every push." in (made / "page.txt").read_text()
+    listed = (made / "listed.txt").read_text()
     assert "swirl: A constant torque turns the object about the vertical." in listed and "torque [N m]" in listed
 
 
-def test_effect_of_a_new_file_acts_in_the_planar_engine(environment: dict[str, str]) -> None:
-    run(environment, "-c", PLANAR)
+def test_effect_of_a_new_file_acts_in_the_planar_engine(made: Path) -> None:
+    still, turned = json.loads((made / "planar.txt").read_text())
+    # Held by friction, a small torque turns it by as much as the bristles under its cells give way.
+    assert still == 0.0 and 1e-5 < turned < 1e-2
 
 
-def test_effect_of_a_new_file_is_simulated_diagnosed_and_exported(environment: dict[str, str], tmp_path: Path) -> None:
-    bag, truth, out = tmp_path / "bag", tmp_path / "truth.json", tmp_path / "out"
-    simulate = ("--object", "toolbox", "--effect", f"swirl={TORQUE}", "--pushes", "5", "--seed", "3")
-    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
-    known = ("--nominal-mass", str(MASS), "--friction", str(FRICTION))
-    push_ident(
-        environment,
-        ("simulate", *simulate, "--out", bag, "--truth", truth),
-        ("diagnose", bag, *known, "--out", out, "--json", out / "result.json"),
-        ("export", out / "model.json", "--format", "mjcf", "--out", out / "model.xml"),
-    )
-    injected = json.loads(truth.read_text())
+def test_effect_of_a_new_file_is_simulated_diagnosed_and_exported(made: Path) -> None:
+    injected = json.loads((made / "truth.json").read_text())
     assert injected["effects"] == {"swirl": [TORQUE]}
     assert sum(injected["mass_kg"]) == pytest.approx(MASS)
     assert np.average(injected["friction"], weights=injected["mass_kg"]) == pytest.approx(FRICTION)
-    result = json.loads((out / "result.json").read_text())
+    result = json.loads((made / "result.json").read_text())
     (found,) = result["effects"]
     assert result["verdict"] == "named" and found["name"] == "swirl"
     assert found["parameters"]["torque"] == pytest.approx(TORQUE, rel=0.35)
-    assert "swirl (torque = " in (out / "model.xml").read_text()
+    assert "swirl (torque = " in (made / "model.xml").read_text()

@@ -125,3 +125,12 @@ def test_example_depth_bag_is_tracked_and_identified(tmp_path: Path) -> None:
     assert 50 <= content["n_cells"] <= 150
     assert content["train"]["pushes"] == [0, 1, 2] and content["test"]["pushes"] == [3]
     assert content["train"]["identified_m"] < 0.5 * content["train"]["uniform_m"]
+
+
+@pytest.mark.parametrize(("chosen", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")], ids=["by default", "as chosen"])
+@pytest.mark.parametrize("module", ["push_ident.cli.entry", "push_ident.nodes.executables"])
+def test_linear_algebra_has_one_thread_before_numpy_is_loaded(module: str, chosen: dict[str, str], used: str) -> None:
+    program = f"import {module}, os, sys; assert 'numpy' not in sys.modules; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | chosen
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == used, done.stderr

@@ -19,7 +19,7 @@ from push_ident.cli.main import main
 from push_ident.fleet.job import FleetOptions, identify_bag
 from push_ident.types import ObjectShape, PushRecord
 
-RECORDS = simulated_pushes(6, 3)
+RECORDS = simulated_pushes(4, 3)
 
 
 def run(*args: object) -> tuple[int, str]:

@@ -28,12 +28,12 @@ TILT = 0.02  # [rad]
 
 @pytest.fixture(scope="module")
 def nothing() -> Diagnosis:
-    return diagnose(simulated_pushes(8, 1))
+    return diagnose(simulated_pushes(6, 1))
 
 
 @pytest.fixture(scope="module")
 def tilted() -> Diagnosis:
-    return diagnose(simulated_pushes(8, 1, {"table_tilt": [TILT, 0.0]}))
+    return diagnose(simulated_pushes(6, 1, {"table_tilt": [TILT, 0.0]}))
 
 
 def test_no_effect_is_found_where_there_is_none(nothing: Diagnosis) -> None:
@@ -61,7 +61,7 @@ def test_tilted_table_is_named_with_its_size_and_closes_the_gap(tilted: Diagnosi
 
 @pytest.mark.parametrize(("name", "size"), [("pose_latency", 0.03), ("outline_error", 0.002), ("pusher_friction", 0.3)])
 def test_effect_is_named_with_its_size(name: str, size: float) -> None:
-    found = diagnose(simulated_pushes(8, 2, {name: [size]}))
+    found = diagnose(simulated_pushes(6, 2, {name: [size]}))
     assert found.effects[0].name == name, found.sentence
     (value,), (std,) = found.effects[0].parameters.values(), found.effects[0].std.values()
     assert abs(value - size) < max(0.15 * size, 3 * std)
@@ -69,7 +69,7 @@ def test_effect_is_named_with_its_size(name: str, size: float) -> None:
 
 
 def test_effect_of_the_base_model_is_no_gap() -> None:
-    found = diagnose(simulated_pushes(8, 2, {"pose_latency": [0.03]}), DiagnosisSettings(base_effects=("pose_latency",)))
+    found = diagnose(simulated_pushes(6, 2, {"pose_latency": [0.03]}), DiagnosisSettings(base_effects=("pose_latency",)))
     assert found.verdict is Verdict.NO_GAP
     assert found.fit is not None and found.fit.names == ("pose_latency",)
 
@@ -102,19 +102,19 @@ def test_small_error_of_a_traced_outline_joins_the_base_model_and_a_large_one_is
 
 def test_error_of_a_camera_within_its_accuracy_is_no_effect_and_a_larger_one_is_named() -> None:
     from_camera = DiagnosisSettings(outline_from_camera=True)
-    within = diagnose(simulated_pushes(8, 1, {"camera_rotation": [2e-3]}), from_camera)
+    within = diagnose(simulated_pushes(6, 1, {"camera_rotation": [2e-3]}), from_camera)
     assert within.verdict is Verdict.NO_GAP, within.sentence
     assert within.fit is not None and "camera_rotation" in within.fit.names
-    beyond = diagnose(simulated_pushes(8, 1, {"camera_rotation": [0.03]}), from_camera)
+    beyond = diagnose(simulated_pushes(6, 1, {"camera_rotation": [0.03]}), from_camera)
     assert beyond.effects[0].name == "camera_rotation", beyond.sentence
     assert beyond.effects[0].parameters["angle"] == pytest.approx(0.03, abs=5e-3)
     # Put into the base model by hand, it stays there.
     requested = DiagnosisSettings(outline_from_camera=True, base_effects=("camera_rotation",))
-    assert diagnose(simulated_pushes(8, 1, {"camera_rotation": [0.03]}), requested).verdict is Verdict.NO_GAP
+    assert diagnose(simulated_pushes(6, 1, {"camera_rotation": [0.03]}), requested).verdict is Verdict.NO_GAP
 
 
 def test_exact_twins_are_named_together() -> None:
-    found = diagnose(simulated_pushes(8, 3, {"tool_offset": [0.003, 0.0]}))
+    found = diagnose(simulated_pushes(6, 3, {"tool_offset": [0.003, 0.0]}))
     assert found.verdict is Verdict.ONE_OF
     assert {found.effects[0].name, *found.confusion_set} >= {"tool_offset", "camera_translation"}
     assert "mark" in found.check
@@ -152,7 +152,7 @@ def test_correlated_noise_is_no_effect_where_rests_are_too_short_to_show_it(
 @pytest.mark.parametrize(("effects", "names"), [(None, []), ({"pusher_lag": [0.05]}, ["pusher_lag"])])
 def test_filtered_poses_are_diagnosed(effects: dict[str, list[float]] | None, names: list[str]) -> None:
     """Errors that hardly change from frame to frame, as of a tracking filter."""
-    records = with_correlated_noise(simulated_pushes(10, 4, effects, noise=0.01 * NOISE), 0.97, 4)
+    records = with_correlated_noise(simulated_pushes(8, 4, effects, noise=0.01 * NOISE), 0.97, 4)
     assert noise_correlation(records) > 0.9
     found = diagnose(
         [
@@ -181,7 +181,7 @@ def test_object_that_moves_before_the_observed_contact_does_not_look_like_drift(
 
 
 def test_outlier_push_of_a_traced_object_is_set_aside() -> None:
-    records = traced_by_camera(simulated_pushes(8, 1))
+    records = traced_by_camera(simulated_pushes(6, 1))
     poses = records[3].poses
     travel = np.linalg.norm(poses.pose[:, :2] - poses.pose[0, :2], axis=1)
     turned = poses.pose + np.outer(travel, [0.0, 0.15, 3.0])

@@ -29,11 +29,11 @@ Change = Callable[[list[PushRecord]], list[PushRecord]]
 def pushes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[PushRecord]:
     """Pushes of two engines, of a simulator that is not ours, and of a real arm."""
     if request.param == "own engine":
-        return simulated_pushes(8, 3)
+        return simulated_pushes(5, 3)
     if request.param == "bullet":
-        return load_pushes([TILT]).records[:8]
+        return load_pushes([TILT]).records[:5]
     if request.param == "another maker":
-        return load_pushes([recording("contract_sample", "bag")]).records
+        return load_pushes([recording("contract_sample", "bag")]).records[:5]
     bag = tmp_path_factory.mktemp("cmu") / "bag"
     import_cmu_icra16(recording("cmu_icra16", "30_90_30_30_30_90__exp_08_11_30.txt"), bag)
     return load_pushes([bag]).records[:4]

@@ -13,7 +13,7 @@ from helpers.objects import hammer, random_records, square
 from push_ident.errors import InputError
 from push_ident.identification.feet import Feet, feet_load
 from push_ident.identification.identify import identify
-from push_ident.identification.online import OnlineIdentifier
+from push_ident.identification.online import OnlineIdentifier, OnlineState
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import Evaluation, FitProblem
@@ -102,11 +102,18 @@ def test_feet_of_a_tripod_are_found_and_written() -> None:
     assert json.loads(json.dumps(written))["feet"][0]["share"] == pytest.approx(found[0].share)
 
 
-def test_feet_stay_where_pushes_leave_the_window() -> None:
-    """Summed-up pushes count in the unknowns of the kind that was more probable when the first one left."""
-    online = OnlineIdentifier(OnlineIdentifier.new(SHAPE), window=8)
+@pytest.fixture(scope="module")
+def trained() -> OnlineState:
+    """After as many pushes as the window holds."""
+    online = OnlineIdentifier(OnlineIdentifier.new(SHAPE), window=len(TRAIN))
     for record in TRAIN:
         online.add(record)
+    return online.state
+
+
+def test_feet_stay_where_pushes_leave_the_window(trained: OnlineState) -> None:
+    """Summed-up pushes count in the unknowns of the kind that was more probable when the first one left."""
+    online = OnlineIdentifier(trained, window=len(TRAIN))
     assert online.posterior.prior.feet == 3
     for record in LATER:
         result = online.add(record)
@@ -119,9 +126,9 @@ def test_feet_stay_where_pushes_leave_the_window() -> None:
 
 
 @pytest.mark.parametrize("summed_up", [False, True], ids=["any kind", "on feet for sure"])
-def test_pushes_that_cannot_be_simulated_end_in_a_status(monkeypatch: pytest.MonkeyPatch, summed_up: bool) -> None:
-    online = OnlineIdentifier(OnlineIdentifier.new(SHAPE), window=8)
-    for record in TRAIN if summed_up else TRAIN[:2]:
+def test_pushes_that_cannot_be_simulated_end_in_a_status(monkeypatch: pytest.MonkeyPatch, summed_up: bool, trained: OnlineState) -> None:
+    online = OnlineIdentifier(trained if summed_up else OnlineIdentifier.new(SHAPE), window=len(TRAIN))
+    for record in () if summed_up else TRAIN[:2]:
         online.add(record)
     assert not summed_up or online.posterior.prior.feet == 3
     failed = Evaluation(np.inf, np.zeros(0), np.zeros((0, 0)), np.empty((0, 3)))

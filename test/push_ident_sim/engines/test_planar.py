@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ def disc(friction: float = 0.3, bears: bool = True) -> SimObject:
     return object_from_picture("disc", picture, {"d": Part(0.7, friction if bears else 0.0, 0.03)}, 0.01, 0.3)
 
 
+@cache
 def pushes_of(name: str, **effects: tuple[float, ...]) -> list[TrueMotion]:
     thing, injected = make_object(name, 3), InjectedEffects.of(effects)
     return make_pushes(thing, [3, 1], replace(FEW, effects=injected), engine=PlanarWorld(thing, RADIUS, effects=injected))

@@ -19,11 +19,13 @@ from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.observation import observe_push
 from push_ident.physics.effects import CAUSES
 from push_ident.pushing.sampling import sample_push
+from push_ident_sim.cell.sensors import PLAIN, SENSORS
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
 from push_ident_sim.studies.blind import sealing
 from push_ident_sim.studies.blind.cases import (
+    CAMERAS,
     FIRST_REPORT_MODEL,
     Scenario,
     Truth,
@@ -67,11 +69,20 @@ def test_report_set_differs_from_the_set_for_the_policy_and_both_are_seeded() ->
 
 
 def test_what_a_camera_cannot_film_is_a_null_there() -> None:
-    truths = [draw_truth(c.object_name, c.model, camera=True) for c in cases(0, 50)]
+    truths = [draw_truth(c.object_name, c.model, sensor=PLAIN) for c in cases(0, 50)]
     assert {t.scenario.engine for t in truths} == {"camera"}
     filmed = {name for t in truths for name, _ in t.effects.values}
     assert "tether" not in filmed and "table_tilt" in filmed
     assert not any(INJECTED[name].acts_on == "poses" for name in filmed) and not any(t.outside for t in truths)
+
+
+def test_every_model_of_a_sensor_films_what_the_plain_camera_films() -> None:
+    assert set(CAMERAS.values()) == {PLAIN, *SENSORS} and set(CAMERAS) < set(EXPERIMENTS["blind"].variants)
+    for case in cases(FIRST_REPORT_MODEL, 2, "camera"):
+        plain = draw_truth(case.object_name, case.model, sensor=PLAIN)
+        filmed = [draw_truth(case.object_name, case.model, sensor=sensor) for sensor in SENSORS]
+        assert [t.as_json() for t in filmed] == [plain.as_json() | {"sensor": sensor} for sensor in SENSORS]
+        assert "sensor" not in plain.as_json()
 
 
 def test_truth_is_sealed_before_scoring_and_scored_by_one_policy_and_one_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +129,7 @@ def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: in
     before = record.poses.time < 0.3
     assert np.abs(record.poses.pose[before].mean(axis=0) - pose).max() < 0.02
     assert observe_push(record).touched
-    assert make_requested_record(draw_truth("book", model, camera=True), "book", model, asked, 8, NOISE) is None
+    assert make_requested_record(draw_truth("book", model, sensor=PLAIN), "book", model, asked, 8, NOISE) is None
 
 
 def test_diagnosis_rejects_an_effect_that_only_one_push_supports() -> None:
@@ -217,6 +228,31 @@ def test_summary_becomes_tables_and_a_confusion_matrix(tmp_path: Path) -> None:
     assert "false alarms on nulls" in text and summary["sealed"]["truth_sha256"] in text
     (name,) = EXPERIMENTS["blind"].draw(summary, tmp_path)
     assert (tmp_path / name).stat().st_size > 5000
+
+
+def test_cases_of_a_sensor_count_in_its_own_row_only() -> None:
+    plain, filmed = outcome("null", [], "no_gap", [], [], 0, 0), outcome("null", [], "one_of", ["wear"], ["tether"], 0, 0)
+    filmed.values["truth"] |= {"engine": "camera", "sensor": "xtion"}
+    summary = summarise_cases([plain, filmed])
+    assert summary["figures"]["all"]["false_alarms"]["n"] == 1 and summary["figures"]["all"]["false_alarms"]["share"] == 0.0
+    assert summary["sensors"]["xtion"]["n"] == 1 and summary["sensors"]["xtion"]["false_alarms"]["share"] == 1.0
+    assert len(summary["cases"]) == 2
+    (row,) = (line for line in EXPERIMENTS["blind"].tables(summary).splitlines() if line.startswith("| xtion"))
+    assert "100 %" in row
+
+
+def test_error_of_the_calibration_of_a_unit_is_neither_right_nor_wrong() -> None:
+    both = outcome("single", ["wear"], "several", ["tool_offset", "wear"], [], 30, 60)
+    null = outcome("null", [], "named", ["camera_rotation"], [], 0, 0)
+    assert judge(both).wrong and judge(null).named == ("camera_rotation",)
+    for result in (both, null):
+        result.values["truth"] |= {"engine": "camera", "sensor": "xtion"}
+    assert judge(both).right and not judge(both).wrong and len(judge(both).of_the_unit) == 1
+    assert judge(null).verdict == "no_gap" and judge(null).named == ()
+    # One that was injected is to be found.
+    injected = outcome("single", ["camera_rotation"], "named", ["camera_rotation"], [], 30, 60)
+    injected.values["truth"] |= {"engine": "camera", "sensor": "xtion"}
+    assert judge(injected).right and judge(injected).of_the_unit == ()
 
 
 # --- one case

@@ -23,6 +23,7 @@ from push_ident_sim.objects import make_object
 from push_ident_sim.recordings import truth
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
 from push_ident_sim.studies.common.experiment import Case, CaseResult
+from push_ident_sim.studies.common.files import write_json
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row
 from push_ident_sim.studies.common.pages import write_experiments
 from push_ident_sim.studies.common.runner import RunOptions, run_experiment
@@ -211,6 +212,21 @@ def test_command_names_what_there_is() -> None:
     for arguments, named in ((["alchemy"], "training"), (["maps", "--objects", "spoon"], "hammer"), (["maps", "--variants", "x"], "four")):
         with pytest.raises(InputError, match=named):
             command(*arguments)
+
+
+def test_page_names_the_variants_that_were_not_run(tmp_path: Path) -> None:
+    delays = {"n_frames": 900, "n_poses": 900, "median_s": 0.009, "p99_s": 0.016, "worst_s": 0.019, "cpu_per_frame_s": 0.011, "load": 1.5}
+    run = {
+        **{"experiment": "perception", "objects": ["hammer"], "models": 1, "seed": 0, "max_seconds": 30.0, "failed": []},
+        "machine": {"processor": "any", "cores": 2, "jobs": 1, "python": "3.11"},
+        "summary": {"objects": {}, "coverage": {}, "latency": delays},
+    }
+    variants = EXPERIMENTS["perception"].variants
+    for chosen, command, not_run in ((["latency"], "--models 1 --variants latency`", "Not run: clear, "), (variants, "--models 1`", "")):
+        write_json(tmp_path / "experiments" / "perception.json", {**run, "variants": list(chosen)})
+        write_experiments(EXPERIMENTS.values(), tmp_path / "experiments.md", "command")
+        text = (tmp_path / "experiments.md").read_text()
+        assert command in text and (not_run in text if not_run else "Not run" not in text)
 
 
 def test_report_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ def write_scene(path: Path) -> None:
         middle = corners.mean(axis=0)
         inside = points_in_polygon(points[..., :2].reshape(-1, 2), middle + 1.05 * (corners - middle)).reshape(label.shape)
         label[inside & (points[..., 2] > 0.008)] = number
+    # A part of the table has a label below ten, and is no object.
+    label[(label == 1) & (points[..., 0] > 0.2)] = 3
     seen = points_in_table(frame, np.eye(4)).reshape(-1, 3)
     head = f"VERSION 0.7\nFIELDS label x y z\nSIZE 4 4 4 4\nTYPE U F F F\nCOUNT 1 1 1 1\nWIDTH {SMALL.width}\nHEIGHT {SMALL.height}\n"
     head += f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(seen)}\nDATA ascii\n"

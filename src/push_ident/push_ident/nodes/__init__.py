@@ -1,4 +1,7 @@
-"""ROS 2 nodes around the other stages: they convert, call and publish. Importing one chooses the network of the process, no more."""
+"""ROS 2 nodes around the other stages: they convert, call and publish.
+
+Importing one chooses the network of the process and the threads of its linear algebra, no more.
+"""
 
 import os
 
@@ -6,3 +9,7 @@ from push_ident.nodes.network import choose_network
 
 # Before any node is created, in whatever process it is.
 choose_network(os.environ)
+# Before numpy is loaded. The matrices of an identification are small: several threads of OpenBLAS wait for each other for longer than they
+# calculate, the more so beside other processes, and how they share a sum decides how it is rounded: a restarted node would not go on bit
+# by bit.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

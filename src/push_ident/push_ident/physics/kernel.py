@@ -8,8 +8,10 @@ effects of other folders (`effect_folders.py`) have a cache of their own, so tha
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from numba import config, njit
 
@@ -18,13 +20,22 @@ from push_ident.physics.effect_folders import extra_effect_files
 __all__ = ["fast_kernel", "kernel"]
 
 _EXTRA_FILES = extra_effect_files()
-if _EXTRA_FILES:
-    # numba reads the setting when it decorates a function.
-    config.CACHE_DIR = str(Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / "with_extra_effects")
+_EXTRA_CACHE = str(Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / "with_extra_effects")
 
-kernel = partial(njit, cache=True, error_model="numpy", nogil=True)
-"""Compile a function. Division by zero gives infinity, as in numpy. A kernel releases Python's global lock, so that a node's other threads
-and simulations of other pushes run beside it."""
+
+def kernel(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile a function. Division by zero gives infinity, as in numpy.
+
+    A kernel releases Python's global lock, so that a node's other threads and simulations of other pushes run beside it.
+    """
+    usual = config.CACHE_DIR
+    try:
+        # numba reads the setting when it decorates a function. Kernels of other packages, which know no effects, keep their cache.
+        config.CACHE_DIR = _EXTRA_CACHE if _EXTRA_FILES else usual
+        return njit(function, cache=True, error_model="numpy", nogil=True, **options)
+    finally:
+        config.CACHE_DIR = usual
+
 
 fast_kernel = partial(kernel, fastmath={"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"})
 """For sums over cells: the compiler may reorder them for vector registers. Not for code that must handle NaN or infinity."""

@@ -40,6 +40,7 @@ from push_ident.errors import InputError
 __all__ = ["Lcp", "LcpSolution", "LcpStatus", "solve_lcp"]
 
 _RATIO_FLOOR = 1e-11  # lower bound of the scaled s / gamma in the factorisation
+_SMALLEST_SIZE = 1e-8  # lower bound of max(s) max(gamma), with which each s_i gamma_i is compared: at a solution it may be zero
 _REFINED = 1e-15  # residual of a linear system, relative to its right-hand side, at which refinement ends
 _SINGULAR = 1e-8  # relative residual above which an adjoint system counts as singular
 _MAX_REFINEMENTS = 20
@@ -130,7 +131,8 @@ def solve_lcp(problem: Lcp, *, tolerance: float = 1e-12, max_iterations: int = 6
     Args:
         problem: the batch.
         tolerance: bound on the residual of the second row, with rows and columns scaled so that the problem is of order one. The bound on
-            each product s_i gamma_i is a hundredth of it. Rounding prevents tolerances much below the default.
+            each product s_i gamma_i is a hundredth of it, times the largest s and the largest gamma where their product is below one.
+            Rounding prevents tolerances much below the default.
         max_iterations: of the interior-point method from each of its four starting points. Usually the first converges in about twelve.
 
     Returns:
@@ -353,21 +355,23 @@ def _interior_point(
         h, f, g, t = H[active], F[active], gamma[active], s[active]
         residual = t - b[active] - _times(h, _times(h.mT, g)) + _times_blocks(f, g)
         product = t * g
-        done = (residual.abs().amax(dim=1) <= tolerance) & (product.amax(dim=1) <= 1e-2 * tolerance)
+        # A row with hardly any diagonal is scaled up until its b dwarfs all others, whose s and gamma are then small beside one.
+        negligible = 1e-2 * tolerance * torch.clamp(t.amax(dim=1, keepdim=True) * g.amax(dim=1, keepdim=True), _SMALLEST_SIZE, 1.0)
+        done = (residual.abs().amax(dim=1) <= tolerance) & (product <= negligible).all(dim=1)
         solved[active[done]] = True
         iterations[active] = iteration
         go = ~done & torch.isfinite(product).all(dim=1)
         if iteration == max_iterations or not bool(go.any()):
             break
         if not bool(go.all()):
-            active, h, f, g, t, residual, product = (x[go] for x in (active, h, f, g, t, residual, product))
+            active, h, f, g, t, residual, product, negligible = (x[go] for x in (active, h, f, g, t, residual, product, negligible))
 
         kkt = _KktSolver(t / g, h, f)
         gap = product.mean(dim=1, keepdim=True)
         dg, dt = _newton(kkt, g, t, residual, product)
         step = torch.clamp(_step_to_boundary(g, dg, t, dt), max=1.0)
         centring = (((g + step * dg) * (t + step * dt)).mean(dim=1, keepdim=True) / gap) ** 3
-        dg, dt = _newton(kkt, g, t, residual, product + dg * dt - torch.clamp(centring * gap, min=1e-3 * tolerance))
+        dg, dt = _newton(kkt, g, t, residual, product + dg * dt - torch.maximum(centring * gap, 0.1 * negligible))
         # Steps approach the boundary more closely as the gap decreases, so that the last iterations converge superlinearly.
         step = torch.clamp(torch.clamp(1.0 - gap, 0.99, 1.0 - 1e-6) * _step_to_boundary(g, dg, t, dt), max=1.0)
         gamma[active] = g + step * dg

@@ -14,6 +14,7 @@ from push_ident.identification.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
+from push_ident_sim.cell.sensors import PLAIN, SENSORS
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
 from push_ident_sim.injected.table import mean_friction
@@ -31,10 +32,12 @@ from push_ident_sim.recordings.truth import (
 )  # fmt: skip
 from push_ident_sim.studies.common.base import Json
 
-__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_requested_record", "make_records", "phase_of"]
+__all__ = ["CAMERAS", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_requested_record", "make_records", "phase_of"]
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
+CAMERAS = {"camera": PLAIN, **{f"camera-{name}": name for name in SENSORS}}
+"""Variants through rendered depth images and perception, each with the model of its sensor."""
 _SIZES = (0.15, 0.5, 1.2, 3.0)
 """Times the typical size."""
 _JITTER = 0.2
@@ -71,6 +74,8 @@ class Truth:
     """Of the catalogue of injected effects, with what merely disturbs (correlated noise, dropped frames)."""
     outside: tuple[tuple[str, float], ...]
     """Effects that only the planar engine has."""
+    sensor: str = PLAIN
+    """Model of the sensor, where the engine is `camera`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -86,6 +91,7 @@ class Truth:
             "size": self.scenario.size,
             "effects": {name: list(values) for name, values in self.effects.values},
             "outside": dict(self.outside),
+            **({} if self.sensor == PLAIN else {"sensor": self.sensor}),
         }
 
 
@@ -111,12 +117,15 @@ def _plan() -> tuple[Scenario, ...]:
     return tuple(plan[i] for i in rng.permutation(len(plan)))
 
 
-def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
-    """The truth of a case: the plan gives the scenario, the seed the rest. A scenario that no camera can film becomes a null there."""
+def draw_truth(object_name: str, model: int, *, sensor: str | None = None) -> Truth:
+    """The truth of a case: the plan gives the scenario, the seed the rest.
+
+    With the model of a `sensor`, the pushes are filmed; a scenario that no camera can film becomes a null there. All sensors film the same.
+    """
     # A report begins at the other end of the plan than tuning did.
     first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
-    if camera:
+    if sensor:
         filmed = all(name in INJECTED and name != "tether" and INJECTED[name].acts_on != "poses" for name in scenario.names)
         scenario = replace(scenario, engine="camera") if filmed else Scenario("camera", "null")
     rng = np.random.default_rng([model, OBJECT_NAMES.index(object_name), 77])
@@ -131,11 +140,11 @@ def draw_truth(object_name: str, model: int, *, camera: bool = False) -> Truth:
             values[name] = _drawn(INJECTED[name], size, make_object(object_name, model), rng)
     # What every camera may do to anyone.
     disturbance = rng.random(2)
-    if scenario.kind == "null" and disturbance[0] < 0.4 and not camera:
+    if scenario.kind == "null" and disturbance[0] < 0.4 and not sensor:
         values["noise_correlation"] = (float(rng.uniform(0.3, 0.6)),)
     if scenario.kind == "null" and disturbance[1] < 0.25:
         values["dropped_frames"] = (float(rng.uniform(0.05, 0.2)),)
-    return Truth(scenario, InjectedEffects.of(values), tuple(outside))
+    return Truth(scenario, InjectedEffects.of(values), tuple(outside), sensor or PLAIN)
 
 
 def _drawn(effect: InjectedEffect, size: float, thing: SimObject, rng: np.random.Generator) -> tuple[float, ...]:
@@ -220,7 +229,7 @@ def _observed(truth: Truth, thing: SimObject, motion: TrueMotion, seed: list[int
 
 def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[PushRecord]:
     """Depth images of Bullet's world, in which object and poses are then perceived."""
-    settings = RecordingSettings(object_name, model, n_pushes, model, truth.effects, camera=True)
+    settings = RecordingSettings(object_name, model, n_pushes, model, truth.effects, camera=True, sensor=truth.sensor)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "pushes"
         record_pushes(bag, settings)

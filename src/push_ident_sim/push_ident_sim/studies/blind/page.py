@@ -50,6 +50,20 @@ _ROWS = (
 )
 
 
+_SENSOR_COLUMNS = {
+    "false_alarms": "false alarms on nulls",
+    "nulls_not_trusted": "nulls not trusted",
+    "top1_detectable": "first name right, detectable sizes",
+    "wrong_names": "named with confidence and wrong",
+    "in_set": "truth in the confusion set",
+    "silent_undetectable": "undetectable sizes: no gap",
+    "pairs_one": "two effects: one named",
+    "unknown_misnamed": "outside the catalogue: named with confidence",
+    "of_the_unit": "calibration named",
+}
+"""Calibration: an error of the pose or scale of the camera, or of the tool, its exact twin; each unit has some, and nobody injected it."""
+
+
 def _number(figure: Json) -> str:
     value, as_share = figure.get("share"), "share" in figure
     value = value if as_share else figure["value"]
@@ -86,6 +100,9 @@ def tables(summary: Json) -> str:
             for name in next(iter(smallest.values()), {})
         ]
         parts.append("Smallest detectable size in nulls, median:\n\n" + markdown_table(["effect", "unit", *smallest], rows))
+    if sensors := summary.get("sensors"):
+        rows = [[name, str(own["n"]), *(_number(own[key]) for key in _SENSOR_COLUMNS)] for name, own in sensors.items()]
+        parts.append(markdown_table(["sensor", "cases", *_SENSOR_COLUMNS.values()], rows))
     if engines := summary.get("engines"):
         rows = [
             [name.replace("_", " "), str(own["n"]), *(f"{1e3 * own[key]:.2f}" for key in ("median_m", "q90_m", "largest_m"))]

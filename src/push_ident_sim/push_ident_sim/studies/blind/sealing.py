@@ -15,15 +15,13 @@ from push_ident.errors import InputError
 from push_ident.files import write_whole
 from push_ident_sim.code_digest import code_digest
 from push_ident_sim.recordings.recording import seal
-from push_ident_sim.studies.blind.cases import draw_truth, phase_of
+from push_ident_sim.studies.blind.cases import CAMERAS, draw_truth, phase_of
 from push_ident_sim.studies.common.experiment import Case, Json
 
-__all__ = ["CAMERA", "DECIDING_PACKAGES", "ENGINES", "decision_hashes", "seal_cases"]
+__all__ = ["DECIDING_PACKAGES", "ENGINES", "decision_hashes", "seal_cases"]
 
 ENGINES: Final = "engines"
 """Variant that compares the engines; it has no truth to be sealed."""
-CAMERA: Final = "camera"
-"""Variant through rendered depth images and perception."""
 DECIDING_PACKAGES: Final = ("geometry", "physics", "pushing", "identification", "diagnosis", "perception")
 """Packages of the core whose code decides what a diagnosis reports."""
 
@@ -71,5 +69,5 @@ def seal_cases(cases: Sequence[Case], folder: Path) -> Json:
 
 
 def _truth_of(case: Case) -> Json:
-    truth = draw_truth(case.object_name, case.model, camera=case.variant == CAMERA)
+    truth = draw_truth(case.object_name, case.model, sensor=CAMERAS.get(case.variant))
     return {"case": case.key, "object": case.object_name, "model": case.model, **truth.as_json()}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from push_ident.physics.effects import CAUSES, EFFECTS
+from push_ident_sim.cell.sensors import PLAIN
 from push_ident_sim.studies.blind.scoring import twins_of
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.experiment import CaseResult
@@ -29,6 +30,8 @@ _SIZED = (
     "camera_scale", "pusher_friction", "table_anisotropy", "base_anisotropy",
 )  # fmt: skip
 """Effects whose law is the same in the engines and in the model."""
+_OF_A_UNIT = ("camera_translation", "camera_rotation", "camera_scale")
+"""Errors of calibration that every unit of a model of a sensor has."""
 _N_BOOTSTRAP = 2000
 
 
@@ -52,6 +55,10 @@ class Judged:
     clearly_detectable: bool
     """Each is detectable nine times out of ten."""
     values: Json
+    sensor: str = PLAIN
+    """Model of the sensor, where the engine is a camera."""
+    of_the_unit: tuple[str, ...] = ()
+    """Effects that were named and are those of a sensor's calibration, which nobody injected; taken out of `named`."""
 
     @property
     def right(self) -> bool:
@@ -74,19 +81,26 @@ def judge(result: CaseResult) -> Judged:
     truth = values["truth"]
     names = tuple(map(_one_of_twins, truth["names"])) if truth["kind"] in ("single", "pair") else ()
     named = tuple(_one_of_twins(effect["name"]) for effect in values["effects"])
+    sensor, verdict = truth.get("sensor", PLAIN), values["verdict"]
+    own = {_one_of_twins(name) for name in _OF_A_UNIT} - set(names) if sensor != PLAIN else set()
+    of_the_unit, named = tuple(name for name in named if name in own), tuple(name for name in named if name not in own)
+    if of_the_unit and not named:
+        verdict = "no_gap"
     detectability = values.get("detectability", {}).values()
     return Judged(
         engine=truth["engine"],
         kind=truth["kind"],
         pushes=result.case.variant,
         truth=names,
-        verdict=values["verdict"],
+        verdict=verdict,
         named=named,
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
         noncentrality=_noncentrality(values),
         detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
         clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
         values=values,
+        sensor=sensor,
+        of_the_unit=of_the_unit,
     )
 
 
@@ -206,8 +220,16 @@ def _size_errors(case: Judged) -> list[tuple[float, list[bool]]]:
 
 
 def summarise_cases(results: Sequence[CaseResult]) -> Json:
-    """Figures by engine and by number of pushes, the confusion matrix, the smallest detectable sizes, and every case in a line."""
-    cases = [judge(result) for result in results]
+    """Figures by engine and by number of pushes, the confusion matrix, the smallest detectable sizes, and every case in a line.
+
+    Cases through a model of a sensor have figures of their own and count nowhere else.
+    """
+    judged = [judge(result) for result in results]
+    cases = [case for case in judged if case.sensor == PLAIN]
+    by_sensor: dict[str, list[Judged]] = {}
+    for case in judged:
+        if case.sensor != PLAIN:
+            by_sensor.setdefault(case.sensor, []).append(case)
     groups: dict[str, list[Judged]] = {"all": cases}
     for case in cases:
         # The camera is an engine and a variant.
@@ -215,6 +237,9 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
             groups.setdefault(name, []).append(case)
     return {
         "figures": {name: figures(own) for name, own in groups.items()},
+        "sensors": {
+            name: {"n": len(own), "of_the_unit": _share(own, lambda c: c.of_the_unit), **figures(own)} for name, own in by_sensor.items()
+        },
         "by_noncentrality": _by_noncentrality(cases),
         "confusion": _confusion(cases),
         "smallest": _smallest(cases),
@@ -231,7 +256,7 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
                 "named": list(case.named),
                 "confusable": result.values["confusable"],
             }
-            for result, case in zip(results, cases, strict=True)
+            for result, case in zip(results, judged, strict=True)
         ],
     }
 

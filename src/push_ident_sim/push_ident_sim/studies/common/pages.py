@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from push_ident.errors import InputError
 from push_ident.files import write_whole
@@ -80,19 +80,19 @@ def _found(studies: Iterable[_S], folder: Path, command: str) -> list[tuple[_S, 
     return found
 
 
-def _write(page: Path, head: list[str], found: Sequence[tuple[Study, Json]], origin: Callable[[Json], str]) -> list[Path]:
+def _write(page: Path, head: list[str], found: Sequence[tuple[Study, Json]], origin: Callable[[Any, Json], str]) -> list[Path]:
     folder = page.with_suffix("")
     parts, written = list(head), [page]
     for study, run in found:
         pictures = study.draw(run["summary"], folder)
         written += [folder / name for name in pictures]
         images = [f"![{caption}]({folder.name}/{name})\n\n{caption}" for name, caption in pictures.items()]
-        parts.append("\n\n".join([f"## {study.title}", study.question, study.tables(run["summary"]), *images, origin(run)]) + "\n")
+        parts.append("\n\n".join([f"## {study.title}", study.question, study.tables(run["summary"]), *images, origin(study, run)]) + "\n")
     write_whole(page, "\n".join(parts), "the page")
     return written
 
 
-def _origin_of_experiment(run: Json) -> str:
+def _origin_of_experiment(experiment: Experiment, run: Json) -> str:
     machine = run["machine"]
     objects = ", ".join(run["objects"])
     failed = (
@@ -100,15 +100,19 @@ def _origin_of_experiment(run: Json) -> str:
         if run["failed"]
         else ""
     )
+    # Files of former runs do not hold their variants.
+    left_out = [name for name in experiment.variants if name not in run.get("variants", experiment.variants)]
+    chosen = f" --variants {','.join(run['variants'])}" if left_out else ""
+    not_run = f" Not run: {', '.join(left_out)}." if left_out else ""
     return (
-        f"`push-ident experiment {run['experiment']} --seed {run['seed']} --models {run['models']}`: {objects}; {run['models']} ground "
-        f"truths each, from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
-        f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}.{failed}"
+        f"`push-ident experiment {run['experiment']} --seed {run['seed']} --models {run['models']}{chosen}`: {objects}; "
+        f"{run['models']} ground truths each, from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
+        f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}.{not_run}{failed}"
         + (f" {run['remark']}" if run.get("remark") else "")
     )
 
 
-def _origin_of_benchmark(run: Json) -> str:
+def _origin_of_benchmark(_: Benchmark, run: Json) -> str:
     machine = run["machine"]
     quick = " With --quick: cases too few and too small to measure anything." if run["quick"] else ""
     return (

@@ -72,8 +72,8 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     """Run every case that has no result yet, and summarise all of them.
 
     Returns:
-        What the run was (`experiment, objects, models, seed, max_seconds, machine`), the cases that failed (`failed`: case and error),
-        and the experiment's `summary`. Times are of the processor of the machine that ran the case.
+        What the run was (`experiment, objects, models, variants, seed, max_seconds, machine`), the cases that failed (`failed`: case and
+        error), and the experiment's `summary`. Times are of the processor of the machine that ran the case.
 
     Raises:
         InputError: no case gave a result, or a variant that the experiment does not have.
@@ -111,6 +111,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "experiment": experiment.name,
         "objects": list(options.objects or experiment.objects),
         "models": options.n_models,
+        "variants": list(options.variants or experiment.variants),
         "seed": options.seed,
         "max_seconds": options.max_seconds,
         "machine": describe_machine(jobs),
