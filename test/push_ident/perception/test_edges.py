@@ -28,10 +28,8 @@ def lines_of(scatter, n=20000, seed=0):
 
 @pytest.mark.parametrize("scatter", [0.0, 5e-4, 1e-3, 2e-3])
 def test_deviation_of_an_edge_follows_its_scatter(scatter):
-    hidden, seen = (
-        edge_std(SQUARE, [lines_of(scatter)], SQUARE, [lines_of(scatter, seed=1)], np.array([[0.0, y]])) for y in (0.5, -0.5)
-    )
-    assert hidden[0] == pytest.approx(np.hypot(1.0, 1.5) * scatter, abs=2.5e-4)  # ragged, and displaced
+    hidden, seen = (edge_std(SQUARE, [lines_of(scatter)], SQUARE, [lines_of(scatter, seed=1)], np.array([[0.0, y]])) for y in (0.5, -0.5))
+    assert hidden[0] == pytest.approx(np.hypot(1.0, 1.8) * scatter, abs=3e-4)  # ragged, and displaced
     assert seen[0] == pytest.approx(scatter, abs=2.5e-4)
     assert np.all(hidden[1:] > 9e-4)  # no line of sight passes the others: the prior of 1 mm
 
@@ -40,7 +38,7 @@ def test_walls_that_no_camera_sees_are_hidden():
     assert hidden_walls(SQUARE, np.array([[0.0, -0.5]])).tolist() == [False, True, True, True]
     assert hidden_walls(SQUARE, np.array([[0.0, -0.5], [0.4, 0.0]])).tolist() == [False, False, True, True]
     assert displaced_std(SQUARE, np.array([[0.0, -0.5]]), [lines_of(1e-3)]) == pytest.approx(0.0, abs=1e-5)
-    assert displaced_std(SQUARE, np.array([[0.0, 0.5]]), [lines_of(1e-3)]) == pytest.approx(1.5e-3, abs=2e-4)
+    assert displaced_std(SQUARE, np.array([[0.0, 0.5]]), [lines_of(1e-3)]) == pytest.approx(1.8e-3, abs=2.5e-4)
 
 
 def test_edges_that_no_line_of_sight_passes_have_the_deviation_of_the_prior():

@@ -43,9 +43,9 @@ _SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
 _REACH: Final = 0.008
 """Largest distance along a curve between edges that share their lines of sight [m]."""
-_DISPLACED: Final = 1.5
-"""Deviation of the mean place of an edge in units of the scatter about it [-]. In models of a Kinect and of two RealSense the
-displacement is 1.2 to 1.4 of them; that of the models is an estimate itself."""
+_DISPLACED: Final = 1.8
+"""Deviation of the mean place of an edge where depth jumps, in units of the scatter about it [-]: the root mean square over the models of
+a Kinect (2.3), a D435 (1.3 and 1.5) and a D415 (1.5). The displacement in these models is an estimate itself."""
 _TOOTH: Final = 1.5
 """Largest height of a tooth of an outline that is taken for raggedness [px]: matchers displace edges by about one."""
 _MOST_SCATTER: Final = 0.005

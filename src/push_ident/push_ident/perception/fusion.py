@@ -92,8 +92,8 @@ def fuse_views(traced: TracedObject, views: Sequence[View], *, pose_known: bool 
     std = edge_std(outline, lines, simple, simple_lines, seen_from)
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
-    moved = replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
-    return replace(moved, seen_from=seen_from - (x, y), displaced_std=displaced_std(simple, seen_from, simple_lines))
+    fused = replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
+    return replace(fused, seen_from=seen_from - (x, y), displaced_std=displaced_std(simple, seen_from, simple_lines))
 
 
 def _found_in(template: Template, views: Sequence[View], pose_known: bool) -> list[tuple[View, Float64Array]]:

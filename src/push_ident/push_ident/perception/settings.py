@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from push_ident.errors import InputError
 from push_ident.perception.lasting import CameraAccuracy
@@ -41,7 +41,7 @@ class PerceptionSettings:
     search_period: float = 0.25
     """Time between two searches for new or lost objects once an object is known [s]; until then every frame is searched."""
 
-    camera_accuracy: CameraAccuracy = CameraAccuracy()
+    camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
     """Of the extrinsics: what they lack, poses have as an error that lasts."""
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ bias the pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
@@ -203,7 +203,7 @@ class Scene:
     """Added to the radius of the robot's parts [m]."""
     others: Sequence[tuple[Template, Float64Array]] = ()
     """Templates and poses of other objects; their pixels are left out."""
-    camera_accuracy: CameraAccuracy = CameraAccuracy()
+    camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
     """Of `camera_in_table`."""
 
 
