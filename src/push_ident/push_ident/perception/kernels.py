@@ -322,6 +322,8 @@ def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, 
     for i in range(len(upper)):
         x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
         distance, along_x, along_y = _bilinear(field, row, column)
+        if abs(distance) > 3.0 * width:
+            continue  # its square of the steepness is 3 % of that at the edge
         seen = False
         for j in range(len(seen_from)):
             seen |= along_x * (seen_from[j, 0] - x) + along_y * (seen_from[j, 1] - y) > 0.0
