@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.geometry.outline import polygon_centroid, signed_distance
+from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.perception.edges import EdgeLines, edge_std, same_curve, without_teeth
+from push_ident.perception.edges import EdgeLines, displaced_std, edge_std, hidden_walls, same_curve, without_teeth
 from push_ident.perception.pipeline import Perception
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.sensor_unit import Sensor
-from push_ident_sim.cell.sensors import suitable_pose
+from push_ident_sim.cell.sensors import SENSORS, suitable_pose
 from push_ident_sim.objects import make_object
 
 SQUARE = np.array([(-0.05, -0.05), (0.05, -0.05), (0.05, 0.05), (-0.05, 0.05)])
@@ -28,15 +28,23 @@ def lines_of(scatter, n=20000, seed=0):
 
 @pytest.mark.parametrize("scatter", [0.0, 5e-4, 1e-3, 2e-3])
 def test_deviation_of_an_edge_follows_its_scatter(scatter):
-    std = edge_std(SQUARE, [lines_of(scatter)], [lines_of(scatter, seed=1)])
-    assert std[0] == pytest.approx(1.5 * scatter, abs=2.5e-4)
-    assert np.all(std[1:] > 9e-4)  # no line of sight passes the others: the prior of 1 mm
+    hidden, seen = (edge_std(SQUARE, [lines_of(scatter)], SQUARE, [lines_of(scatter, seed=1)], np.array([[0.0, y]])) for y in (0.5, -0.5))
+    assert hidden[0] == pytest.approx(np.hypot(1.0, 1.8) * scatter, abs=3e-4)  # ragged, and displaced
+    assert seen[0] == pytest.approx(scatter, abs=2.5e-4)
+    assert np.all(hidden[1:] > 9e-4)  # no line of sight passes the others: the prior of 1 mm
+
+
+def test_walls_that_no_camera_sees_are_hidden():
+    assert hidden_walls(SQUARE, np.array([[0.0, -0.5]])).tolist() == [False, True, True, True]
+    assert hidden_walls(SQUARE, np.array([[0.0, -0.5], [0.4, 0.0]])).tolist() == [False, False, True, True]
+    assert displaced_std(SQUARE, np.array([[0.0, -0.5]]), [lines_of(1e-3)]) == pytest.approx(0.0, abs=1e-5)
+    assert displaced_std(SQUARE, np.array([[0.0, 0.5]]), [lines_of(1e-3)]) == pytest.approx(1.8e-3, abs=2.5e-4)
 
 
 def test_edges_that_no_line_of_sight_passes_have_the_deviation_of_the_prior():
     nothing = EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-    assert edge_std(SQUARE, [nothing], [nothing]) == pytest.approx(np.full(4, 1e-3))
-    assert edge_std(SQUARE, [], []) == pytest.approx(np.full(4, 1e-3))
+    for views in ([nothing], []):
+        assert edge_std(SQUARE, views, SQUARE, views, np.array([[0.0, 0.5]])) == pytest.approx(np.full(4, 1e-3))
 
 
 def test_teeth_of_a_pixel_are_no_shape_and_larger_ones_are():
@@ -56,10 +64,11 @@ def test_pieces_of_a_curve_share_their_lines_of_sight():
 
 @pytest.mark.parametrize("sensor", ["plain", "kinect_v1", "realsense_d435_848x480", "phoxi"])
 def test_edges_are_where_their_deviations_say(sensor):
-    """Longer edges of the book, as far as no rigid motion of the whole explains: that is the error of the extrinsics."""
+    """Longer edges of the book, with exact extrinsics: a rigid motion would spread what displaces the hidden edges over all of them."""
     thing, unit, reported = make_object("book", 101), Sensor(sensor, 101), suitable_pose(sensor)
+    exact = reported @ SENSORS[sensor].extrinsics_error(101) if sensor in SENSORS else reported
     rng, pose = np.random.default_rng(7), np.array([0.03, -0.02, 0.4])
-    camera, perception = unit.camera(thing, reported), Perception(reported)
+    camera, perception = unit.camera(thing, reported), Perception(exact)
     seen = unit.look(camera, pose, {})
     for i in range(10):
         found = perception.observe(DepthFrame(i / 30, unit.read(seen, rng), unit.intrinsics), ()).new_shapes
@@ -67,7 +76,6 @@ def test_edges_are_where_their_deviations_say(sensor):
             break
     shape, first = found["o1"], perception.first_pose("o1")
     outline, truth = transform_points(first, shape.outline), transform_points(pose, thing.outline)
-    outline = outline - polygon_centroid(outline) + polygon_centroid(truth)
     end = np.roll(outline, -1, axis=0)
     long = np.linalg.norm(end - outline, axis=1) > 0.03
     share = np.linspace(0.2, 0.8, 9)[:, None]

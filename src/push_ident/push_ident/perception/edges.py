@@ -4,8 +4,9 @@ A line of sight that passes an edge at the distance d outside it is expected to 
 1 / (1 + exp(d / w)). What is measured is 0 or 1. Two errors of an edge follow from that comparison:
 
 - of the number of lines: the curvature of the sum of squares by the offset of the edge;
-- of the camera: a matcher of windows displaces edges, by about a pixel (Nguyen et al., "Modeling Kinect Sensor Noise", 2012: 0.8 px).
-  The lines show only how far an edge scatters about its mean place, not how far the mean is displaced. Both have the same cause, so the
+- of the camera: a matcher of windows makes edges ragged, and displaces those where depth jumps, by about a pixel (Nguyen et al., "Modeling
+  Kinect Sensor Noise", 2012: 0.8 px). Depth does not jump where the camera sees the wall below the edge: the upper side only folds there.
+  The lines show how far edges scatter about their mean place, not how far the mean is displaced. Both have the same cause, so the
   deviation of the mean is taken to be `_DISPLACED` times the scatter about an outline without teeth of about a pixel.
 """
 
@@ -21,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from push_ident.geometry.outline import edge_normals
 from push_ident.perception.shape_kernels import edges_nearest
 from push_ident.perception.tracking import Scene, Template, lines_of_sight
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["EdgeLines", "edge_std", "lines_near_edges", "prior_curvature", "same_curve", "without_teeth"]
+__all__ = ["EdgeLines", "displaced_std", "edge_std", "hidden_walls", "lines_near_edges", "prior_curvature", "same_curve", "without_teeth"]
 
 _BAND: Final = 0.005
 """Lines of sight within this distance of an edge are used [m]."""
@@ -41,9 +43,9 @@ _SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
 _REACH: Final = 0.008
 """Largest distance along a curve between edges that share their lines of sight [m]."""
-_DISPLACED: Final = 1.5
-"""Deviation of the mean place of an edge in units of the scatter about it [-]. In models of a Kinect and of two RealSense the
-displacement is 1.2 to 1.4 of them; that of the models is an estimate itself."""
+_DISPLACED: Final = 1.8
+"""Deviation of the mean place of an edge where depth jumps, in units of the scatter about it [-]: the root mean square over the models of
+a Kinect (2.3), a D435 (1.3 and 1.5) and a D415 (1.5). The displacement in these models is an estimate itself."""
 _TOOTH: Final = 1.5
 """Largest height of a tooth of an outline that is taken for raggedness [px]: matchers displace edges by about one."""
 _MOST_SCATTER: Final = 0.005
@@ -60,6 +62,11 @@ class EdgeLines:
     """Derivative of the expected by the offset of the edge [1/m], shape (n,)."""
     residual: Float64Array
     """Measured minus expected, shape (n,)."""
+
+    def of_edges(self, chosen: BoolArray) -> EdgeLines:
+        """Only the lines near the chosen edges, shape (n_edges,)."""
+        own = chosen[self.edge]
+        return EdgeLines(self.edge[own], self.slope[own], self.residual[own])
 
     def derivatives(self, n_edges: int) -> tuple[Float64Array, Float64Array]:
         """J'r and the diagonal of J'J, J the derivative of the expected by the offset of each edge, shapes (n_edges,)."""
@@ -113,17 +120,46 @@ def without_teeth(outline: Float64Array, pixel: float) -> Float64Array:
     return simple if len(simple) >= 3 else outline
 
 
-def edge_std(outline: Float64Array, views: Sequence[EdgeLines], without_teeth: Sequence[EdgeLines]) -> Float64Array:
+def hidden_walls(outline: Float64Array, seen_from: Float64Array) -> BoolArray:
+    """Edges whose wall none of the cameras at these places sees, so that depth jumps there, shape (n_edges,).
+
+    Args:
+        outline: Counter-clockwise [m], shape (n_edges, 2).
+        seen_from: [m], shape (n_cameras, 2), in the same frame.
+    """
+    to_camera = seen_from[:, None] - 0.5 * (outline + np.roll(outline, -1, axis=0))
+    return np.asarray(np.all(np.sum(to_camera * edge_normals(outline), axis=2) <= 0.0, axis=0))
+
+
+def displaced_std(outline: Float64Array, seen_from: Float64Array, lines: Sequence[EdgeLines]) -> float:
+    """Standard deviation of how far the camera displaces edges where depth jumps, all of them alike [m].
+
+    Args:
+        outline: Without teeth.
+        seen_from: Places of the cameras, as of `hidden_walls`.
+        lines: Lines near its edges.
+    """
+    return _DISPLACED * _scatter([view.of_edges(hidden_walls(outline, seen_from)) for view in lines])
+
+
+def edge_std(
+    outline: Float64Array, views: Sequence[EdgeLines], simple: Float64Array, simple_views: Sequence[EdgeLines], seen_from: Float64Array
+) -> Float64Array:
     """Standard deviation of the place of each edge along its normal [m], shape (n_edges,); that of the prior where no line passes it.
 
     Args:
-        views: Lines near the edges of the outline.
-        without_teeth: Those near the edges of the outline without teeth.
+        outline: The traced outline.
+        views: Lines near its edges.
+        simple: The outline without teeth.
+        simple_views: Lines near its edges.
+        seen_from: Places of the cameras, as of `hidden_walls`.
     """
     n = len(outline)
     curvature = same_curve(outline) @ (prior_curvature(n) + sum(view.derivatives(n)[1] for view in views))
-    displaced = _DISPLACED * _scatter(without_teeth)
-    return np.sqrt(_VARIANCE / curvature + displaced**2)
+    hidden, simple_hidden = hidden_walls(outline, seen_from), hidden_walls(simple, seen_from)
+    ragged = [_scatter([view.of_edges(chosen) for view in simple_views]) for chosen in (~simple_hidden, simple_hidden)]
+    displaced = np.where(hidden, displaced_std(simple, seen_from, simple_views), 0.0)
+    return np.sqrt(_VARIANCE / curvature + np.where(hidden, ragged[1], ragged[0]) ** 2 + displaced**2)
 
 
 def _scatter(views: Sequence[EdgeLines]) -> float:

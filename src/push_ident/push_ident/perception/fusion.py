@@ -15,8 +15,8 @@ import numpy as np
 
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_centroid
-from push_ident.geometry.se2 import transform_points
-from push_ident.perception.edges import EdgeLines, edge_std, lines_near_edges, prior_curvature, same_curve, without_teeth
+from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.perception.edges import EdgeLines, displaced_std, edge_std, lines_near_edges, prior_curvature, same_curve, without_teeth
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.shape import TracedObject
 from push_ident.perception.straighten import straighten
@@ -86,10 +86,14 @@ def fuse_views(traced: TracedObject, views: Sequence[View], *, pose_known: bool 
     straight = straighten(_dense(outline))
     outline = straight if len(straight) >= 3 else outline
     pixel = min(view.pixel for view, _ in found)
-    std = edge_std(outline, *(_lines_of(traced, edges, found) for edges in (outline, without_teeth(outline, pixel))))
+    seen_from = np.array([transform_points(inverse(pose), view.camera_in_table[None, :2, 3])[0] for view, pose in found])
+    simple = without_teeth(outline, pixel)
+    lines, simple_lines = (_lines_of(traced, edges, found) for edges in (outline, simple))
+    std = edge_std(outline, lines, simple, simple_lines, seen_from)
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
-    return replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
+    fused = replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
+    return replace(fused, seen_from=seen_from - (x, y), displaced_std=displaced_std(simple, seen_from, simple_lines))
 
 
 def _found_in(template: Template, views: Sequence[View], pose_known: bool) -> list[tuple[View, Float64Array]]:

@@ -19,6 +19,7 @@ from push_ident.types import Float64Array
 __all__ = [
     "Grid",
     "compare_lines",
+    "displaced_scores",
     "innermost_points",
     "interpolate",
     "intersect_object",
@@ -298,6 +299,46 @@ def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: An
             for k in range(3):
                 normal[v * columns + u, j, k] += slope[j] * slope[k]
     return normal, gradient
+
+
+@kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, _ROWS)
+def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, camera: Any, seen_from: Any) -> Any:
+    """J'd of a camera that displaces by one metre every edge whose wall it does not see, in this image and in the outline.
+
+    Args:
+        upper, lower: As in `LinesOfSight`.
+        width: Width s of the expected step [m].
+        camera: Place of the camera [m], shape (2,), table frame.
+        seen_from: Places of the cameras that traced the outline [m], shape (n, 2), object frame.
+
+    Returns:
+        Shape (3,), J the derivative of the expected by the pose, d the change of the measured: edges that are displaced now and were not
+        in the outline count for 1, those that were and are not now for -1, all others not at all.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    camera_x = cos * (camera[0] - pose[0]) + sin * (camera[1] - pose[1])
+    camera_y = -sin * (camera[0] - pose[0]) + cos * (camera[1] - pose[1])
+    by_x_sum, by_y_sum, by_turn_sum = 0.0, 0.0, 0.0
+    for i in range(len(upper)):
+        x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
+        distance, along_x, along_y = _bilinear(field, row, column)
+        if abs(distance) > 3.0 * width:
+            continue  # its square of the steepness is 3 % of that at the edge
+        seen = False
+        for j in range(len(seen_from)):
+            seen |= along_x * (seen_from[j, 0] - x) + along_y * (seen_from[j, 1] - y) > 0.0
+        seen_now = along_x * (camera_x - x) + along_y * (camera_y - y) > 0.0
+        if seen == seen_now:
+            continue
+        change = 1.0 if seen else -1.0
+        expected = 1.0 / (1.0 + math.exp(distance / width))
+        steepness = expected * (1.0 - expected) / width
+        by_x_sum += change * steepness**2 * (cos * along_x - sin * along_y)
+        by_y_sum += change * steepness**2 * (sin * along_x + cos * along_y)
+        by_turn_sum -= change * steepness**2 * (along_x * y - along_y * x)
+    scores = np.empty(3)
+    scores[0], scores[1], scores[2] = by_x_sum, by_y_sum, by_turn_sum
+    return scores
 
 
 @kernel(_IMAGE, _POINTS, _REALS)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from push_ident.errors import InputError
+from push_ident.perception.lasting import CameraAccuracy
 
 __all__ = ["PerceptionSettings"]
 
@@ -39,6 +40,9 @@ class PerceptionSettings:
     """Time between two occupancy grids, and between two checks of the table plane [s]."""
     search_period: float = 0.25
     """Time between two searches for new or lost objects once an object is known [s]; until then every frame is searched."""
+
+    camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
+    """Of the extrinsics: what they lack, poses have as an error that lasts."""
 
     def __post_init__(self) -> None:
         if not (self.workspace_low[0] < self.workspace_high[0] and self.workspace_low[1] < self.workspace_high[1]):

@@ -83,6 +83,10 @@ class TracedObject:
     """Edge of a cell of `top` [m]."""
     hollow: BoolArray | None = None
     """Which cells of `top` lie over a hollow, same shape; `top` has the height of the rim there. None where nothing is hollow."""
+    seen_from: Float64Array | None = None
+    """Places of the cameras that traced it [m], shape (n, 2), object frame; None: unknown."""
+    displaced_std: float = 0.0
+    """Standard deviation of how far the camera displaces edges whose wall it does not see, all of them alike [m]."""
 
 
 def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ bias the pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
@@ -27,6 +27,7 @@ from push_ident.perception.depth import check_size, rays_in_table
 from push_ident.perception.kernels import (
     Grid,
     compare_lines,
+    displaced_scores,
     innermost_points,
     interpolate,
     intersect_object,
@@ -34,6 +35,7 @@ from push_ident.perception.kernels import (
     scores_of_squares,
 )
 from push_ident.perception.labels import RobotPart, in_robot
+from push_ident.perception.lasting import CameraAccuracy, camera_covariance, displaced_covariance
 from push_ident.perception.shape import TracedObject, unmeasured_areas
 from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, DepthFrame, Float64Array
@@ -128,6 +130,12 @@ class Template:
 
     def __init__(self, traced: TracedObject) -> None:
         self.outline = traced.shape.outline
+        self.first_pose: Final = traced.pose
+        """Pose that defines the object frame (x, y, yaw) [m, m, rad]."""
+        self.displaced_std: Final = traced.displaced_std
+        """As of `TracedObject`."""
+        self.seen_from: Final = None if traced.seen_from is None else np.array(traced.seen_from, dtype=np.float64)
+        """As of `TracedObject`."""
         self.tops: Final = Grid(
             traced.top.astype(np.float64, order="C"), np.array(traced.top_origin, dtype=np.float64), float(traced.top_resolution)
         )
@@ -195,6 +203,8 @@ class Scene:
     """Added to the radius of the robot's parts [m]."""
     others: Sequence[tuple[Template, Float64Array]] = ()
     """Templates and poses of other objects; their pixels are left out."""
+    camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
+    """Of `camera_in_table`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,6 +252,7 @@ def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
     covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(_FLOOR))
     covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
+    covariance = covariance + _lasting(template, scene, lines, pose, normal)
     status = TrackStatus.TRACKED
     if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
         status = TrackStatus.POOR_FIT
@@ -410,6 +421,16 @@ def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, norm
     n = int(np.count_nonzero(used))
     moved = np.linalg.solve(normal - squares[used], gradient[used][..., None])[..., 0]
     return np.asarray((n - 1) / max(n, 1) * moved.T @ moved)
+
+
+def _lasting(template: Template, scene: Scene, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
+    """Covariance of the errors that every frame at this pose has, shape (3, 3)."""
+    covariance = camera_covariance(pose, template.first_pose, scene.camera_accuracy)
+    if template.seen_from is None or template.displaced_std == 0.0:
+        return covariance
+    camera = np.array(np.asarray(scene.camera_in_table)[:2, 3], dtype=np.float64)
+    scores = displaced_scores(template.field, lines.upper, lines.lower, pose, _LEVELS[-1][0], camera, template.seen_from)
+    return covariance + displaced_covariance(template.displaced_std, scores, normal)
 
 
 def _at_least(covariance: Float64Array, other: Float64Array) -> Float64Array:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
+from push_ident.perception.lasting import CameraAccuracy
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthImage, DepthNoise, FloatArray, Placed, View
 from push_ident_sim.cell.sensors import PLAIN, SENSORS, SensorModel, check_name
@@ -65,6 +66,15 @@ class Sensor:
     def encoding(self) -> str:
         """Of its images in ROS: `16UC1` where whole millimetres hold its depth, else `32FC1`."""
         return "32FC1" if self._model and self._model.depth_unit < 1e-3 else "16UC1"
+
+    def accuracy(self, reported: FloatArray) -> CameraAccuracy:
+        """How well units of this model know where they are over the table, at this pose, shape (4, 4)."""
+        if not self._model:
+            return CameraAccuracy()
+        distance = float(np.linalg.norm(reported[:3, 3]))
+        # A rotation about an axis in the table displaces what lies in the middle of it by the distance.
+        position = float(np.hypot(self._model.translation_std, self._model.rotation_std * distance))
+        return CameraAccuracy(position, self._model.rotation_std)
 
     def camera(self, thing: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None) -> DepthCamera:
         """Camera with the true lens and the true pose of this unit.

@@ -45,6 +45,8 @@ class _Object(BaseModel):
     top_origin: tuple[float, float]
     top_resolution: float
     hollow: list[list[bool]] | None = None
+    seen_from: list[tuple[float, float]] | None = None
+    displaced_std: float = 0.0
     area: float
 
 
@@ -86,6 +88,8 @@ class ObjectMemory:
             top_origin=tuple(np.asarray(traced.top_origin).tolist()),
             top_resolution=float(traced.top_resolution),
             hollow=None if traced.hollow is None else traced.hollow.tolist(),
+            seen_from=None if traced.seen_from is None else traced.seen_from.tolist(),
+            displaced_std=float(traced.displaced_std),
             area=float(known.area),
         )
         write_whole(path, content.model_dump_json(), "a known object", private=True, error=ModelFileError)
@@ -138,5 +142,17 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         raise ModelFileError(f"{path} has heights of shape {top.shape}, expected two dimensions; {_REMEDY}.")
     if hollow is not None and hollow.shape != top.shape:
         raise ModelFileError(f"{path} has a hollow of shape {hollow.shape}, expected {top.shape} as its heights; {_REMEDY}.")
-    traced = TracedObject(shape, np.array(content.pose), top, np.array(content.top_origin), content.top_resolution, hollow)
+    if content.displaced_std < 0:
+        raise ModelFileError(f"{path} has a displaced_std of {content.displaced_std} m, expected 0 or more; {_REMEDY}.")
+    seen_from = None if not content.seen_from else np.array(content.seen_from)
+    traced = TracedObject(
+        shape,
+        np.array(content.pose),
+        top,
+        np.array(content.top_origin),
+        content.top_resolution,
+        hollow,
+        seen_from,
+        content.displaced_std,
+    )
     return content.object_id, traced, content.area

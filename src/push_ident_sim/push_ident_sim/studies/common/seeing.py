@@ -16,6 +16,7 @@ from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, Perception
+from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.topdown import OCCUPIED, TopDownGrid
 from push_ident.perception.tracking import TrackStatus
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
@@ -142,7 +143,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
             shadow that which covers it casts.
         with_arm: The arm that pushes is in the picture; perception gets its true posture.
         sensor: Model of the camera, at a pose that suits it. Each seed is another unit, and perception gets the pose and the intrinsics
-            that the unit publishes.
+            that the unit publishes, and how well units of that model are calibrated.
 
     Returns:
         `outline_m` (root mean square), `outline_95_m`, `grid_iou`, `occupancy_iou`, and per kind of frame (`rest`, `moving`) lists
@@ -161,7 +162,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
     unit, reported = Sensor(sensor, seed), suitable_pose(sensor)
     camera = unit.camera(thing, reported)
     empty = camera.render((5.0, 5.0, 0.0), {})
-    perception = Perception(reported)
+    perception = Perception(reported, PerceptionSettings(camera_accuracy=unit.accuracy(reported)))
     kinds: dict[str, Json] = {k: {"position_m": [], "yaw": [], "squared": [], "hidden": [], "not_tracked": 0} for k in ("rest", "moving")}
     shape: ObjectShape | None = None
     at_first, occupancy = np.zeros(3), None

@@ -1,0 +1,54 @@
+"""Errors of poses that last: they are the same in all frames at one pose, and no residual shows them.
+
+The object frame is that of the first detection, so they are zero there, and grow as the object turns and moves:
+
+- A camera displaces edges where depth jumps (`edges`), that is, where the object hides its wall. Those of the first view are out of place
+  in the outline; in each later view others are displaced. A pose settles between both. With the displacement h of all such edges, the
+  pose is wrong by h N^-1 J'd, N = J'J, J the derivative of the expected lines of sight by the pose, and d that of the measured by h.
+- The camera is not where its extrinsics place it. An error t of its place and w of its heading displaces a pose p by t + w x p. The first
+  one is displaced by as much, and takes its displacement along into the object frame, which has turned by R since: what remains is
+  (1 - R) t + w x (p - R p0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.geometry.se2 import rotation
+from push_ident.types import Float64Array
+
+__all__ = ["CameraAccuracy", "camera_covariance", "displaced_covariance"]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraAccuracy:
+    """Standard deviations of the extrinsics of a camera, as far as the plane of the table does not show them."""
+
+    position: float = 0.0
+    """Of its place along x and y of the table frame [m]."""
+    heading: float = 0.0
+    """Of its rotation about the normal of the table [rad]."""
+
+
+def displaced_covariance(displaced_std: float, scores: Float64Array, normal: Float64Array) -> Float64Array:
+    """Covariance of a pose, shape (3, 3), from edges that are displaced by `displaced_std` [m], all alike.
+
+    Args:
+        scores: J'd, shape (3,).
+        normal: J'J, shape (3, 3).
+    """
+    moved = displaced_std * np.linalg.solve(normal, scores)
+    return np.asarray(np.outer(moved, moved))
+
+
+def camera_covariance(pose: Float64Array, first_pose: Float64Array, accuracy: CameraAccuracy) -> Float64Array:
+    """Covariance of a pose, shape (3, 3), from the error of the extrinsics that it has and the first pose had as well."""
+    turned = rotation(pose[2] - first_pose[2])
+    covariance = np.zeros((3, 3))
+    by_place = accuracy.position * (np.eye(2) - turned)
+    x, y = pose[:2] - turned @ first_pose[:2]
+    by_heading = accuracy.heading * np.array([-y, x])
+    covariance[:2, :2] = by_place @ by_place.T + np.outer(by_heading, by_heading)
+    return covariance
