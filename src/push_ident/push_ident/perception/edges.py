@@ -6,7 +6,7 @@ A line of sight that passes an edge at the distance d outside it is expected to 
 - of the number of lines: the curvature of the sum of squares by the offset of the edge;
 - of the camera: a matcher of windows displaces edges, by about a pixel (Nguyen et al., "Modeling Kinect Sensor Noise", 2012: 0.8 px).
   The lines show only how far an edge scatters about its mean place, not how far the mean is displaced. Both have the same cause, so the
-  deviation of the mean is taken to be `_DISPLACED` times the scatter about an outline without teeth of about a pixel.
+  deviation of the mean is taken to be `DISPLACED` times the scatter about an outline without teeth of about a pixel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,17 @@ from push_ident.perception.shape_kernels import edges_nearest
 from push_ident.perception.tracking import Scene, Template, lines_of_sight
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["EdgeLines", "edge_std", "lines_near_edges", "prior_curvature", "same_curve", "without_teeth"]
+__all__ = [
+    "DISPLACED",
+    "VARIANCE",
+    "EdgeLines",
+    "edge_std",
+    "lines_near_edges",
+    "prior_curvature",
+    "same_curve",
+    "scatter_of",
+    "without_teeth",
+]
 
 _BAND: Final = 0.005
 """Lines of sight within this distance of an edge are used [m]."""
@@ -35,13 +45,13 @@ _CORNER: Final = 0.004
 """Lines of sight within this distance of the end of an edge are left out, as they depend on both edges of the corner [m]."""
 _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
-_VARIANCE: Final = 0.05
+VARIANCE: Final = 0.05
 """Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
 _SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
 _REACH: Final = 0.008
 """Largest distance along a curve between edges that share their lines of sight [m]."""
-_DISPLACED: Final = 1.5
+DISPLACED: Final = 1.5
 """Deviation of the mean place of an edge in units of the scatter about it [-]. In models of a Kinect and of two RealSense the
 displacement is 1.2 to 1.4 of them; that of the models is an estimate itself."""
 _TOOTH: Final = 1.5
@@ -60,6 +70,8 @@ class EdgeLines:
     """Derivative of the expected by the offset of the edge [1/m], shape (n,)."""
     residual: Float64Array
     """Measured minus expected, shape (n,)."""
+    points: Float64Array
+    """Where they pass the edge [m], shape (n, 2), object frame."""
 
     def derivatives(self, n_edges: int) -> tuple[Float64Array, Float64Array]:
         """J'r and the diagonal of J'J, J the derivative of the expected by the offset of each edge, shapes (n_edges,)."""
@@ -73,19 +85,19 @@ def lines_near_edges(template: Template, outline: Float64Array, scene: Scene, po
     """The lines of sight of an image that pass an edge closely, with the object of `template` and `outline` at a pose."""
     lines = lines_of_sight(template, scene, pose, _BAND, 1)
     if lines is None:
-        return EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+        return EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 2)))
     points = lines.innermost_points(template, pose)
     distance, _ = template.distance(points)
     expected = 1.0 / (1.0 + np.exp(np.clip(distance / _WIDTH, -30.0, 30.0)))
     edge, clear = _nearest_edge(points, outline)
     clear &= np.abs(distance) < _BAND
     slope = expected * (1.0 - expected) / _WIDTH
-    return EdgeLines(edge[clear], slope[clear], (lines.stopped - expected)[clear])
+    return EdgeLines(edge[clear], slope[clear], (lines.stopped - expected)[clear], points[clear])
 
 
 def prior_curvature(n_edges: int) -> Float64Array:
     """What the prior of the offsets adds to the diagonal of J'J, shape (n_edges,)."""
-    return np.full(n_edges, _VARIANCE / _PRIOR**2)
+    return np.full(n_edges, VARIANCE / _PRIOR**2)
 
 
 def same_curve(outline: Float64Array) -> Float64Array:
@@ -122,11 +134,11 @@ def edge_std(outline: Float64Array, views: Sequence[EdgeLines], without_teeth: S
     """
     n = len(outline)
     curvature = same_curve(outline) @ (prior_curvature(n) + sum(view.derivatives(n)[1] for view in views))
-    displaced = _DISPLACED * _scatter(without_teeth)
-    return np.sqrt(_VARIANCE / curvature + displaced**2)
+    displaced = DISPLACED * scatter_of(without_teeth)
+    return np.sqrt(VARIANCE / curvature + displaced**2)
 
 
-def _scatter(views: Sequence[EdgeLines]) -> float:
+def scatter_of(views: Sequence[EdgeLines]) -> float:
     """Standard deviation with which the place of the edges scatters along them [m]."""
     weight = np.concatenate([np.empty(0), *(np.square(view.slope) for view in views)])
     if not np.any(weight > 0):

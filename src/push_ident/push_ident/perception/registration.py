@@ -48,6 +48,8 @@ class NewObject:
     traced: TracedObject
     area: float
     """Of its segment [m^2]."""
+    views: tuple[SegmentedView, ...]
+    """It was traced from."""
 
 
 @dataclass(slots=True)
@@ -117,9 +119,9 @@ class Registration:
             if candidate.waited >= candidate.wait * settings.rest_frames:
                 try:
                     own = candidate.segment
-                    traced = self._shape_of(candidate, covered.lid_of((own.rows, own.columns), own.mask), camera, plane, settings)
-                    _check_covered(traced, candidate.segment, points)
-                    new.append(NewObject(traced, candidate.segment.area))
+                    thing = self._shape_of(candidate, covered.lid_of((own.rows, own.columns), own.mask), camera, plane, settings)
+                    _check_covered(thing.traced, candidate.segment, points)
+                    new.append(thing)
                     continue
                 except (FrameError, InputError, PerceptionError) as error:
                     candidate.failure = str(error)
@@ -143,8 +145,8 @@ class Registration:
 
     def _shape_of(
         self, candidate: _Candidate, lid: Float64Array, camera: Float64Array, plane: TablePlane, settings: PerceptionSettings
-    ) -> TracedObject:
-        """Its shape; `lid` has the points of its lid [m], shape (n, 2).
+    ) -> NewObject:
+        """The object with its shape; `lid` has the points of its lid [m], shape (n, 2).
 
         Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen.
         """
@@ -156,7 +158,7 @@ class Registration:
         fused = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
         # What the nodes after this one refuse is no object here either.
         check_shape(fused.shape, remedy="It may be several things; move them apart.")
-        return with_hollow(fused, lid) if is_hollow else fused
+        return NewObject(with_hollow(fused, lid) if is_hollow else fused, candidate.segment.area, tuple(views))
 
     def _trace_with_all(
         self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings, *, alone: bool
