@@ -78,6 +78,8 @@ class Observation:
     """Whether time went back, so that everything known was dropped."""
     refined: dict[str, ObjectShape] = field(default_factory=dict)
     """Better shapes of known objects, by id: this rest, with those before it, showed their outlines better. The object frame stays."""
+    doubts: dict[str, str] = field(default_factory=dict)
+    """Of objects registered with this frame, by id: why the tool may not touch them where their outlines are."""
     removed: tuple[Removal, ...] = ()
     """Objects that were given up with this frame, and why: they came apart. Their ids are not used again."""
 
@@ -139,6 +141,19 @@ class _TrackedObject:
         age = stamp - self.stamp
         self.velocity = (fit.pose - self.pose) / age if 0 < age < _MAX_AGE else np.zeros(3)
         self.pose, self.stamp = fit.pose, stamp
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """What one search found, as in `Observation`."""
+
+    fits: dict[str, PoseFit] = field(default_factory=dict)
+    """Of objects that were found again or have a better outline."""
+    new_shapes: dict[str, ObjectShape] = field(default_factory=dict)
+    further_views: dict[str, str] = field(default_factory=dict)
+    refined: dict[str, ObjectShape] = field(default_factory=dict)
+    doubts: dict[str, str] = field(default_factory=dict)
+    removed: tuple[Removal, ...] = ()
 
 
 class Perception:
@@ -228,19 +243,13 @@ class Perception:
         search_due = not self._tracked or self._is_search_due(frame)
         if occupancy_due and self._tracked:
             search_due = False  # both in one frame would delay the next one
-        new_shapes: dict[str, ObjectShape] = {}
-        further_views: dict[str, str] = {}
-        occupancy = None
-        refined: dict[str, ObjectShape] = {}
-        removed: tuple[Removal, ...] = ()
+        search, occupancy = _Search(), None
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
             labels = label_pixels(points, robot, self.limits)
             if search_due:
-                found, new, refined, removed = self._search(frame, points, labels, robot)
-                fits = {name: fit for name, fit in (fits | found).items() if name in self._tracked}
-                new_shapes = self._announce() | {name: thing.traced.shape for name, thing in new.items()}
-                further_views = self._registration.further_views
+                search = self._search(frame, points, labels, robot)
+                fits = {name: fit for name, fit in (fits | search.fits).items() if name in self._tracked}
             if occupancy_due:
                 occupancy = top_down(points, labels, self.limits)
                 self._last_occupancy = frame.stamp
@@ -248,7 +257,19 @@ class Perception:
                 self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
-        return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted, refined, removed)
+        return Observation(
+            frame.stamp,
+            objects,
+            search.new_shapes,
+            counts,
+            self._refused,
+            occupancy,
+            search.further_views,
+            restarted,
+            search.refined,
+            search.doubts,
+            search.removed,
+        )
 
     def _is_search_due(self, frame: DepthFrame) -> bool:
         return frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
@@ -351,11 +372,8 @@ class Perception:
             and np.linalg.norm(other.pose[:2] - own.pose[:2]) < other.template.radius + own.template.radius + 0.03
         ]
 
-    def _search(
-        self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]
-    ) -> tuple[dict[str, PoseFit], dict[str, NewObject], dict[str, ObjectShape], tuple[Removal, ...]]:
-        """Look for lost and new objects in the whole image; fits of those found again or refined, the new ones, better shapes of known
-        ones, and those given up."""
+    def _search(self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]) -> _Search:
+        """Look for lost and new objects in the whole image."""
         assert self._plane is not None
         self._last_search = frame.stamp
         covered = cover_hollows(frame, points, labels, self._camera, self.limits)
@@ -385,7 +403,14 @@ class Perception:
             self._rests.forget(removal.object_id)
         table, on_robot = int(np.count_nonzero(labels == TABLE)), int(np.count_nonzero(labels == ROBOT))
         self._search_counts = {"table": table, "robot": on_robot, **counts}
-        return found, new, refined, tuple(removed)
+        return _Search(
+            found,
+            self._announce() | {name: thing.traced.shape for name, thing in new.items()},
+            self._registration.further_views,
+            refined,
+            {name: thing.doubt for name, thing in new.items() if thing.doubt},
+            tuple(removed),
+        )
 
     def _refine(
         self, frame: DepthFrame, segments: Sequence[Segment], points: NDArray[np.float32], robot: Sequence[RobotPart]
@@ -399,6 +424,8 @@ class Perception:
         seen = [(segment, points[segment.rows, segment.columns][segment.mask]) for segment in segments]
         for name, pose in wanted.items():
             known = self._tracked[name]
+            if self._others(name):
+                continue  # what belongs to which of them cannot be told
             placed = (known.traced, known.template, pose)
             better = self._rests.refined(name, placed, seen, self._camera, self._noise, tuple(robot), self.limits)
             if better is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -20,6 +21,7 @@ from push_ident.geometry.outline import cells_in_outline
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.contacts import Placed
+from push_ident.perception.edges import DISPLACED
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.refinement import Refined, RestView, refine
 from push_ident.perception.segments import Segment
@@ -172,10 +174,10 @@ class Rests:
             return None
         try:
             better = refine(traced, own.views, min_height=settings.min_object_height)
-            if not better.misfit < _BETTER * better.misfit_before:
+            if not _is_better(better):
                 return None
             better = _held(better, template, view)
-            shape = check_shape(_with_cells(better.traced.shape))
+            shape = _with_cells(better.traced.shape)
         except (InputError, PerceptionError):
             return None  # as it is known it remains usable
         own.views = [replace(view, pose=pose) for view, pose in zip(own.views, better.poses, strict=True)]
@@ -263,7 +265,20 @@ def _held(better: Refined, before: Template, view: RestView) -> Refined:
     return replace(better, traced=traced, poses=tuple(compose(pose, inverse(step)) for pose in better.poses))
 
 
+def _is_better(better: Refined) -> bool:
+    """Whether the latest rest speaks for the new outline, and enough lines of sight pass its edges to know it better than the old one."""
+    error = better.traced.shape.outline_error
+    return better.misfit < _BETTER * better.misfit_before and error is not None and error < DISPLACED * better.misfit_before
+
+
 def _with_cells(shape: ObjectShape) -> ObjectShape:
-    """The same cells, unless the outline holds clearly more or fewer of them."""
+    """The shape with the same cells, unless the outline holds clearly more or fewer of them; checked.
+
+    Raises:
+        InputError: It is no shape of an object.
+    """
     anew = cells_in_outline(shape.outline, shape.cells.size)
-    return shape if abs(len(anew) - len(shape.cells)) <= _SAME_CELLS * len(shape.cells) else replace(shape, cells=anew)
+    if abs(len(anew) - len(shape.cells)) <= _SAME_CELLS * len(shape.cells):
+        with suppress(InputError):
+            return check_shape(shape)
+    return check_shape(replace(shape, cells=anew))

@@ -326,6 +326,9 @@ class _Perception(Component):
             self._give_up(removal)
         for object_id, shape in observation.new_shapes.items():
             self._node.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
+        for object_id, doubt in observation.doubts.items():
+            self._notes[f"contact_{object_id}"] = doubt
+            self._node.get_logger().warning(f"Object {object_id}: {doubt}.")
         for object_id in observation.refined:
             self._counter["outlines_refined"] += 1
             self._node.get_logger().info(f"Object {object_id}: its outline is better known from several rests.")
