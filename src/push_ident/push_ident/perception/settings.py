@@ -48,9 +48,7 @@ class PerceptionSettings:
         if not 0 < self.min_object_height < self.max_object_height:
             raise InputError(f"Object heights {self.min_object_height} to {self.max_object_height} m; expected 0 < min < max.")
         if not 0 <= self.tool_reach[0] < self.tool_reach[1]:
-            raise InputError(
-                f"The tool reaches from {self.tool_reach[0]} to {self.tool_reach[1]} m above the table; expected 0 <= tip < end."
-            )
+            raise InputError(f"tool_reach is {self.tool_reach} m, expected the height of the tip and then that of the upper end.")
         if not self.min_step > 0:
             raise InputError(f"min_step is {self.min_step} m, expected a positive height; steps within one object must be lower.")
         if self.rest_frames < 1 or self.cell_count < 1:
