@@ -10,6 +10,7 @@ import pytest
 
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
+from push_ident.geometry.outline import edge_normals
 from push_ident.identification.identify import identify
 from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
 from push_ident.identification.session import ObjectSession, SessionOptions
@@ -193,3 +194,39 @@ def test_a_model_with_effects_goes_on_with_them_once_adopted() -> None:
     session.finish(RECORDS[2])
     assert session.posterior.effects.names == ("outline_error",)
     assert session.posterior.effects_std[0] < 1e-3
+
+
+def _grown(shape: ObjectShape, distance: float) -> ObjectShape:
+    """The outline as a camera may see it: wider by `distance` [m] on each side."""
+    normal = edge_normals(shape.outline)
+    before = np.roll(normal, 1, axis=0)
+    meeting = (normal + before) / (1.0 + np.sum(normal * before, axis=1, keepdims=True))
+    return replace(shape, outline=shape.outline + distance * meeting, outline_std=np.full(len(shape.outline), 1e-3))
+
+
+def test_a_better_outline_is_used_for_the_pushes_before_it_too(tmp_path: Path) -> None:
+    wide, traced = _grown(TRUTH.shape, 1.5e-3), _traced(TRUTH.shape)
+    session = ObjectSession("o1", wide, SessionOptions(folder=tmp_path))
+    for record in RECORDS[:3]:
+        session.finish(replace(record, shape=wide))
+    (offset_before,) = session.posterior.effects.values
+    assert session.refine_shape(traced)
+    assert session.n_pushes == 3 and np.array_equal(session.shape.outline, traced.outline)
+    (offset,) = session.posterior.effects.values
+    assert offset_before < -1e-3 and abs(offset) < 5e-4
+    assert all(np.array_equal(record.shape.outline, traced.outline) for record in session.online.state.records)
+    # A killed process goes on with it, and so do the pushes from then on.
+    again = ObjectSession("o1", traced, SessionOptions(folder=tmp_path))
+    assert again.restored and np.array_equal(again.shape.outline, traced.outline)
+    assert not again.refine_shape(traced)
+    again.finish(replace(RECORDS[3], shape=traced))
+    assert again.n_pushes == 4
+
+
+def test_the_outline_stays_once_pushes_are_summed_up() -> None:
+    wide = _grown(TRUTH.shape, 1e-3)
+    session = ObjectSession("o1", wide, SessionOptions(window=1))
+    for record in RECORDS[:2]:
+        session.finish(replace(record, shape=wide))
+    assert not session.refine_shape(_traced(TRUTH.shape))
+    assert np.array_equal(session.shape.outline, wide.outline)

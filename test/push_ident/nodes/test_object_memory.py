@@ -64,6 +64,18 @@ def test_latest_pose_is_kept(before: Perception, tmp_path: Path) -> None:
     np.testing.assert_allclose(memory.load()["o1"].pose, LATER)
 
 
+def test_a_better_outline_takes_the_place_of_the_one_that_was_kept(before: Perception, tmp_path: Path) -> None:
+    known = before.known("o1")
+    shape = replace(known.traced.shape, outline=1.01 * known.traced.shape.outline)
+    better = replace(known, traced=replace(known.traced, shape=shape))
+    memory = ObjectMemory(str(tmp_path))
+    memory.keep("o1", known)
+    memory.keep("o1", better)
+    np.testing.assert_array_equal(memory.load()["o1"].traced.shape.outline, known.traced.shape.outline)
+    memory.keep("o1", better, anew=True)
+    np.testing.assert_array_equal(memory.load()["o1"].traced.shape.outline, shape.outline)
+
+
 @pytest.mark.parametrize("content", ["", "{}", "[1]", '{"format": "push_ident/object/1"}'])
 def test_file_that_is_no_object_is_refused_with_its_name(tmp_path: Path, content: str) -> None:
     (tmp_path / "o1.object.json").write_text(content)

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from helpers.domains import own_domain
 from helpers.paths import CONFIG
 from helpers.spinning import spinning
 from push_ident.geometry.outline import polygon_area, signed_distance
-from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.convert import (
     depth_frame_to_msgs,
@@ -41,6 +42,7 @@ from push_ident.nodes.convert import (
     stamp_to_msg,
 )
 from push_ident.nodes.convert_refusals import refusals_from_msg
+from push_ident.perception.depth import points_in_table
 from push_ident.perception.parameter_file import pose_lines
 from push_ident.types import DepthFrame
 
@@ -307,6 +309,36 @@ def test_an_object_that_came_apart_is_no_longer_published(camera, node):
         camera.frames = frames
     assert camera.values()["note_object_o1"].startswith("given up: several things that touch")
     assert camera.count_publishers("objects/o1/pose") == 0 and camera.count_publishers("objects/o2/pose") == 1
+
+
+def test_a_better_outline_is_published_once_the_object_rests_elsewhere(camera, node):
+    """At first nothing is measured at the end of the handle, as in a shadow."""
+    rng = np.random.default_rng(0)
+
+    def hammer(pose, is_cut):
+        frame = render([prism.at(pose) for prism in HAMMER], rng=rng)
+        if not is_cut:
+            return frame
+        at = transform_points(inverse(pose), points_in_table(frame, CAMERA)[..., :2].reshape(-1, 2)).reshape(*frame.depth.shape, 2)
+        end_of_handle = (np.abs(at[..., 0] + 0.105) < 0.02) & (np.abs(at[..., 1]) < 0.02)
+        return replace(frame, depth=np.where(end_of_handle, np.float32(np.nan), frame.depth))
+
+    def area():
+        return polygon_area(shape_from_msgs(camera.cells[-1], camera.outlines[-1]).outline)
+
+    before, camera.stamp, frames = int(camera.values().get("restarts", 0)), 1.0, camera.frames
+    try:
+        camera.frames = [hammer(POSE, True)]
+        send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
+        assert area() < 0.95 * 0.00712
+        for share in np.linspace(0.1, 1.0, 10):
+            camera.frames = [hammer(POSE + share * np.array([-0.06, 0.07, 0.6]), False)]
+            n = len(camera.poses)
+            send_until(camera, lambda n=n: len(camera.poses) > n + 1)
+        send_until(camera, lambda: camera.values().get("outlines_refined") == "1")
+        wait_for(lambda: area() == pytest.approx(0.00712, rel=0.02))
+    finally:
+        camera.frames = frames
 
 
 def test_an_impossible_parameter_ends_the_process_with_one_line(domain):

@@ -9,7 +9,8 @@ from helpers.depth_scene import CAMERA, HAMMER, Prism, circle, hollow, rectangle
 from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.perception.pipeline import Perception, observe_offline
+from push_ident.perception.pipeline import Perception
+from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking import TrackStatus

@@ -23,7 +23,7 @@ def lines_of(scatter, n=20000, seed=0):
     distance = rng.uniform(-0.005, 0.005, n)
     expected = 1.0 / (1.0 + np.exp(distance / 0.0015))
     stopped = distance < scatter * rng.standard_normal(n)
-    return EdgeLines(np.zeros(n, dtype=np.int64), expected * (1.0 - expected) / 0.0015, stopped - expected)
+    return EdgeLines(np.zeros(n, dtype=np.int64), expected * (1.0 - expected) / 0.0015, stopped - expected, np.zeros((n, 2)))
 
 
 @pytest.mark.parametrize("scatter", [0.0, 5e-4, 1e-3, 2e-3])
@@ -42,7 +42,7 @@ def test_walls_that_no_camera_sees_are_hidden():
 
 
 def test_edges_that_no_line_of_sight_passes_have_the_deviation_of_the_prior():
-    nothing = EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+    nothing = EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 2)))
     for views in ([nothing], []):
         assert edge_std(SQUARE, views, SQUARE, views, np.array([[0.0, 0.5]])) == pytest.approx(np.full(4, 1e-3))
 

@@ -12,7 +12,8 @@ from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_ang
 from push_ident.perception.depth import depth_from_buffer, points_in_table
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, label_pixels
-from push_ident.perception.pipeline import Perception, observe_offline
+from push_ident.perception.pipeline import Perception
+from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
 from push_ident.perception.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings

@@ -128,14 +128,26 @@ class OnlineIdentifier:
             starts = tuple(replace(start, x=without_first_pose(start.x, len(records))) for start in starts)
             records, past = records[1:], oldest if past is None else past + oldest
         # An object has one shape, and its unknowns stay the same from push to push: what is summed up counts in them.
-        records = (*records, replace(record, shape=state.shape))
+        return self._solve((*records, replace(record, shape=state.shape)), past, starts)
+
+    def refine(self, shape: ObjectShape) -> Identification:
+        """Fit the latest pushes again with a better outline of the same object, which has the same unknowns.
+
+        Only while every push is simulated anew: what is summed up counts from the outline before.
+        """
+        self.state = replace(self.state, shape=shape)
+        return self._solve(tuple(replace(record, shape=shape) for record in self.state.records), None, self.state.warm_starts)
+
+    def _solve(self, records: tuple[PushRecord, ...], past: Summary | None, starts: tuple[WarmStart, ...]) -> Identification:
+        """Fit these pushes together with the summed up ones, and keep the result."""
+        state = self.state
         effects = state.posterior.effects.names if self._solver.capabilities.takes_effects else ()
         earlier = Earlier(starts, past)
         result = identify(
-            records, state.prior, method=self._solver.name, effects=effects, options=options, budget=self._budget, earlier=earlier
+            records, state.prior, method=self._solver.name, effects=effects, options=self._options, budget=self._budget, earlier=earlier
         )
         self.result, self.posterior, self._under_way = result, result.posterior, None
-        self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, options.noise))
+        self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, self._options.noise))
         self.state = OnlineState(state.shape, state.prior, records, past, result.warm_starts, result.posterior, result.status)
         return result
 

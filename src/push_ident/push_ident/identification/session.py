@@ -122,10 +122,25 @@ class ObjectSession:
         """Whether nothing is known of the object but its shape."""
         return not self.online.state.records and self.online.state.past is None
 
-    def refine_shape(self, shape: ObjectShape) -> None:
-        """Take a better shape of the same object, such as the one with its outline after its cells; not once more is known of it."""
+    def refine_shape(self, shape: ObjectShape) -> bool:
+        """Take a better outline of the same object; whether its pushes were fitted again with it.
+
+        Cells and unknowns stay: an outline with deviations takes the place of one with deviations. Once older pushes are summed up, the
+        outline stays as well, since they have shown how far it is off. Before the first push any shape of the object is taken, such as the
+        one with its outline after its cells.
+
+        Raises:
+            ModelFileError: the state cannot be written. The estimate has changed nevertheless.
+        """
+        own, state = self.shape, self.online.state
         if self.is_new:
             self.online = self._identifier(OnlineIdentifier.new(shape, self.options.prior))
+            return False
+        if (own.outline_std is None) != (shape.outline_std is None) or state.past is not None or _is_equal(own, shape):
+            return False
+        self.online.refine(replace(shape, cells=own.cells))
+        self.save()
+        return True
 
     def knows(self, record: PushRecord) -> bool:
         """Whether this push is in the estimate already."""
@@ -255,6 +270,12 @@ class ObjectSession:
             max_seconds=options.max_seconds,
             frame_seconds=options.frame_seconds,
         )
+
+
+def _is_equal(one: ObjectShape, other: ObjectShape) -> bool:
+    """Whether two shapes with the same cells have the same outline and deviations."""
+    pairs = ((one.outline, other.outline), (one.outline_std, other.outline_std))
+    return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
 
 
 class _KnownPushes:

@@ -14,7 +14,7 @@ from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
 from push_ident.identification.observation import observe_push, pusher_gaps
 from push_ident.perception.labels import Cylinder
-from push_ident.perception.pipeline import observe_offline
+from push_ident.perception.recording import observe_offline
 from push_ident.physics.effect import OnContact
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord

@@ -27,7 +27,18 @@ from push_ident.perception.shape_kernels import edges_nearest
 from push_ident.perception.tracking import Scene, Template, lines_of_sight
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["EdgeLines", "displaced_std", "edge_std", "hidden_walls", "lines_near_edges", "prior_curvature", "same_curve", "without_teeth"]
+__all__ = [
+    "VARIANCE",
+    "EdgeLines",
+    "displaced_std",
+    "edge_std",
+    "hidden_walls",
+    "lines_near_edges",
+    "prior_curvature",
+    "same_curve",
+    "scatter_of",
+    "without_teeth",
+]
 
 _BAND: Final = 0.005
 """Lines of sight within this distance of an edge are used [m]."""
@@ -37,7 +48,7 @@ _CORNER: Final = 0.004
 """Lines of sight within this distance of the end of an edge are left out, as they depend on both edges of the corner [m]."""
 _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
-_VARIANCE: Final = 0.05
+VARIANCE: Final = 0.05
 """Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
 _SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
@@ -62,11 +73,13 @@ class EdgeLines:
     """Derivative of the expected by the offset of the edge [1/m], shape (n,)."""
     residual: Float64Array
     """Measured minus expected, shape (n,)."""
+    points: Float64Array
+    """Where they pass the edge [m], shape (n, 2), object frame."""
 
     def of_edges(self, chosen: BoolArray) -> EdgeLines:
         """Only the lines near the chosen edges, shape (n_edges,)."""
         own = chosen[self.edge]
-        return EdgeLines(self.edge[own], self.slope[own], self.residual[own])
+        return EdgeLines(self.edge[own], self.slope[own], self.residual[own], self.points[own])
 
     def derivatives(self, n_edges: int) -> tuple[Float64Array, Float64Array]:
         """J'r and the diagonal of J'J, J the derivative of the expected by the offset of each edge, shapes (n_edges,)."""
@@ -80,19 +93,19 @@ def lines_near_edges(template: Template, outline: Float64Array, scene: Scene, po
     """The lines of sight of an image that pass an edge closely, with the object of `template` and `outline` at a pose."""
     lines = lines_of_sight(template, scene, pose, _BAND, 1)
     if lines is None:
-        return EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+        return EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 2)))
     points = lines.innermost_points(template, pose)
     distance, _ = template.distance(points)
     expected = 1.0 / (1.0 + np.exp(np.clip(distance / _WIDTH, -30.0, 30.0)))
     edge, clear = _nearest_edge(points, outline)
     clear &= np.abs(distance) < _BAND
     slope = expected * (1.0 - expected) / _WIDTH
-    return EdgeLines(edge[clear], slope[clear], (lines.stopped - expected)[clear])
+    return EdgeLines(edge[clear], slope[clear], (lines.stopped - expected)[clear], points[clear])
 
 
 def prior_curvature(n_edges: int) -> Float64Array:
     """What the prior of the offsets adds to the diagonal of J'J, shape (n_edges,)."""
-    return np.full(n_edges, _VARIANCE / _PRIOR**2)
+    return np.full(n_edges, VARIANCE / _PRIOR**2)
 
 
 def same_curve(outline: Float64Array) -> Float64Array:
@@ -139,7 +152,7 @@ def displaced_std(outline: Float64Array, seen_from: Float64Array, lines: Sequenc
         seen_from: Places of the cameras, as of `hidden_walls`.
         lines: Lines near its edges.
     """
-    return _DISPLACED * _scatter([view.of_edges(hidden_walls(outline, seen_from)) for view in lines])
+    return _DISPLACED * scatter_of([view.of_edges(hidden_walls(outline, seen_from)) for view in lines])
 
 
 def edge_std(
@@ -157,12 +170,12 @@ def edge_std(
     n = len(outline)
     curvature = same_curve(outline) @ (prior_curvature(n) + sum(view.derivatives(n)[1] for view in views))
     hidden, simple_hidden = hidden_walls(outline, seen_from), hidden_walls(simple, seen_from)
-    ragged = [_scatter([view.of_edges(chosen) for view in simple_views]) for chosen in (~simple_hidden, simple_hidden)]
+    ragged = [scatter_of([view.of_edges(chosen) for view in simple_views]) for chosen in (~simple_hidden, simple_hidden)]
     displaced = np.where(hidden, displaced_std(simple, seen_from, simple_views), 0.0)
-    return np.sqrt(_VARIANCE / curvature + np.where(hidden, ragged[1], ragged[0]) ** 2 + displaced**2)
+    return np.sqrt(VARIANCE / curvature + np.where(hidden, ragged[1], ragged[0]) ** 2 + displaced**2)
 
 
-def _scatter(views: Sequence[EdgeLines]) -> float:
+def scatter_of(views: Sequence[EdgeLines]) -> float:
     """Standard deviation with which the place of the edges scatters along them [m]."""
     weight = np.concatenate([np.empty(0), *(np.square(view.slope) for view in views)])
     if not np.any(weight > 0):

@@ -23,7 +23,7 @@ from push_ident.perception.straighten import straighten
 from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["View", "fuse_views", "relative_size"]
+__all__ = ["View", "dense", "fuse_views", "relative_size", "with_edges_moved", "without_reversed"]
 
 _LARGEST: Final = 0.003
 """Largest offset of an edge over all passes [m]."""
@@ -82,8 +82,8 @@ def fuse_views(traced: TracedObject, views: Sequence[View], *, pose_known: bool 
         gradient, curvature = _derivatives(template, outline, found)
         shared = same_curve(outline)
         step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -_LARGEST, _LARGEST) - moved
-        outline, moved = _without_reversed(outline, _with_edges_moved(outline, step), moved + step)
-    straight = straighten(_dense(outline))
+        outline, moved = without_reversed(outline, with_edges_moved(outline, step), moved + step)
+    straight = straighten(dense(outline))
     outline = straight if len(straight) >= 3 else outline
     pixel = min(view.pixel for view, _ in found)
     seen_from = np.array([transform_points(inverse(pose), view.camera_in_table[None, :2, 3])[0] for view, pose in found])
@@ -138,7 +138,7 @@ def relative_size(view: View, traced: TracedObject) -> float:
     return 1.0 + float(np.sum(gradient * lever) / max(float(np.sum(curvature * lever**2)), 1e-9))
 
 
-def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:
+def with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:
     """Every edge moved outwards by its offset; corners where the moved edges meet."""
     normal = edge_normals(outline)
     before, offset_before = np.roll(normal, 1, axis=0), np.roll(offset, 1)
@@ -151,7 +151,7 @@ def _with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Arr
     return outline + np.where((1.0 - cosine**2 > _LEAST_SINE2)[:, None], meeting, mean)
 
 
-def _without_reversed(before: Float64Array, after: Float64Array, moved: Float64Array) -> tuple[Float64Array, Float64Array]:
+def without_reversed(before: Float64Array, after: Float64Array, moved: Float64Array) -> tuple[Float64Array, Float64Array]:
     """The moved outline and the offsets of its edges, without the short edges whose direction the moves reversed."""
     kept = np.sum((np.roll(after, -1, axis=0) - after) * (np.roll(before, -1, axis=0) - before), axis=1) > 0
     if np.count_nonzero(kept) < 3:
@@ -162,7 +162,7 @@ def _without_reversed(before: Float64Array, after: Float64Array, moved: Float64A
     return corner[kept], moved[kept]
 
 
-def _dense(outline: Float64Array) -> Float64Array:
+def dense(outline: Float64Array) -> Float64Array:
     """Points along the outline every quarter of a millimetre, as in a traced contour."""
     ends = np.roll(outline, -1, axis=0)
     counts = np.maximum(np.linalg.norm(ends - outline, axis=1) / 2.5e-4, 1.0).astype(np.int64)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -19,15 +18,16 @@ from push_ident.perception.parting import Parting, is_part_missing
 from push_ident.perception.parts import parts_seen
 from push_ident.perception.refusals import Reason, Refusal, Removal, summary_of
 from push_ident.perception.registration import NewObject, Registration, refusal_of
+from push_ident.perception.rests import Rests
 from push_ident.perception.segments import Segment, find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import TracedObject
 from push_ident.perception.table import TablePlane, fit_table, plane_now
 from push_ident.perception.topdown import TopDownGrid, top_down
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose, relocate
-from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack
+from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["KnownObject", "Observation", "ObservedObject", "Perception", "observe_offline"]
+__all__ = ["KnownObject", "Observation", "ObservedObject", "Perception"]
 
 _MAX_JUMP: Final = (0.02, 0.2)
 """Largest distance of a fitted pose from the predicted one [m, rad]: no pushed object moves further between two frames."""
@@ -76,6 +76,10 @@ class Observation:
     """When an object was registered: per further camera the reason why its view was left out; empty where it was used."""
     restarted: bool = False
     """Whether time went back, so that everything known was dropped."""
+    refined: dict[str, ObjectShape] = field(default_factory=dict)
+    """Better shapes of known objects, by id: this rest, with those before it, showed their outlines better. The object frame stays."""
+    doubts: dict[str, str] = field(default_factory=dict)
+    """Of objects registered with this frame, by id: why the tool may not touch them where their outlines are."""
     removed: tuple[Removal, ...] = ()
     """Objects that were given up with this frame, and why: they came apart. Their ids are not used again."""
 
@@ -106,8 +110,7 @@ class _TrackedObject:
     """A registered object and its latest pose."""
 
     traced: TracedObject
-    """How it was traced when it was registered."""
-
+    """How it was traced when it was registered, or later from several rests."""
     template: Template
     area: float
     """Area of its segment [m^2]."""
@@ -118,6 +121,11 @@ class _TrackedObject:
     status: TrackStatus = TrackStatus.TRACKED
     announced: bool = True
     """Whether its shape has been reported; that of a remembered object is when it is found again."""
+
+    @property
+    def is_tracked(self) -> bool:
+        """Whether its latest pose is one."""
+        return self.status is TrackStatus.TRACKED
 
     def predicted(self, stamp: float) -> Float64Array:
         """Pose at constant velocity."""
@@ -133,6 +141,19 @@ class _TrackedObject:
         age = stamp - self.stamp
         self.velocity = (fit.pose - self.pose) / age if 0 < age < _MAX_AGE else np.zeros(3)
         self.pose, self.stamp = fit.pose, stamp
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """What one search found, as in `Observation`."""
+
+    fits: dict[str, PoseFit] = field(default_factory=dict)
+    """Of objects that were found again or have a better outline."""
+    new_shapes: dict[str, ObjectShape] = field(default_factory=dict)
+    further_views: dict[str, str] = field(default_factory=dict)
+    refined: dict[str, ObjectShape] = field(default_factory=dict)
+    doubts: dict[str, str] = field(default_factory=dict)
+    removed: tuple[Removal, ...] = ()
 
 
 class Perception:
@@ -156,6 +177,7 @@ class Perception:
         self._tracked: dict[str, _TrackedObject] = {}
         self._registration = Registration()
         self._parting = Parting()
+        self._rests = Rests()
         self._n_ids = 0
         self._refused: tuple[Refusal, ...] = ()
         self._search_counts = dict.fromkeys(("table", "robot", "object_pixels", "segments"), 0)
@@ -182,6 +204,7 @@ class Perception:
             tracked = _TrackedObject(known.traced, Template(known.traced), known.area, known.traced.pose, pose, -np.inf)
             tracked.status, tracked.announced = TrackStatus.OUT_OF_VIEW, False
             self._tracked[name] = tracked
+            self._rests.begin(name)
             self._n_ids = max(self._n_ids, int(name[1:]))
 
     def known(self, object_id: str) -> KnownObject:
@@ -213,24 +236,20 @@ class Perception:
         frame = usable_frame(frame)
         restarted, n_valid = self._begin(frame)
         fits = self._track(frame, robot)
+        self._rests.note(frame, fits, self.settings.rest_frames)
         if on_poses is not None and fits:
             on_poses(tuple(_observed(name, fit) for name, fit in fits.items()))
         occupancy_due = frame.stamp - self._last_occupancy >= self.settings.occupancy_period - _ROUNDING
         search_due = not self._tracked or self._is_search_due(frame)
         if occupancy_due and self._tracked:
             search_due = False  # both in one frame would delay the next one
-        new_shapes: dict[str, ObjectShape] = {}
-        further_views: dict[str, str] = {}
-        occupancy = None
-        removed: tuple[Removal, ...] = ()
+        search, occupancy = _Search(), None
         if occupancy_due or search_due:
             points = points_in_table(frame, self._camera)
             labels = label_pixels(points, robot, self.limits)
             if search_due:
-                found, new, removed = self._search(frame, points, labels, robot)
-                fits = {name: fit for name, fit in (fits | found).items() if name in self._tracked}
-                new_shapes = self._announce() | {name: thing.traced.shape for name, thing in new.items()}
-                further_views = self._registration.further_views
+                search = self._search(frame, points, labels, robot)
+                fits = {name: fit for name, fit in (fits | search.fits).items() if name in self._tracked}
             if occupancy_due:
                 occupancy = top_down(points, labels, self.limits)
                 self._last_occupancy = frame.stamp
@@ -238,7 +257,19 @@ class Perception:
                 self._check_plane(frame, points)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
-        return Observation(frame.stamp, objects, new_shapes, counts, self._refused, occupancy, further_views, restarted, removed)
+        return Observation(
+            frame.stamp,
+            objects,
+            search.new_shapes,
+            counts,
+            self._refused,
+            occupancy,
+            search.further_views,
+            restarted,
+            search.refined,
+            search.doubts,
+            search.removed,
+        )
 
     def _is_search_due(self, frame: DepthFrame) -> bool:
         return frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
@@ -342,17 +373,16 @@ class Perception:
             and np.linalg.norm(other.pose[:2] - own.pose[:2]) < other.template.radius + own.template.radius + 0.03
         ]
 
-    def _search(
-        self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]
-    ) -> tuple[dict[str, PoseFit], dict[str, NewObject], tuple[Removal, ...]]:
-        """Look for lost and new objects in the whole image; fits of the objects found again, the new ones, and those given up."""
+    def _search(self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]) -> _Search:
+        """Look for lost and new objects in the whole image."""
         assert self._plane is not None
         self._last_search = frame.stamp
         covered = cover_hollows(frame, points, labels, self._camera, self.limits)
         points, labels = covered.points, covered.labels
         segments, counts = find_segments(covered.frame, points, labels, self.limits)
+        found = self._refine(frame, segments, points, robot)
+        refined = {name: self._tracked[name].traced.shape for name in found}
         unexplained = self._unexplained(segments, points)
-        found: dict[str, PoseFit] = {}
         for name, known in self._tracked.items():
             if known.status is TrackStatus.TRACKED:
                 continue
@@ -371,9 +401,42 @@ class Perception:
         removed += self._parting.taken_in(new)
         for removal in removed:
             del self._tracked[removal.object_id]
+            self._rests.forget(removal.object_id)
         table, on_robot = int(np.count_nonzero(labels == TABLE)), int(np.count_nonzero(labels == ROBOT))
         self._search_counts = {"table": table, "robot": on_robot, **counts}
-        return found, new, tuple(removed)
+        return _Search(
+            found,
+            self._announce() | {name: thing.traced.shape for name, thing in new.items()},
+            self._registration.further_views,
+            refined,
+            {name: thing.doubt for name, thing in new.items() if thing.doubt},
+            tuple(removed),
+        )
+
+    def _refine(
+        self, frame: DepthFrame, segments: Sequence[Segment], points: NDArray[np.float32], robot: Sequence[RobotPart]
+    ) -> dict[str, PoseFit]:
+        """Give known objects at rest a better outline, where this rest shows one; their fits to it."""
+        at_rest = {name: self._rests.wants(name, known.traced) for name, known in self._tracked.items() if known.is_tracked}
+        wanted = {name: pose for name, pose in at_rest.items() if pose is not None}
+        fits: dict[str, PoseFit] = {}
+        if not wanted:
+            return fits
+        seen = [(segment, points[segment.rows, segment.columns][segment.mask]) for segment in segments]
+        for name, pose in wanted.items():
+            known = self._tracked[name]
+            if self._others(name):
+                continue  # what belongs to which of them cannot be told
+            placed = (known.traced, known.template, pose)
+            better = self._rests.refined(name, placed, seen, self._camera, self._noise, tuple(robot), self.limits)
+            if better is None:
+                continue
+            template = Template(better.traced)
+            fit = fit_pose(template, self._scene(name, frame, robot), better.poses[-1])
+            if fit.status is TrackStatus.TRACKED:
+                known.traced, known.template, known.area, known.pose = better.traced, template, better.area, fit.pose
+                fits[name] = fit
+        return fits
 
     def _find_again(
         self, name: str, known: _TrackedObject, segments: Sequence[Segment], frame: DepthFrame, robot: Sequence[RobotPart]
@@ -404,6 +467,7 @@ class Perception:
         self._n_ids += 1
         name = f"o{self._n_ids}"
         self._tracked[name] = _TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, new.traced.pose, stamp)
+        self._rests.begin(name, new.views, new.traced.pose)
         return name
 
     def _use_plane(self, plane: TablePlane) -> None:
@@ -419,67 +483,6 @@ class Perception:
             return
         if plane is not self._plane:
             self._use_plane(plane)
-
-
-def observe_offline(
-    frames: Iterable[DepthFrame],
-    camera_in_table: ArrayLike,
-    *,
-    robot_at: Callable[[float], Sequence[RobotPart]] | None = None,
-    settings: PerceptionSettings | None = None,
-) -> dict[str, tuple[ObjectShape, PoseTrack]]:
-    """Shapes and tracks of all objects in a depth recording.
-
-    The frames at rest from which an object was registered get poses as well. Frames in which it was lost are missing in its track.
-
-    Args:
-        frames: In the order of their stamps.
-        robot_at: Parts of the robot at a time [s].
-
-    Returns:
-        Shape and track by id, without those that came apart.
-
-    Raises:
-        PerceptionError: No object has two poses; the text gives the stage that failed.
-    """
-    perception = Perception(camera_in_table, settings)
-    parts_at = robot_at or (lambda stamp: ())
-    recent: deque[DepthFrame] = deque(maxlen=perception.settings.rest_frames)
-    shapes: dict[str, ObjectShape] = {}
-    tracks: dict[str, list[tuple[float, Float64Array, Float64Array]]] = {}
-    n_frames, why, given_up = 0, "there are no frames", ""
-    for frame in frames:
-        n_frames += 1
-        try:
-            observation = perception.observe(frame, parts_at(frame.stamp))
-        except (FrameError, PerceptionError) as error:
-            why = str(error)
-            continue
-        if observation.restarted:
-            raise PerceptionError(f"Time goes back at {frame.stamp:.3f} s in the recording; cut it there and process the parts separately.")
-        recent.append(frame)
-        for removal in observation.removed:
-            # Its track is that of several things.
-            tracks.pop(removal.object_id)
-            given_up = f"object {removal.object_id} is {removal.reason.value}"
-        for name, shape in observation.new_shapes.items():
-            shapes[name] = shape
-            fits = [(earlier.stamp, perception.fit(name, earlier, parts_at(earlier.stamp))) for earlier in recent]
-            tracks[name] = [(stamp, fit.pose, fit.covariance) for stamp, fit in fits if fit.status is TrackStatus.TRACKED]
-        for known in observation.objects:
-            if known.pose is not None and known.covariance is not None:
-                tracks[known.object_id].append((observation.stamp, known.pose, known.covariance))
-        why = observation.why_no_pose()
-    result = {
-        name: (shapes[name], PoseTrack(*(np.array(column) for column in zip(*track, strict=True))))
-        for name, track in tracks.items()
-        if len(track) >= 2
-    }
-    if not result:
-        raise PerceptionError(
-            f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."
-        )
-    return result
 
 
 def _observed(name: str, fit: PoseFit) -> ObservedObject:

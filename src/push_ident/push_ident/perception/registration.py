@@ -14,6 +14,7 @@ from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.shape_check import check_shape
+from push_ident.perception.contact_height import contact_doubt
 from push_ident.perception.further_camera import FurtherCamera
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.hollows import Covered, with_hollow
@@ -48,6 +49,10 @@ class NewObject:
     traced: TracedObject
     area: float
     """Of its segment [m^2]."""
+    views: tuple[SegmentedView, ...]
+    """It was traced from."""
+    doubt: str
+    """Why contact may not be where its outline is, for people; empty where nothing speaks against it."""
 
 
 @dataclass(slots=True)
@@ -117,9 +122,11 @@ class Registration:
             if candidate.waited >= candidate.wait * settings.rest_frames:
                 try:
                     own = candidate.segment
-                    traced = self._shape_of(candidate, covered.lid_of((own.rows, own.columns), own.mask), camera, plane, settings)
-                    _check_covered(traced, candidate.segment, points)
-                    new.append(NewObject(traced, candidate.segment.area))
+                    lid = covered.lid_of((own.rows, own.columns), own.mask)
+                    traced, views = self._shape_of(candidate, lid, camera, plane, settings)
+                    _check_covered(traced, own, points)
+                    doubt = contact_doubt(traced, _points_of(own, points).astype(np.float64), settings.tool_reach)
+                    new.append(NewObject(traced, own.area, tuple(views), doubt))
                     continue
                 except (FrameError, InputError, PerceptionError) as error:
                     candidate.failure = str(error)
@@ -143,8 +150,8 @@ class Registration:
 
     def _shape_of(
         self, candidate: _Candidate, lid: Float64Array, camera: Float64Array, plane: TablePlane, settings: PerceptionSettings
-    ) -> TracedObject:
-        """Its shape; `lid` has the points of its lid [m], shape (n, 2).
+    ) -> tuple[TracedObject, list[SegmentedView]]:
+        """Its shape, and the views it was traced from; `lid` has the points of its lid [m], shape (n, 2).
 
         Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was seen.
         """
@@ -156,7 +163,7 @@ class Registration:
         fused = fuse_views(traced, [View(view.frame, view.camera_in_table, traced.pose) for view in views], pose_known=True)
         # What the nodes after this one refuse is no object here either.
         check_shape(fused.shape, remedy="It may be several things; move them apart.")
-        return with_hollow(fused, lid) if is_hollow else fused
+        return with_hollow(fused, lid) if is_hollow else fused, views
 
     def _trace_with_all(
         self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings, *, alone: bool

@@ -26,6 +26,8 @@ class PerceptionSettings:
     """Anything smaller is ignored [m^2]."""
     min_step: float = 0.02
     """Surfaces that meet at a higher step are two objects [m]; steps within one object must be lower."""
+    tool_reach: tuple[float, float] = (0.012, 0.092)
+    """Heights of the tip and of the upper end of the tool above the table while it pushes [m]: what of an object it can touch."""
     mask_margin: float = 0.006
     """Added to the radius of the tool when it is masked [m]: delay, calibration and noise."""
     rest_frames: int = 10
@@ -49,6 +51,8 @@ class PerceptionSettings:
             raise InputError(f"Workspace from {self.workspace_low} to {self.workspace_high} is empty; low must be below high.")
         if not 0 < self.min_object_height < self.max_object_height:
             raise InputError(f"Object heights {self.min_object_height} to {self.max_object_height} m; expected 0 < min < max.")
+        if not 0 <= self.tool_reach[0] < self.tool_reach[1]:
+            raise InputError(f"tool_reach is {self.tool_reach} m, expected the height of the tip and then that of the upper end.")
         if not self.min_step > 0:
             raise InputError(f"min_step is {self.min_step} m, expected a positive height; steps within one object must be lower.")
         if self.rest_frames < 1 or self.cell_count < 1:

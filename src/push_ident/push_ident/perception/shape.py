@@ -50,6 +50,10 @@ _AREA: Final = 3
 """Least width of an unmeasured area that counts as a shadow [px]: wider than the pixels that are lost on both sides of an edge."""
 _BLOCK: Final = 8192
 """Pixels of all frames that are sorted at once."""
+_MEASURED: Final = 0.004
+"""A view that measures anything in a square of that edge measures there [m]: two pixels on the table."""
+_RIM: Final = 0.003
+"""Nearer to the edge, what one of several views takes for the upper side may be the wall that another one sees [m]: two pixels."""
 _PAD: Final = 16
 """Margin around a segment in which pixels are used [px]."""
 
@@ -128,16 +132,42 @@ def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_coun
     """
     lines = [_lines_of_sight(view, min_height=min_height) for view in views]
     centres = [np.asarray(view.camera_in_table)[:2, 3] for view in views]
-    full = [stopped.points(None) for stopped, _, _ in lines]
-    inner = [_inner_walls(walls, points, centre) for (_, _, walls), points, centre in zip(lines, full, centres, strict=True)]
-    outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.points(None) for _, passing, _ in lines]))
-    for _ in range(_PASSES - 1):
-        full = [stopped.points(outline) for stopped, _, _ in lines]
-        outline, origin = _balance(np.vstack([*full, *inner]), np.vstack([passing.points(outline) for _, passing, _ in lines]))
+    outline, inner = None, None
+    for _ in range(_PASSES):
+        full, empty = _points_of_views(lines, outline)
+        inner = inner or [_inner_walls(walls, points, centre) for (_, _, walls), points, centre in zip(lines, full, centres, strict=True)]
+        outline, origin = _balance(np.vstack([*full, *inner]), np.vstack(empty))
+    assert outline is not None
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
-    grid, grid_origin = _height_grid(np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines]), origin)
+    places, levels = np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines])
+    if len(views) > 1:
+        inside = outline_distances(places, np.ascontiguousarray(outline)) < -_RIM
+        places, levels = (places[inside], levels[inside]) if inside.any() else (places, levels)
+    grid, grid_origin = _height_grid(places, levels, origin)
     return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
+
+
+def _points_of_views(
+    lines: Sequence[tuple[_Lines, _Lines, Float64Array]], outline: Float64Array | None
+) -> tuple[list[Float64Array], list[Float64Array]]:
+    """Per view the points that are full and those that are empty [m], shapes (n, 2), as far as `outline` is known."""
+    full = [stopped.points(outline) for stopped, _, _ in lines]
+    empty = [passing.points(outline) for _, passing, _ in lines]
+    if len(lines) == 1:
+        return full, empty
+    # What one view does not measure, as in the shadow of a higher part, counts as empty only where no other view measures anything.
+    cells = [_cells_of(np.vstack([a, b[own[1].measured]])) for a, b, own in zip(full, empty, lines, strict=True)]
+    for i, (_, passing, _) in enumerate(lines):
+        elsewhere = np.concatenate(cells[:i] + cells[i + 1 :])
+        empty[i] = empty[i][passing.measured | ~np.isin(_cells_of(empty[i]), elsewhere)]
+    return full, empty
+
+
+def _cells_of(points: Float64Array) -> NDArray[np.int64]:
+    """Numbers of the cells that hold the points, shape (n,)."""
+    cell = np.floor(points / _MEASURED).astype(np.int64)
+    return np.asarray(cell[:, 0] * 2**20 + cell[:, 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +180,8 @@ class _Lines:
     """[m], shape (n, 2), table frame."""
     level: Float64Array
     """Height of the top beside the line [m], shape (n,)."""
+    measured: BoolArray
+    """Whether anything was measured along it, shape (n,)."""
 
     def points(self, outline: Float64Array | None) -> Float64Array:
         """Per line the end that decides whether it is stopped: the one further inside `outline`. Without outline: the middle."""
@@ -207,7 +239,7 @@ def _lines_of_sight(view: SegmentedView, *, min_height: float) -> tuple[_Lines, 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
         ray, top = rays[chosen].astype(np.float64), level[chosen].astype(np.float64)
         upper, lower = (centre[:2] + ray[:, :2] * ((height - centre[2]) / ray[:, 2])[:, None] for height in (top, top - step))
-        return _Lines(upper, lower, top)
+        return _Lines(upper, lower, top, valid[chosen])
 
     return (
         lines(stopped, np.where(flat, smooth, np.where(near_highest, highest, lowest))),

@@ -162,7 +162,7 @@ def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | 
     settings = PerceptionSettings(workspace_low=low, workspace_high=high)
     bands, noise = noise_by_distance(frames, picture, camera, settings)
     settings = replace(settings, min_object_height=_least_height(bands, noise, settings))
-    perception, ids, seen, failure = _perceive(frames, camera, settings)
+    perception, ids, doubts, seen, failure = _perceive(frames, camera, settings)
     if perception.plane is not None:
         camera = perception.camera_in_table
     points = points_in_table(picture, camera)
@@ -183,7 +183,7 @@ def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | 
         refused=refused,
         failure=failure,
         why_no_object="" if objects or seen is None else seen.why_no_pose(),
-        notes=tuple(line for line in (*notes, note) if line),
+        notes=tuple(line for line in (*notes, note, *doubts) if line),
     )
 
 
@@ -229,8 +229,9 @@ def _least_height(bands: Sequence[NoiseBand], noise: float, settings: Perception
 
 def _perceive(
     frames: Sequence[DepthFrame], camera: Float64Array, settings: PerceptionSettings
-) -> tuple[Perception, list[str], Observation | None, str]:
-    """Perception after all frames, the ids of what it took in, its last observation, and why it refuses the frames.
+) -> tuple[Perception, list[str], list[str], Observation | None, str]:
+    """Perception after all frames, the ids of what it took in, what is doubtful of contact with them, its last observation, and why it
+    refuses the frames.
 
     Fewer frames than `rest_frames` count as the whole rest: repeating them would claim less noise than they have.
     """
@@ -238,15 +239,17 @@ def _perceive(
     own = replace(settings, search_period=0.0, occupancy_period=1e9, rest_frames=min(settings.rest_frames, len(frames)))
     perception = Perception(camera, own)
     ids: list[str] = []
+    doubts: list[str] = []
     seen, failure = None, ""
     for index, frame in enumerate(frames):
         try:
             seen = perception.observe(replace(frame, stamp=index / 30))  # stamps of files are made up, those of a bag may repeat
             ids += seen.new_shapes
+            doubts += [f"object {name}: {doubt}" for name, doubt in seen.doubts.items()]
         except (FrameError, PerceptionError) as error:
             failure = str(error)
             break
-    return perception, ids, seen, failure
+    return perception, ids, doubts, seen, failure
 
 
 def _object(perception: Perception, name: str, points: NDArray[np.float32], depth: NDArray[np.float32]) -> SurveyedObject:

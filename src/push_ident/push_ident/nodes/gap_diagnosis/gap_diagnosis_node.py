@@ -99,6 +99,9 @@ class _GapDiagnosis(Component):
             self._node.get_logger().warning(f"object {object_id} has another shape now: its earlier pushes are dropped")
             self._records.pop(object_id, None)
         self._shapes[object_id] = shape
+        # A better outline holds for the pushes before it, too.
+        if kept := self._records.get(object_id):
+            self._records[object_id] = deque((replace(record, shape=shape) for record in kept), maxlen=kept.maxlen)
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         for push in pushes:

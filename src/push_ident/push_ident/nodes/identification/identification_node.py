@@ -163,6 +163,10 @@ class _Identification(Component):
         elif known.is_new:
             with self._solving:
                 known.refine_shape(shape)
+        else:
+            with self._wake:
+                self._finished.append(partial(self._refine, object_id, shape))
+                self._wake.notify()
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:
         if session.restored:
@@ -221,6 +225,16 @@ class _Identification(Component):
             if had_any:
                 self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
             self._advise(session.object_id)
+
+    def _refine(self, object_id: str, shape: ObjectShape) -> None:
+        """Fit the pushes of an object again with an outline that perception knows better now."""
+        session = self._sessions[object_id]
+        with self._solving:
+            is_fitted = session.shape.is_same_object(shape) and session.refine_shape(shape)
+        if is_fitted:
+            self._counts["outlines refined"] += 1
+            self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
+            self._advise(object_id)
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""

@@ -68,12 +68,12 @@ class ObjectMemory:
         objects = [_read(path) for path in sorted(self._folder.glob(f"*{_SUFFIX}"))]
         return {object_id: KnownObject(traced, area, self._pose(object_id, traced.pose)) for object_id, traced, area in objects}
 
-    def keep(self, object_id: str, known: KnownObject) -> None:
-        """Write an object, unless it is there. Raises ModelFileError: it cannot be written."""
+    def keep(self, object_id: str, known: KnownObject, *, anew: bool = False) -> None:
+        """Write an object, unless it is there and not `anew`. Raises ModelFileError: it cannot be written."""
         if self._folder is None:
             return
         path = self._folder / f"{object_id}{_SUFFIX}"
-        if path.exists():
+        if path.exists() and not anew:
             return
         traced = known.traced
         content = _Object(

@@ -21,6 +21,7 @@ _SETTINGS: Final = (
     Parameter("max_object_height", _DEFAULTS.max_object_height, "higher points belong to the robot [m]", 0.01, 1.0),
     Parameter("min_object_area", _DEFAULTS.min_object_area, "smaller objects are ignored [m^2]", 1e-5, 1.0),
     Parameter("min_step", _DEFAULTS.min_step, "surfaces that meet at a higher step are two objects [m]", 0.002, 1.0),
+    Parameter("tool_reach", list(_DEFAULTS.tool_reach), "tip and upper end of the tool above the table while it pushes [m]", 0.0, 1.0),
     Parameter("mask_margin", _DEFAULTS.mask_margin, "added to tool and arm when they are masked [m]", 0.0, 0.1),
     Parameter("rest_frames", _DEFAULTS.rest_frames, "frames at rest before an object is accepted", 1, 300),
     Parameter("rest_distance", _DEFAULTS.rest_distance, "an object that stays this near, or within a pixel, is at rest [m]", 1e-4, 0.05),

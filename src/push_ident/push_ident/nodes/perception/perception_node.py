@@ -241,13 +241,13 @@ class _Perception(Component):
         if objects:
             self._node.get_logger().info(f"Looks for {', '.join(objects)} of an earlier run.")
 
-    def _keep(self, new: Iterable[str], poses: Iterable[ObservedObject]) -> None:
-        """Keep shapes of new objects, and poses, for the next run."""
+    def _keep(self, observation: Observation) -> None:
+        """Keep shapes that are new or better, and poses, for the next run."""
         assert self._perception is not None
         try:
-            for object_id in new:
-                self._memory.keep(object_id, self._perception.known(object_id))
-            for known in poses:
+            for object_id in observation.new_shapes | observation.refined:
+                self._memory.keep(object_id, self._perception.known(object_id), anew=object_id in observation.refined)
+            for known in observation.objects:
                 if known.pose is not None:
                     self._memory.keep_pose(known.object_id, known.pose)
         except ModelFileError as error:
@@ -326,6 +326,13 @@ class _Perception(Component):
             self._give_up(removal)
         for object_id, shape in observation.new_shapes.items():
             self._node.get_logger().info(f"Object {object_id}: {len(shape.cells)} cells of {shape.cells.size * 1e3:.1f} mm.")
+        for object_id, doubt in observation.doubts.items():
+            self._notes[f"contact_{object_id}"] = doubt
+            self._node.get_logger().warning(f"Object {object_id}: {doubt}.")
+        for object_id in observation.refined:
+            self._counter["outlines_refined"] += 1
+            self._node.get_logger().info(f"Object {object_id}: its outline is better known from several rests.")
+        for object_id, shape in (observation.new_shapes | observation.refined).items():
             _, cells_publisher, outline_publisher, std_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)
             cells_publisher.publish(cells)
@@ -345,7 +352,7 @@ class _Perception(Component):
                 self._refused_publisher.publish(refusals_to_msg(observation.refused, stamp))
             self._refused = observation.refused
         self._last_observation = observation
-        self._keep(observation.new_shapes, observation.objects)
+        self._keep(observation)
 
     def _note_views(self, why_left_out: dict[str, str]) -> None:
         """Count which further cameras helped with the shape of a new object, and report why others did not."""

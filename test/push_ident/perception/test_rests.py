@@ -1,0 +1,168 @@
+"""Outlines of known objects get better where they rest in other places and headings, and nothing else changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, Prism, rectangle, render
+from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.se2 import compose, inverse, transform_points
+from push_ident.perception.depth import points_in_table
+from push_ident.perception.pipeline import Perception
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.tracking import TrackStatus
+from push_ident.types import DepthFrame
+from push_ident_sim.cell.sensor_unit import Sensor
+from push_ident_sim.cell.sensors import suitable_pose
+from push_ident_sim.objects import make_object
+
+PLACES = [(0.06, -0.05, 0.3), (0.0, 0.02, 0.9), (-0.06, -0.03, 1.5)]
+"""Where the object rests; each rest is seen from another side."""
+
+
+class Watched:
+    """Perception of an object that rests in several places and is moved between them in full view."""
+
+    def __init__(self, camera_in_table, look, settings=None):
+        self.perception, self._look, self._time = Perception(camera_in_table, settings), look, 0.0
+        self.shapes, self.poses, self.steps, self.ids = [], [], [], set()
+
+    def frame(self, pose, step=1 / 30):
+        """The object at a pose in the next frame."""
+        self._time += step
+        seen = self.perception.observe(replace(self._look(np.asarray(pose), len(self.shapes) > 1), stamp=self._time))
+        new = [*seen.new_shapes.values(), *seen.refined.values()]
+        poses = [known.pose for known in seen.objects if known.status is TrackStatus.TRACKED]
+        self.ids |= {*seen.new_shapes, *(known.object_id for known in seen.objects)}
+        if seen.refined:
+            self.steps.append(poses[0] - self.poses[-1])
+        self.shapes += new
+        self.poses += poses
+        return seen
+
+    def rest(self, pose, n=20):
+        """Some frames at rest, enough for a search after ten of them."""
+        return [self.frame(pose) for _ in range(n)]
+
+    def move(self, start, end, n=8):
+        """Frames on the way."""
+        start, end = np.asarray(start), np.asarray(end)
+        return [self.frame(start + (end - start) * i / n) for i in range(1, n)]
+
+    def all_rests(self, places=PLACES):
+        """The object rests in each place in turn."""
+        self.rest(places[0])
+        for start, end in pairwise(places):
+            self.move(start, end)
+            self.rest(end)
+        return self
+
+
+def watched_by(sensor, name, seed):
+    thing, unit, reported = make_object(name, seed), Sensor(sensor, seed), suitable_pose(sensor)
+    camera, rng = unit.camera(thing, reported), np.random.default_rng(seed)
+    seen = {}
+
+    def look(pose, _):
+        key = tuple(pose)
+        if key not in seen:
+            seen.clear()
+            seen[key] = unit.look(camera, pose, {})
+        return DepthFrame(0.0, unit.read(seen[key], rng), unit.intrinsics)
+
+    return Watched(reported, look), thing.outline
+
+
+def in_form(outline, truth):
+    """Deviation of an outline from the true one in form: neither in its place nor in size as a whole [m]."""
+    along = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None]
+    points = np.concatenate([a + along * (b - a) for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True)])
+    best = least_squares(lambda pose: signed_distance(transform_points(pose, points), truth), np.zeros(3), x_scale=[1e-3, 1e-3, 1e-2])
+    return float(np.std(best.fun))
+
+
+@pytest.mark.parametrize(("sensor", "name"), [("kinect_v1", "hammer"), ("realsense_d435_848x480", "hammer")])
+def test_rests_in_other_headings_show_the_form_better(sensor, name):
+    watched, truth = watched_by(sensor, name, 30)
+    watched.all_rests()
+    assert watched.ids == {"o1"} and len(watched.shapes) > 1
+    first, last = watched.shapes[0], watched.shapes[-1]
+    truth = transform_points(compose(inverse(watched.perception.first_pose("o1")), PLACES[0]), truth)
+    assert in_form(last.outline, truth) < 0.85 * in_form(first.outline, truth)
+    np.testing.assert_array_equal(last.cells.centres, first.cells.centres)
+    assert last.outline_std is not None and len(last.outline_std) == len(last.outline)
+
+
+def test_a_better_outline_moves_neither_the_object_frame_nor_the_pose():
+    watched, _ = watched_by("kinect_v1", "toolbox", 30)
+    watched.rest(PLACES[0])
+    first = watched.perception.first_pose("o1").copy()
+    noise = np.std(watched.poses[-10:], axis=0)
+    watched.move(PLACES[0], PLACES[1])
+    watched.rest(PLACES[1])
+    (step,) = watched.steps
+    assert np.all(np.abs(step) < 4.0 * noise)
+    np.testing.assert_array_equal(watched.perception.first_pose("o1"), first)
+
+
+@pytest.mark.parametrize("name", ["book", "hammer"])
+def test_a_good_outline_gets_no_worse(name):
+    watched, truth = watched_by("plain", name, 30)
+    watched.all_rests()
+    truth = transform_points(compose(inverse(watched.perception.first_pose("o1")), PLACES[0]), truth)
+    assert in_form(watched.shapes[-1].outline, truth) < 1.1 * in_form(watched.shapes[0].outline, truth) + 2e-5
+
+
+def test_no_outline_changes_while_the_object_moves_or_where_it_rested_before():
+    watched, _ = watched_by("kinect_v1", "toolbox", 30)
+    seen = watched.rest(PLACES[0]) + watched.move(PLACES[0], PLACES[1], 30) + watched.move(PLACES[1], PLACES[0]) + watched.rest(PLACES[0])
+    assert not any(observation.refined for observation in seen)
+
+
+def hammer_frame(pose, rng, hidden=None, others=()):
+    """Depth of the hammer; nothing is measured where `hidden` says so of places in the object frame, shape (height, width)."""
+    frame = render([*(prism.at(pose) for prism in HAMMER), *others], rng=rng)
+    if hidden is None:
+        return frame
+    points = points_in_table(frame, CAMERA)
+    in_object = transform_points(inverse(pose), points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], 2)
+    return replace(frame, depth=np.where(hidden(in_object), np.float32(np.nan), frame.depth))
+
+
+def test_a_part_that_lay_in_a_shadow_comes_back():
+    rng = np.random.default_rng(0)
+
+    def end_of_handle(places):
+        return (places[..., 0] > -0.125) & (places[..., 0] < -0.085) & (np.abs(places[..., 1]) < 0.02)
+
+    first = np.asarray(PLACES[0])
+    watched = Watched(CAMERA, lambda pose, _: hammer_frame(pose, rng, end_of_handle if np.array_equal(pose, first) else None))
+    watched.rest(first)
+    assert polygon_area(watched.shapes[0].outline) < 0.95 * polygon_area(HAMMER_OUTLINE)
+    watched.move(PLACES[0], PLACES[1])
+    watched.rest(PLACES[1])
+    assert watched.ids == {"o1"}
+    assert polygon_area(watched.shapes[-1].outline) == pytest.approx(polygon_area(HAMMER_OUTLINE), rel=0.02)
+    truth = transform_points(compose(inverse(watched.perception.first_pose("o1")), PLACES[0]), HAMMER_OUTLINE)
+    assert np.max(np.abs(signed_distance(truth, watched.shapes[-1].outline))) < 0.003
+
+
+def test_a_thing_that_touches_it_later_is_no_part_of_it():
+    rng = np.random.default_rng(0)
+    beside = Prism(rectangle(0.086, -0.04, 0.136, 0.04), 0.035)
+
+    def look(pose, _):
+        alone = not np.array_equal(pose, PLACES[1])
+        return hammer_frame(pose, rng, others=() if alone else (beside.at(pose),))
+
+    watched = Watched(CAMERA, look, PerceptionSettings(rest_frames=5))
+    watched.rest(PLACES[0])
+    area = polygon_area(watched.shapes[0].outline)
+    watched.move(PLACES[0], PLACES[1])
+    watched.rest(PLACES[1])
+    assert polygon_area(watched.perception.known("o1").traced.shape.outline) == pytest.approx(area, rel=0.01)
