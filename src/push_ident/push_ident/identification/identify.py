@@ -13,7 +13,7 @@ from push_ident.identification.budget import Budget, Meter, Progress
 from push_ident.identification.evidence import explain
 from push_ident.identification.explanation import Explanation
 from push_ident.identification.fit import Fit, FitOptions
-from push_ident.identification.levenberg_marquardt import COARSE, minimise
+from push_ident.identification.levenberg_marquardt import minimise_roughly
 from push_ident.identification.observation import noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
@@ -114,14 +114,14 @@ def identify(
 def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:
     """Equal cells with the friction scale and the pusher friction fitted.
 
-    Not to the last hundredth of a nat: they explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from
+    Roughly: they explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from
     them, and a candidate fits them to the end where that decides something.
     """
     unknowns = Unknowns(records[0].shape, prior, maps=False)
     problem = FitProblem(records, unknowns, noise=options.noise, settings=options.numerics)
     warm = next((start.x for start in warm_starts if start.name == _SCALARS), np.empty(0))
     start, steps = problem.continued(np.zeros(problem.size), warm), _WARM_STEPS if len(warm) else options.max_iterations
-    return Fit(problem, *minimise(problem, start, steps, tolerance=COARSE, refine=False))
+    return Fit(problem, *minimise_roughly(problem, start, steps))
 
 
 def _checked(

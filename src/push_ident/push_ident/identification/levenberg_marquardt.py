@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["COARSE", "MAX_ITERATIONS", "minimise"]
+__all__ = ["FINE", "MAX_ITERATIONS", "minimise", "minimise_roughly"]
 
 MAX_ITERATIONS = 60
 """Default number of evaluations."""
@@ -22,8 +23,12 @@ _FAILED_DAMPING = 1e-2
 """Smallest damping after a failed step: less would hardly shorten the next one."""
 _TOLERANCE = 5e-3
 """Converged when a full step is expected to lower the cost by less [nat]: far below a unit of log evidence."""
-COARSE = 0.1
+_ROUGH = 0.1
 """Tolerance of fits that others start from, or that decide whether a candidate is negligible [nat]."""
+_FRAME_COST = 1.5
+"""Cost of a frame explained to its noise [nat]: half of its three squared residuals."""
+FINE = 0.02
+"""Tolerance of fits that are compared by their evidence: a fiftieth of a unit of it [nat]."""
 _CREEP = 10.0
 _CREEP_STEPS = 6
 """Converged, too, when this many steps together lowered the cost by less than `_CREEP` tolerances. The cost has kinks (stick and slip),
@@ -76,8 +81,31 @@ def minimise(
     return x, end, status
 
 
+def minimise_roughly(
+    problem: FitProblem,
+    x0: Float64Array,
+    max_iterations: int = MAX_ITERATIONS,
+    *,
+    start: Evaluation | None = None,
+    needed_cost: float = np.inf,
+) -> tuple[Float64Array, Evaluation, SolveStatus]:
+    """As `minimise`, only so far that others may start from the result, and with the time steps as they are."""
+    return _descend(problem, np.array(x0, dtype=np.float64), max_iterations, _ROUGH, start, needed_cost, _poorness)
+
+
+def _poorness(end: Evaluation) -> float:
+    """Cost in units of what noise alone would cost, 1 at least: pushes explained so much worse tell points apart so much less."""
+    return max(1.0, end.cost / (_FRAME_COST * len(end.residual)))
+
+
 def _descend(
-    problem: FitProblem, x: Float64Array, max_iterations: int, tolerance: float, start: Evaluation | None, needed_cost: float
+    problem: FitProblem,
+    x: Float64Array,
+    max_iterations: int,
+    tolerance: float,
+    start: Evaluation | None,
+    needed_cost: float,
+    creep_at: Callable[[Evaluation], float] = lambda _: 1.0,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """As `minimise`, with the time steps as they are."""
     best = problem.evaluate(x) if start is None else start
@@ -95,7 +123,7 @@ def _descend(
         if len(costs) > _SMOOTH_STEPS and pieces.gradients:
             step, expected = pieces.step(best, factor)
         arrived = expected < tolerance and damping <= _FAILED_DAMPING
-        creeps = len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance
+        creeps = len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance * creep_at(best)
         if arrived or creeps:
             return x, best, SolveStatus.CONVERGED if best.cost <= needed_cost else SolveStatus.OUT_OF_REACH
         if len(costs) > _STEPS_BEFORE_GIVING_UP and damping <= _FAILED_DAMPING and best.cost - _REACH * expected > needed_cost:

@@ -23,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from push_ident.identification.fit import Fit
-from push_ident.identification.levenberg_marquardt import COARSE, minimise
+from push_ident.identification.levenberg_marquardt import FINE, minimise, minimise_roughly
 from push_ident.identification.prior import MapPrior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
@@ -38,8 +38,6 @@ _LARGEST_STEP: Final = float(np.log(4.0))
 """Of a logarithm in one round: the linear problem holds near the fit that it comes from [-]."""
 _NO_GAIN: Final = 0.1
 """Expected gain of log evidence at which the search ends [nat]."""
-_FINE: Final = 0.02
-"""Tolerance of the last fit: a fiftieth of a unit of log evidence [nat]."""
 _ROUNDS: Final = 4
 """Changes of the hyperparameters."""
 _DIFFERENCE: Final = 1e-4
@@ -99,13 +97,13 @@ def fit_by_evidence(
         problem = problem_of(unknowns.under(maps), transform)
         x0 = start.copy()
         x0[:n] = solve_triangular(transform, start[:n], lower=True)
-        fit = Fit(problem, *minimise(problem, x0, max_iterations, tolerance=COARSE, refine=False))
+        fit = Fit(problem, *minimise_roughly(problem, x0, max_iterations))
         if not np.isfinite(fit.end.cost):
             break
         linear = LinearEvidence(unknowns, fit, transform, centre)
         following, gain = (logs, 0.0) if last else linear.maximum(logs)
         if gain < _NO_GAIN:
-            fit = Fit(problem, *minimise(problem, fit.x, max_iterations, tolerance=_FINE, start=fit.end))
+            fit = Fit(problem, *minimise(problem, fit.x, max_iterations, tolerance=FINE, start=fit.end))
         evidence = fit.log_evidence - 0.5 * float(np.sum(((logs - centre) / _WIDTH) ** 2))
         if best is None or evidence > best.log_evidence:
             is_complete = gain < _NO_GAIN and not problem.meter.spent

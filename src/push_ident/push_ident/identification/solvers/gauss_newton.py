@@ -10,7 +10,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from push_ident.identification.fit import Fit
-from push_ident.identification.levenberg_marquardt import COARSE, minimise
+from push_ident.identification.levenberg_marquardt import FINE, minimise, minimise_roughly
 from push_ident.identification.map_prior import STARTS, fit_by_evidence
 from push_ident.identification.observation import UNCHECKED, NoiseModel
 from push_ident.identification.prior import MapPrior
@@ -38,8 +38,8 @@ _NOMINAL: Final = "equal cells, nominal friction"
 _FEET: Final = {2: "two feet", 3: "three feet"}
 _FOOT_STARTS: Final = 3
 """Places of the feet that a fit may start from: the cost has more than one minimum."""
-_SCREENING: Final = 3
-"""Steps from each of them before the best one is fitted to the end."""
+_SCREENING: Final = 1
+"""Steps from each of them before the best one is fitted to the end: three chose no better (7 tripods, 2 to 10 pushes)."""
 _NOISE_ROUNDS: Final = 3
 """Changes of the factor on the stated noise, at most."""
 _SAME_NOISE: Final = 0.1
@@ -204,14 +204,20 @@ class _Candidates:
             first = problem.evaluate(x0)
             if not np.isfinite(first.cost):
                 continue
-            needed = self._needed_cost(Fit(problem, x0, first, SolveStatus.CONVERGED))
-            steps = task.options.max_iterations
-            fit = Fit(problem, *minimise(problem, x0, steps, tolerance=COARSE, start=first, needed_cost=needed, refine=False))
-            if fit.status is not SolveStatus.OUT_OF_REACH:
-                fit = Fit(problem, *minimise(problem, fit.x, steps, start=fit.end, needed_cost=needed))
+            status = task.scalar.status if name == _EQUAL and task.past is None else SolveStatus.MAX_ITERATIONS
+            fit = self._fitted_if_needed(Fit(problem, x0, first, status))
             covariance = transform @ fit.covariance @ transform.T
             covariance[own_maps, own_maps] += _EVENNESS**2
             self.fits.append(_Entry(name, own, fit.log_evidence, None, fit, transform @ fit.z, covariance))
+
+    def _fitted_if_needed(self, start: Fit) -> Fit:
+        """A rough fit from a start, gone on with to the end only where it is not negligible; a start that has converged is one already."""
+        problem, rough, steps = start.problem, start, self._task.options.max_iterations
+        if start.status is not SolveStatus.CONVERGED:
+            rough = Fit(problem, *minimise_roughly(problem, start.x, steps, start=start.end, needed_cost=self._needed_cost(start)))
+        if rough.log_evidence < self._needed_evidence:
+            return replace(rough, status=SolveStatus.OUT_OF_REACH)
+        return Fit(problem, *minimise(problem, rough.x, steps, tolerance=FINE, start=rough.end, needed_cost=self._needed_cost(rough)))
 
     def _needed_cost(self, start: Fit) -> float:
         """Cost above which a fit from a start is negligible, as far as the curvature at the start is that at the end."""
@@ -290,11 +296,10 @@ class _Candidates:
             start[own.slice_of("foot_places")] = own.foot_place_unknowns(self._clusters(number, rng))
             if not any(np.allclose(start, other) for other in starts):
                 starts.append(start)
-        first = min((Fit(problem, *minimise(problem, start, _SCREENING, refine=False)) for start in starts), key=lambda fit: fit.end.cost)
+        first = min((Fit(problem, *minimise_roughly(problem, start, _SCREENING)) for start in starts), key=lambda fit: fit.end.cost)
         if not np.isfinite(first.end.cost):
             return
-        needed = self._needed_cost(first)
-        fit = Fit(problem, *minimise(problem, first.x, self._task.options.max_iterations, start=first.end, needed_cost=needed))
+        fit = self._fitted_if_needed(first)
         # Any order of the feet is the same object.
         self.fits.append(_Entry(name, own, fit.log_evidence + log(factorial(number)), None, fit, fit.z, fit.covariance))
         self.warm_starts.append(WarmStart(name, fit.x))
