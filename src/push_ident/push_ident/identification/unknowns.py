@@ -262,9 +262,19 @@ class Unknowns:
         """Root of the covariance of the modes under a unit map of another correlation length, shape (n_modes, n_modes)."""
         if length == self.prior.correlation_length:
             return np.eye(self.n_modes)
-        onto = self._onto_modes
-        covariance = onto @ _covariance(self.shape, length) @ onto.T
-        return np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.eye(self.n_modes)))
+        if length not in self._mode_transforms:
+            covariance = self._onto_modes @ _covariance(self._distances, length) @ self._onto_modes.T
+            self._mode_transforms[length] = np.linalg.cholesky(covariance + _ROUNDING * np.eye(self.n_modes))
+        return self._mode_transforms[length]
+
+    @cached_property
+    def _mode_transforms(self) -> dict[float, Float64Array]:
+        """By length: a search for the hyperparameters asks for the same one more than once."""
+        return {}
+
+    @cached_property
+    def _distances(self) -> Float64Array:
+        return _relative_distances(self.shape)
 
     @cached_property
     def _onto_modes(self) -> Float64Array:
@@ -483,14 +493,19 @@ class Unknowns:
 
 def _leading_modes(shape: ObjectShape, prior: Prior) -> NDArray[np.float64]:
     """Modes of a unit Gaussian process over the cells, scaled so that modes @ unit normal has its covariance."""
-    value, vector = np.linalg.eigh(_covariance(shape, prior.correlation_length))
+    value, vector = np.linalg.eigh(_covariance(_relative_distances(shape), prior.correlation_length))
     keep = np.argsort(value)[::-1][: prior.max_modes]
     return np.asarray(vector[:, keep] * np.sqrt(np.maximum(value[keep], 0.0)))
 
 
-def _covariance(shape: ObjectShape, length: float) -> Float64Array:
-    """Of a unit Gaussian process over the cells (Matern 3/2); `length` is divided by the diagonal of the object."""
+def _relative_distances(shape: ObjectShape) -> Float64Array:
+    """Between the cells, divided by the diagonal of the object, shape (n_cells, n_cells)."""
     centres = shape.cells.centres
     diagonal = float(np.linalg.norm(np.ptp(centres, axis=0))) + shape.cells.size
-    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2) / (length * diagonal)
-    return np.asarray((1 + np.sqrt(3) * distance) * np.exp(-np.sqrt(3) * distance))
+    return np.asarray(np.linalg.norm(centres[:, None] - centres[None], axis=2) / diagonal)
+
+
+def _covariance(distances: Float64Array, length: float) -> Float64Array:
+    """Of a unit Gaussian process over the cells (Matern 3/2); `length` and `distances` are divided by the diagonal of the object."""
+    scaled = np.sqrt(3) / length * distances
+    return np.asarray((1 + scaled) * np.exp(-scaled))
