@@ -264,7 +264,7 @@ class Unknowns:
             return np.eye(self.n_modes)
         if length not in self._mode_transforms:
             covariance = self._onto_modes @ _covariance(self._distances, length) @ self._onto_modes.T
-            self._mode_transforms[length] = np.linalg.cholesky(covariance + _ROUNDING * np.eye(self.n_modes))
+            self._mode_transforms[length] = np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.eye(self.n_modes)), dtype=np.float64)
         return self._mode_transforms[length]
 
     @cached_property
