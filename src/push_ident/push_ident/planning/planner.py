@@ -132,10 +132,10 @@ class GoalPlanner:
         ranked = _ranked(library, wanted)
         own = library.strokes
         candidates: list[tuple[Strokes, int, float]] = []
-        for number, length, value in ranked:
-            plan = placed(own, number, pose, float(library.lengths[length]), self._settings.speed_range[0])
-            if self._is_possible(plan, pose, library.motion[0, number, length], obstacles, failed):
-                candidates.append((own, number, float(library.lengths[length])))
+        for number, k in ranked:
+            plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
+            if self._is_possible(plan, pose, library.motion[0, number, k], obstacles, failed):
+                candidates.append((own, number, float(library.lengths[k])))
             if len(candidates) == _JUDGED:
                 break
         if not candidates:
@@ -199,7 +199,7 @@ class GoalPlanner:
         own, number, length = candidates[best]
         return GoalPush(
             PlanStatus.PUSH,
-            float(np.mean(goal.relative_error(ends[:, best]) <= 1.0)),
+            float(np.mean(np.asarray(goal.relative_error(ends[:, best])) <= 1.0)),
             placed(own, number, pose, length, speed),
             ends[0, best],
             ends[:, best],
@@ -207,7 +207,7 @@ class GoalPlanner:
         )
 
 
-def _ranked(library: Library, wanted: Goal) -> list[tuple[int, int, float]]:
+def _ranked(library: Library, wanted: Goal) -> list[tuple[int, int]]:
     """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
     mean = library.motion[0]
     value = _value(library, mean.reshape(1, -1, 3), wanted)
@@ -216,7 +216,7 @@ def _ranked(library: Library, wanted: Goal) -> list[tuple[int, int, float]]:
     value = _value(library, motion, wanted)
     order = np.argsort(np.where(np.isfinite(value), value, np.inf))
     n_lengths = len(library.lengths)
-    return [(int(first[k] // n_lengths), int(first[k] % n_lengths), float(value[k])) for k in order if np.isfinite(value[k])]
+    return [(int(first[k] // n_lengths), int(first[k] % n_lengths)) for k in order if np.isfinite(value[k])]
 
 
 def _value(library: Library, motion: Float64Array, wanted: Goal) -> Float64Array:
@@ -230,7 +230,7 @@ def _value(library: Library, motion: Float64Array, wanted: Goal) -> Float64Array
 def _further_pushes(library: Library, wanted: Float64Array, goal: Goal) -> Float64Array:
     """Pushes expected to make each of the motions, shape (n, 3), within the tolerances: shape (n,)."""
     tree, entries, spread = _tree(library, goal)
-    finite = np.isfinite(wanted).all(axis=1)
+    finite = np.all(np.isfinite(wanted), axis=1)
     query = np.where(finite[:, None], wanted, 0.0)
     query[:, 2] = wrap_angle(query[:, 2])
     distance, index = tree.query(query / goal.tolerance, k=_NEIGHBOURS)

@@ -75,7 +75,7 @@ def refine(
 def end_by_push(
     mechanics: Mechanics, stroke: Strokes, length: float, settings: PushSettings
 ) -> tuple[Float64Array | None, Float64Array | None]:
-    """Pose after a push of an object at (0, 0, 0), shape (3,), and its derivative by contact [m], direction [rad] and length [m], (3, 3)."""
+    """Pose after a push of an object at (0, 0, 0), shape (3,), and its derivative by contact, direction and length, (3, 3)."""
     tool, heading = stroke.tool[0], stroke.heading()[0]
     path = path_of(tool, heading, length, settings.speed_range[0], settings)
     just_before = float(path.time[-1]) - _WINDOW / settings.speed_range[0]
