@@ -25,7 +25,9 @@ def experiment_command(
         str,
         typer.Argument(help="Experiment; `list` lists all, `report` writes the page of their results.", show_default=False),
     ],
-    objects: Annotated[str, typer.Option(metavar="A,B", help="Objects. Default: all five.", show_default=False)] = "",
+    objects: Annotated[
+        str, typer.Option(metavar="A,B|N", help="Objects, or a number of random ones for `goals`. Default: all.", show_default=False)
+    ] = "",
     models: Annotated[int, typer.Option(help="Number of ground truths of each object.")] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the first ground truth; the others follow it.")] = 0,
     variants: Annotated[str, typer.Option(metavar="A,B", help="Variants of the experiment. Default: all.", show_default=False)] = "",
@@ -37,6 +39,7 @@ def experiment_command(
     ] = None,
     recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
     minutes: Annotated[float, typer.Option(min=0.5, help="Duration, for `endurance` [min].")] = 60.0,
+    goals: Annotated[int, typer.Option(help="Goals of each object, for `goals`.")] = 4,
     json: JsonOption = None,
     page: Annotated[
         Path, typer.Option(metavar="FILE", help="Page that `report` writes from the JSON files in the folder of the same name.")
@@ -58,14 +61,15 @@ def experiment_command(
     options = runner.RunOptions(
         folder=out,
         truth_folder=truth or out / "truth",
-        **({"objects": _words(objects)} if objects else {}),
-        n_models=models,
+        **({"objects": _words(objects)} if objects and not objects.isdigit() else {}),
+        n_models=int(objects) if objects.isdigit() else models,
         seed=seed,
         variants=_words(variants),
         jobs=jobs,
         max_seconds=seconds,
         recordings=recordings,
         minutes=minutes,
+        goals=goals,
     )
     columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
