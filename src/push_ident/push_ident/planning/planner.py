@@ -52,6 +52,8 @@ _CERTAIN: Final = 0.9
 """Chance of being at the goal from which the object counts as there."""
 _AGAIN: Final = 0.004
 """A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
+_NEAR: Final = 5.0
+"""Error, in units of the tolerance, up to which a push may be the last one and is improved: strokes are that coarse."""
 _WAY: Final = 4
 """Poses along a push, the first included, at which the object is compared with obstacles."""
 _TIME_STEP: Final = 1.0 / 120.0
@@ -135,15 +137,19 @@ class GoalPlanner:
         ranked = _ranked(library, wanted)
         own = library.strokes
         candidates: list[tuple[Strokes, int, float]] = []
+        motions: list[Float64Array] = []
         for number, k in ranked:
             plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             if self._is_possible(plan, pose, library.motion[0, number, k], obstacles, failed):
                 candidates.append((own, number, float(library.lengths[k])))
+                motions.append(library.motion[0, number, k])
             if len(candidates) == _JUDGED:
                 break
         if not candidates:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
-        for _, number, length in list(candidates):
+        for (_, number, length), motion in zip(list(candidates), motions, strict=True):
+            if wanted.relative_error(motion) > _NEAR:
+                continue
             better = refine(belief.mean, own.picked(number), length, wanted, self._settings)
             if better is not None:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
