@@ -367,9 +367,8 @@ def test_accuracy_of_the_camera_widens_the_poses_of_an_object_that_turned(camera
         send_until(camera, lambda: len(camera.poses) > n + 1)
         return float(np.sqrt(camera.poses[-1].pose.covariance[0]))
 
-    frames, camera.frames = camera.frames, hammers[:1]
     send_until(camera, lambda: camera.poses)
-    camera.stamp, before = 1.0, int(camera.values().get("restarts", 0))
+    frames, camera.frames, camera.stamp, before = camera.frames, hammers[:1], 1.0, int(camera.values().get("restarts", 0))
     try:
         send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
         assert std_with(0.005) < 0.002

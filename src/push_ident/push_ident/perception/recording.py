@@ -68,6 +68,7 @@ def observe_offline(
             if known.pose is not None and known.covariance is not None:
                 tracks[known.object_id].append((observation.stamp, known.pose, known.covariance))
         why = observation.why_no_pose()
+    shapes |= perception.finish()
     result = {
         name: (shapes[name], PoseTrack(*(np.array(column) for column in zip(*track, strict=True))))
         for name, track in tracks.items()
