@@ -420,6 +420,11 @@ class Perception:
                 known.pose, fits[name] = fit.pose, fit
         return shapes, failed
 
+    @property
+    def is_refining(self) -> bool:
+        """Whether a better outline is being worked on."""
+        return self._rests.is_refining
+
     def finish(self) -> dict[str, ObjectShape]:
         """Better shapes that the frames so far give, by id, of known objects: after the last frame of a recording nothing is late."""
         self._rests.go_on()

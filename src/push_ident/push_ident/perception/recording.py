@@ -45,8 +45,7 @@ def observe_offline(
     shapes: dict[str, ObjectShape] = {}
     tracks: dict[str, list[tuple[float, Float64Array, Float64Array]]] = {}
     n_frames, why, given_up = 0, "there are no frames", ""
-    for frame in frames:
-        n_frames += 1
+    for n_frames, frame in enumerate(frames, start=1):
         try:
             observation = perception.observe(frame, parts_at(frame.stamp))
         except (FrameError, PerceptionError) as error:

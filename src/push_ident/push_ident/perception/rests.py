@@ -207,6 +207,11 @@ class Rests:
         own.n_rests += 1
         self._work[object_id] = own.refinement(placed, (seen, points, robot), settings.min_object_height)
 
+    @property
+    def is_refining(self) -> bool:
+        """Whether parts of a refinement are left to do."""
+        return bool(self._work)
+
     def go_on(self, n_parts: int | None = None) -> None:
         """Do so many parts of the refinements under way, in the order in which they began; None: all of them.
 
