@@ -45,7 +45,8 @@ def observe_offline(
     shapes: dict[str, ObjectShape] = {}
     tracks: dict[str, list[tuple[float, Float64Array, Float64Array]]] = {}
     n_frames, why, given_up = 0, "there are no frames", ""
-    for n_frames, frame in enumerate(frames, start=1):
+    for frame in frames:
+        n_frames += 1
         try:
             observation = perception.observe(frame, parts_at(frame.stamp))
         except (FrameError, PerceptionError) as error:
@@ -68,11 +69,8 @@ def observe_offline(
                 tracks[known.object_id].append((observation.stamp, known.pose, known.covariance))
         why = observation.why_no_pose()
     shapes |= perception.finish()
-    result = {
-        name: (shapes[name], PoseTrack(*(np.array(column) for column in zip(*track, strict=True))))
-        for name, track in tracks.items()
-        if len(track) >= 2
-    }
+    long = {name: zip(*track, strict=True) for name, track in tracks.items() if len(track) >= 2}
+    result = {name: (shapes[name], PoseTrack(*(np.array(column) for column in columns))) for name, columns in long.items()}
     if not result:
         raise PerceptionError(
             f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."
