@@ -239,8 +239,8 @@ STUDY = Benchmark(
         "They are taken in, and each is pushed by 3 cm and 20 degrees twice and rests in between for "
         f"{_REST} frames, so that its outline gets better. A frame has all that perception does for it: poses, every quarter of a second "
         "a search, every second the occupancy of the workspace, and parts of the work on better outlines. `image to poses`: with a camera "
-        "of 30 Hz, where the newest image waits while a frame is worked on and others are left out, by the processor times. `taking in`: the frame in which all "
-        "objects become known."
+        "of 30 Hz, where the newest image waits while a frame is worked on and others are left out, by the processor times. "
+        "`taking in`: the frame in which all objects become known."
     ),
     pieces=_pieces,
     summarise=lambda results: {"rows": list(results)},
