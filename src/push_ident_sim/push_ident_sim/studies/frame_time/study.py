@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -114,11 +115,11 @@ def _shown(sensor: str, n_objects: int, n_pushes: int, seed: int) -> Iterator[_S
 def _run(shown: list[_Shown], reported: ArrayLike) -> list[Json]:
     perception, offsets, rows = Perception(reported), {}, []
     for own in shown:
-        posed: list[float] = []
+        posed_at: list[float] = []
         is_refining = perception.is_refining
         wall, cpu = time.perf_counter(), time.process_time()
-        observed = perception.observe(replace(own.frame), (), lambda _, cpu=cpu, posed=posed: posed.append(time.process_time() - cpu))
-        cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+        observed = perception.observe(own.frame, (), partial(_note_time, posed_at))
+        done, wall = time.process_time(), time.perf_counter() - wall
         for known in observed.new_shapes:
             # Which object it is: the one whose place is nearest.
             at = perception.first_pose(known)
@@ -126,9 +127,9 @@ def _run(shown: list[_Shown], reported: ArrayLike) -> list[Json]:
             offsets[known] = name, compose(inverse(own.poses[name]), at)
         rows.append(
             {
-                "cpu": cpu,
+                "cpu": done - cpu,
                 "wall": wall,
-                "posed": posed[0] if posed else cpu,
+                "posed": (posed_at[0] if posed_at else done) - cpu,
                 "new": len(observed.new_shapes),
                 "refined": len(observed.refined),
                 "parts": is_refining,
@@ -138,6 +139,10 @@ def _run(shown: list[_Shown], reported: ArrayLike) -> list[Json]:
     if not offsets:
         raise PerceptionError(f"No object was taken in: {observed.why_no_pose()}.")
     return rows
+
+
+def _note_time(times: list[float], _: object) -> None:
+    times.append(time.process_time())
 
 
 def _errors(observed: Observation, poses: dict[str, Float64Array], offsets: dict[str, tuple[str, Float64Array]]) -> list[float]:
