@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.lasting import CameraAccuracy, camera_covariance
 from push_ident.perception.pipeline import Perception
@@ -29,6 +30,13 @@ def test_error_of_the_extrinsics_is_that_of_poses_in_the_frame_of_the_first_one(
     error = compose(wrong, later) - compose(later, offset)
     assert camera_covariance(later, first, accuracy) == pytest.approx(np.cov(error.T, bias=True), abs=1e-7)
     assert camera_covariance(first, first, accuracy) == pytest.approx(np.zeros((3, 3)), abs=1e-15)
+
+
+@pytest.mark.parametrize("wrong", [{"position": -1e-3}, {"heading": np.nan}, {"position": np.inf}])
+def test_an_accuracy_that_is_none_is_refused_by_name(wrong):
+    (name,) = wrong
+    with pytest.raises(InputError, match=f"{name} of the camera .* expected a standard deviation of 0 or more"):
+        CameraAccuracy(**wrong)
 
 
 def fits_of_displaced_edges(turn):

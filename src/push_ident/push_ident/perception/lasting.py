@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.types import Float64Array
 
@@ -24,12 +25,21 @@ __all__ = ["CameraAccuracy", "camera_covariance", "displaced_covariance"]
 
 @dataclass(frozen=True, slots=True)
 class CameraAccuracy:
-    """Standard deviations of the extrinsics of a camera, as far as the plane of the table does not show them."""
+    """Standard deviations of the extrinsics of a camera, as far as the plane of the table does not show them.
+
+    Raises:
+        InputError: One is negative or not finite.
+    """
 
     position: float = 0.0
     """Of its place along x and y of the table frame [m]."""
     heading: float = 0.0
     """Of its rotation about the normal of the table [rad]."""
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("position", self.position, "m"), ("heading", self.heading, "rad")):
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"The {name} of the camera is known to {value} {unit}, expected a standard deviation of 0 or more.")
 
 
 def displaced_covariance(displaced_std: float, scores: Float64Array, normal: Float64Array) -> Float64Array:
