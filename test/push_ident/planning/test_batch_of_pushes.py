@@ -60,6 +60,6 @@ def test_nothing_to_simulate_and_different_pushers_are_refused() -> None:
     one = pushes_of(np.random.default_rng(0), 1)
     with pytest.raises(InputError, match="one of each"):
         rollouts(model.shape, whole, [], step=1 / 80)
-    other = one[0]._replace(pusher=PusherPath(one[0].pusher.time, one[0].pusher.position, 0.01))
+    other = BatchPush(PusherPath(one[0].pusher.time, one[0].pusher.position, 0.01), *one[0][1:])
     with pytest.raises(InputError, match="differ in their pusher"):
         rollouts(model.shape, whole, [*one, other], step=1 / 80)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
@@ -71,18 +71,23 @@ def experiment_command(
         minutes=minutes,
         goals=goals,
     )
-    columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(name)
-        content = runner.run_experiment(
-            known[name], options, lambda what, done, total: progress.update(task, description=what, completed=done, total=total)
-        )
+    content = _with_progress(runner, known[name], options)
     console.print(known[name].tables(content["summary"]), highlight=False, markup=False, soft_wrap=True)
     for failure in content["failed"]:
         warn(f"push-ident: {failure['case']}: {failure['error']}")
     if json is not None:
         sim_module("push_ident_sim.studies.common.files").write_json(json, content)
         console.print(f"written: {json}", highlight=False, soft_wrap=True)
+
+
+def _with_progress(runner: ModuleType, study: Any, options: Any) -> dict[str, Any]:
+    columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(study.name)
+        content: dict[str, Any] = runner.run_experiment(
+            study, options, lambda what, done, total: progress.update(task, description=what, completed=done, total=total)
+        )
+    return content
 
 
 def _words(text: str) -> tuple[str, ...]:
