@@ -24,11 +24,11 @@ from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 from push_ident_sim.cell.camera import DepthCamera, View
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import PLAIN, suitable_pose
-from push_ident_sim.objects import make_object
+from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.studies.common.arm_in_view import ArmInView, first_touch
 from push_ident_sim.studies.common.base import Json
 
-__all__ = ["CAMERA_POSE", "RATE", "cover", "outline_errors", "postures_of_pushes", "see_pushes", "views_of_pushes"]
+__all__ = ["CAMERA_POSE", "RATE", "cover", "outline_errors", "postures_of_pushes", "see_pushes", "unit_of", "views_of_pushes"]
 
 Seen = View | NDArray[np.float32]
 
@@ -143,7 +143,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
         hidden: Share of the object's pixels that is covered once the object is known; of the plain sensor only, since nobody knows what
             shadow that which covers it casts.
         with_arm: The arm that pushes is in the picture; perception gets its true posture.
-        sensor: Model of the camera, at a pose that suits it. Each seed is another unit, and perception gets the pose and the intrinsics
+        sensor: Model of the camera, at a pose that suits it. Each case is another unit, and perception gets the pose and the intrinsics
             that the unit publishes, and how well units of that model are calibrated.
 
     Returns:
@@ -161,7 +161,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
         raise InputError(f"hidden is {hidden} with the sensor {sensor}, expected 0: only the plain one takes a picture that is covered.")
     thing = make_object(object_name, seed)
     rng = np.random.default_rng([seed, len(object_name), int(100 * hidden)])
-    unit, reported = Sensor(sensor, seed), suitable_pose(sensor)
+    unit, reported = Sensor(sensor, unit_of(object_name, seed)), suitable_pose(sensor)
     camera = unit.camera(thing, reported)
     empty = camera.render((5.0, 5.0, 0.0), {})
     perception = Perception(reported, PerceptionSettings(camera_accuracy=unit.accuracy(reported)))
@@ -196,6 +196,12 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
     last = outline_errors((refined or shape).outline, truth)
     scores = _scores(shape, occupancy, truth, transform_points(at_first, thing.outline))
     return scores | {"refined_m": last["outline_m"], "refined_placed_m": last["placed_m"], "kinds": kinds}
+
+
+def unit_of(object_name: str, seed: int) -> int:
+    """Seed of the unit of a sensor in the case of an object: no two cases share one, since five objects before one badly calibrated unit
+    would count as five."""
+    return len(OBJECT_NAMES) * seed + OBJECT_NAMES.index(object_name)
 
 
 def outline_errors(outline: Float64Array, truth: Float64Array) -> Json:

@@ -32,7 +32,7 @@ from push_ident_sim.studies.common.drawing import (
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.filmed import FilmedObject
 from push_ident_sim.studies.common.measuring import error_row, grouped, micrometres, pooled, solve_values
-from push_ident_sim.studies.common.seeing import outline_errors
+from push_ident_sim.studies.common.seeing import outline_errors, unit_of
 
 __all__ = ["STUDY"]
 
@@ -54,7 +54,8 @@ _MARGIN: Final = 1.2
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     own = [case.model, OBJECT_NAMES.index(case.object_name)]
-    filmed = FilmedObject(make_object(case.object_name, case.model), [*own, 8], sensor=case.variant, unit=case.model, rest=_REST)
+    thing, unit = make_object(case.object_name, case.model), unit_of(case.object_name, case.model)
+    filmed = FilmedObject(thing, [*own, 8], sensor=case.variant, unit=unit, rest=_REST)
     try:
         first = filmed.shape
         rng = np.random.default_rng([*own, 9])
@@ -186,7 +187,7 @@ STUDY = Experiment(
     title="Identification over models of depth sensors",
     question=(
         "How well are unseen pushes predicted when a model of a real depth sensor sees the object? The camera stands where the "
-        "sensor sees the workspace, each ground truth is another unit, and perception gets the pose and the intrinsics that the "
+        "sensor sees the workspace, each case has another unit, and perception gets the pose and the intrinsics that the "
         f"unit publishes, and how well units of its model are calibrated. The object is taken in at rest, then pushed {_N_PUSHES} "
         f"times by a rod that hides a part of it, with {_REST} frames at rest before and after each push, and put back by hand "
         "when it nears the edge. Outlines get better at those rests. All pushes are then fitted with the latest outline. The "
