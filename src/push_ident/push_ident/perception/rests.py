@@ -22,7 +22,7 @@ from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.contacts import Placed
 from push_ident.perception.labels import RobotPart
-from push_ident.perception.lasting import frame_step, in_table
+from push_ident.perception.lasting import frame_step
 from push_ident.perception.refinement import DISPLACED, Refined, RestView, refine
 from push_ident.perception.segments import Segment
 from push_ident.perception.settings import PerceptionSettings
@@ -260,16 +260,14 @@ def _held(better: Refined, before: Template, view: RestView) -> Refined:
     step = compose(inverse(old.pose), new.pose)
     traced = better.traced
     # The pose keeps the error that it has here by displaced edges, though the new outline has another one.
-    displaced = displaced_by_camera(before, scene, old.pose)
-    error = displaced - displaced_by_camera(Template(traced), scene, new.pose)
+    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(Template(traced), scene, new.pose)
     x, y = rotation(old.pose[2]).T @ error[:2]
-    lasting = before.displaced_std**2 * np.outer(displaced, displaced) + in_table(before.frame_covariance, old.pose)
     rests = traced.seen_from or ()
     traced = replace(
         traced,
         seen_from=tuple(transform_points(step, places) for places in rests),
         displaced_frame=(float(x), float(y), float(error[2])),
-        frame_covariance=before.frame_covariance + frame_step(old.covariance - lasting, float(old.pose[2]), len(rests)),
+        frame_covariance=before.frame_covariance + frame_step(old.residual_covariance, float(old.pose[2]), len(rests)),
     )
     shape = replace(traced.shape, outline=transform_points(step, traced.shape.outline))
     # Heights are known to a cell, which is more than such a turn moves them.

@@ -112,6 +112,8 @@ class PoseFit:
     """Fraction of the pixels in the narrow band that are informative."""
     share_contradicting: float
     """Fraction of the pixels clearly inside or outside that contradict the pose."""
+    residual_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """The part of the covariance that the residuals of the frame show: without the errors that last (`lasting`)."""
 
     @property
     def can_start_next(self) -> bool:
@@ -262,8 +264,8 @@ def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     share_contradicting = comparison.share_contradicting
     normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
     covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(_FLOOR))
-    covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
-    covariance = covariance + _lasting(template, scene, lines, pose, normal)
+    own_covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
+    covariance = own_covariance + _lasting(template, scene, lines, pose, normal)
     status = TrackStatus.TRACKED
     if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
         status = TrackStatus.POOR_FIT
@@ -272,7 +274,8 @@ def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     elif np.any(np.diag(covariance) > np.square(_MAX_DEVIATION)):
         status = TrackStatus.UNDETERMINED
     pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
-    return PoseFit(status, pose, 0.5 * (covariance + covariance.T), len(lines.stopped), share_visible, share_contradicting)
+    covariance = 0.5 * (covariance + covariance.T)
+    return PoseFit(status, pose, covariance, len(lines.stopped), share_visible, share_contradicting, own_covariance)
 
 
 def relocate(template: Template, scene: Scene, centre: ArrayLike, *, last_yaw: float | None = None) -> PoseFit:

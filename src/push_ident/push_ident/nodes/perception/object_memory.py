@@ -152,8 +152,8 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
     if frame_covariance.shape != (3, 3) or np.any(np.linalg.eigvalsh(frame_covariance) < -1e-12):
         raise ModelFileError(f"{path} has a frame_covariance that is none of shape (3, 3); {_REMEDY}.")
     # Files of earlier versions have the places of one rest, without the list of rests.
-    rests = [np.array(places).reshape(-1, 2) for places in content.seen_from or ()]
-    is_flat = bool(content.seen_from) and isinstance(content.seen_from[0], tuple)
+    rests = [np.array(places, dtype=np.float64).reshape(-1, 2) for places in content.seen_from or ()]
+    is_flat = any(isinstance(places, tuple) for places in content.seen_from or ())
     seen_from = ((np.vstack(rests),) if is_flat else tuple(rests)) if rests else None
     traced = TracedObject(
         shape,

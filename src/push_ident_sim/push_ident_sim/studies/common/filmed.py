@@ -20,7 +20,7 @@ from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack, P
 from push_ident_sim.cell.camera import DepthImage, View
 from push_ident_sim.cell.robot import PUSHER_RADIUS
 from push_ident_sim.cell.sensor_unit import Sensor
-from push_ident_sim.cell.sensors import PLAIN, suitable_pose
+from push_ident_sim.cell.sensors import PLAIN, SENSORS, suitable_pose
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import SimObject
@@ -77,7 +77,7 @@ class FilmedObject:
         self._clock = 0.0
         self._seen: tuple[Float64Array, View | DepthImage] | None = None
         self.exact: list[PushRecord] = []
-        """The pushes so far with the true poses of the object frame of perception."""
+        """The pushes so far, with poses as those of `test_pushes`."""
         self.true_pose = self._somewhere()
         for _ in range(_PATIENCE):
             found = self._look(self.true_pose, None)
@@ -86,8 +86,20 @@ class FilmedObject:
         else:
             raise PerceptionError(f"The {thing.name} was not found within {_PATIENCE} frames.")
         self.pose = found["o1"][0]
-        self.offset = compose(inverse(self.true_pose), self._perception.first_pose("o1"))
+        self._camera_error = self._error_of_camera(sensor, unit, reported)
+        self.offset = compose(inverse(self.as_reported(self.true_pose)), self._perception.first_pose("o1"))
         """Object frame of perception in the true one."""
+
+    def as_reported(self, true_pose: Float64Array) -> Float64Array:
+        """A true pose in the table frame of this camera, which has the error of its extrinsics."""
+        return compose(self._camera_error, true_pose)
+
+    def _error_of_camera(self, sensor: str, unit: int, reported: Float64Array) -> Float64Array:
+        """The true table frame in that of perception (x, y, yaw), shape (3,)."""
+        if sensor == PLAIN:
+            return np.zeros(3)
+        motion = self._perception.camera_in_table @ np.linalg.inv(reported @ SENSORS[sensor].extrinsics_error(unit))
+        return np.array([*motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])])
 
     def execute(self, push: PlannedPush) -> PushRecord:
         """Make a push planned from `pose`, or from `true_pose`; an object near the edge is put back afterwards."""
@@ -102,7 +114,7 @@ class FilmedObject:
             found = self._look(motion.pose_at(time), tool)
             if "o1" in found:
                 poses.append((stamp, *found["o1"]))
-                exact.append(compose(motion.pose_at(time), self.offset))
+                exact.append(compose(self.as_reported(motion.pose_at(time)), self.offset))
         self.true_pose = motion.pose[-1]
         if not poses:
             raise PerceptionError(f"The {self.thing.name} was lost during a push.")
@@ -121,7 +133,7 @@ class FilmedObject:
         return candidate_pushes(true_model(self.thing).shape, self.true_pose, rng, 1, PUSHES)[0]
 
     def test_pushes(self, n: int, rng: np.random.Generator, *, as_perceived: bool = True) -> list[PushRecord]:
-        """Random test pushes, with the true poses of the object frame of perception.
+        """Random test pushes, with the poses of the object frame of perception as this camera reports them, but without noise.
 
         Args:
             n: how many.
@@ -146,7 +158,7 @@ class FilmedObject:
         self._world.close()
 
     def _true_record(self, motion: TrueMotion) -> PushRecord:
-        pose = np.array([compose(p, self.offset) for p in motion.pose])
+        pose = np.array([compose(self.as_reported(p), self.offset) for p in motion.pose])
         return PushRecord("o1", self.shape, _exact_track(motion.time, pose), PusherPath(motion.time, motion.reported, PUSHER_RADIUS))
 
     def _look(self, true_pose: Float64Array, tool: Float64Array | None) -> dict[str, tuple[Float64Array, Float64Array]]:
