@@ -71,7 +71,7 @@ def test_a_case_gives_all_that_the_tables_show(tmp_path, monkeypatch):
     summary = STUDY.summarise(results)
     assert summary["sensors"]["ideal"]["last_placed_m"] < 3e-4 < 5e-4 < summary["sensors"]["kinect_v1"]["last_placed_m"]
     tables = STUDY.tables(summary)
-    assert "kinect_v1" in tables and "| 1.00 |" in tables.replace("  ", " ")
+    assert "kinect_v1" in tables and " 1.00 |" in tables
     assert list(STUDY.draw(summary, tmp_path)) == ["sensors.png"] and (tmp_path / "sensors.png").stat().st_size > 1000
     alone = STUDY.tables(STUDY.summarise(results[1:]))
     assert "–" in alone

@@ -44,9 +44,9 @@ _REST: Final = 20
 """Frames before and after each push: long enough for a better outline."""
 _KNOWN: Final = {
     "perceived": "outline and poses perceived",
-    "exact_poses": "exact poses",
-    "exact_outline": "exact outline",
-    "exact": "both exact",
+    "exact_poses": "poses with the error of the extrinsics only",
+    "exact_outline": "exact outline, poses perceived",
+    "exact": "exact outline, error of the extrinsics only",
 }
 """What identification gets, and how the tables call it. Exact outlines have no deviations, so that their offset is not fitted."""
 _SEEN: Final = {
