@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -128,8 +128,9 @@ def _pose_row(frames: Sequence[Json]) -> Json:
 
 def _sensor_row(results: Sequence[CaseResult]) -> Json:
     row: Json = {"cases": len(results)}
-    means = [(key, _root_mean_square) for key in _OUTLINES if key in results[0].values]
-    for key, pick in (*means, ("outline_95_m", max), ("grid_iou", np.mean)):
+    picks: dict[str, Callable[[Sequence[float]], Any]] = {key: _root_mean_square for key in _OUTLINES if key in results[0].values}
+    picks |= {"outline_95_m": max, "grid_iou": np.mean}
+    for key, pick in picks.items():
         row[key] = round(float(pick([r.values[key] for r in results])), 6)
     for kind in _KINDS:
         frames = [r.values["kinds"][kind] for r in results]
