@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.geometry.outline import edge_normals
-from push_ident.geometry.se2 import inverse, rotation
+from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.perception.edges import VARIANCE, EdgeLines, lines_near_edges, scatter_of
 from push_ident.perception.fusion import dense, with_edges_moved, without_reversed
 from push_ident.perception.in_parts import InParts
@@ -130,7 +130,8 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     yield from _fit(state, again, views, moves_edges=False)
     std = np.hypot(state.std, DISPLACED * state.scatter)
     shape = ObjectShape(traced.shape.cells, state.outline, std)
-    return Refined(replace(again, shape=shape), tuple(state.poses), views[-1].seen.segment.area, state.misfit, before)
+    again = replace(again, shape=shape, seen_from=_seen_from(views, state.poses), displaced_std=traced.displaced_std)
+    return Refined(again, tuple(state.poses), views[-1].seen.segment.area, state.misfit, before)
 
 
 def _begin(outline: Float64Array, poses: Sequence[Float64Array]) -> _State:
@@ -167,6 +168,14 @@ def _rests(views: Sequence[RestView]) -> list[int]:
     """Of each view the number of its rest, counted from 0."""
     numbers = list(dict.fromkeys(view.rest for view in views))
     return [numbers.index(view.rest) for view in views]
+
+
+def _seen_from(views: Sequence[RestView], poses: Sequence[Float64Array]) -> tuple[Float64Array, ...]:
+    """Places of the cameras in each rest [m], shapes (n, 2), object frame."""
+    places: dict[int, list[Float64Array]] = {}
+    for view, pose in zip(views, poses, strict=True):
+        places.setdefault(view.rest, []).append(transform_points(inverse(pose), view.seen.camera_in_table[None, :2, 3])[0])
+    return tuple(np.array(own) for own in places.values())
 
 
 def _sums(state: _State, lines: Sequence[EdgeLines], views: Sequence[RestView]) -> tuple[Float64Array, Float64Array]:

@@ -26,11 +26,12 @@ from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.contacts import Placed
 from push_ident.perception.in_parts import InParts
 from push_ident.perception.labels import RobotPart
+from push_ident.perception.lasting import frame_step
 from push_ident.perception.refinement import DISPLACED, Refined, RestView, refine
 from push_ident.perception.segments import Segment
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import SegmentedView, TracedObject, median_depth
-from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose
+from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, displaced_by_camera, fit_pose
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Rests", "cut_to"]
@@ -311,6 +312,16 @@ def _held(better: Refined, before: Template, view: RestView) -> Refined:
         raise PerceptionError(f"The object is not found with its better outline: {new.status.value}.")
     step = compose(inverse(old.pose), new.pose)
     traced = better.traced
+    # The pose keeps the error that it has here by displaced edges, though the new outline has another one.
+    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(Template(traced), scene, new.pose)
+    x, y = rotation(old.pose[2]).T @ error[:2]
+    rests = traced.seen_from or ()
+    traced = replace(
+        traced,
+        seen_from=tuple(transform_points(step, places) for places in rests),
+        displaced_frame=(float(x), float(y), float(error[2])),
+        frame_covariance=before.frame_covariance + frame_step(old.residual_covariance, float(old.pose[2]), len(rests)),
+    )
     shape = replace(traced.shape, outline=transform_points(step, traced.shape.outline))
     # Heights are known to a cell, which is more than such a turn moves them.
     traced = replace(traced, shape=shape, top_origin=traced.top_origin + step[:2])

@@ -9,7 +9,7 @@ are spread on a fine grid; the outline is where both have equal weight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import cv2
@@ -88,10 +88,14 @@ class TracedObject:
     """Edge of a cell of `top` [m]."""
     hollow: BoolArray | None = None
     """Which cells of `top` lie over a hollow, same shape; `top` has the height of the rim there. None where nothing is hollow."""
-    seen_from: Float64Array | None = None
-    """Places of the cameras that traced it [m], shape (n, 2), object frame; None: unknown."""
+    seen_from: tuple[Float64Array, ...] | None = None
+    """Places of the cameras that traced it in each rest [m], shapes (n, 2), object frame; None: unknown."""
     displaced_std: float = 0.0
     """Standard deviation of how far the camera displaces edges whose wall it does not see, all of them alike [m]."""
+    displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Displacement (x, y, yaw) of the object frame by such edges, per metre of theirs [-, -, rad/m], object frame: 0 for the first view."""
+    frame_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """Covariance of the object frame by single edges of earlier outlines, shape (3, 3), object frame: 0 for the first view."""
 
 
 def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
