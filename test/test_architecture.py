@@ -23,6 +23,7 @@ ORDER = [
     "pushing",
     "physics",
     "identification",
+    "planning",
     "diagnosis",
     "bags",
     "offline",

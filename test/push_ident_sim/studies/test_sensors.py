@@ -62,8 +62,8 @@ def test_exact_poses_are_those_that_the_camera_reports_without_noise(filmed):
 
 
 def test_a_case_gives_all_that_the_tables_show(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "_N_PUSHES", 1)
-    monkeypatch.setattr(study, "_N_TEST", 2)
+    monkeypatch.setattr(study, "N_PUSHES", 1)
+    monkeypatch.setattr(study, "N_TEST", 2)
     settings = CaseSettings(tmp_path, Budget(max_seconds=10.0, processor_time=True), TruthSettings(), CameraNoise())
     cases = [Case("toolbox", 3, sensor) for sensor in ("ideal", "kinect_v1")]
     results = [CaseResult(case, STUDY.run(case, settings)) for case in cases]

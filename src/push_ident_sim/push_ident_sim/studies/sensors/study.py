@@ -14,6 +14,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import CHI2_90, held_out_errors, predict
 from push_ident.identification.result import ModelPosterior
+from push_ident.identification.unknowns import nuisances_of
 from push_ident.perception.fusion import with_edges_moved
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array, ObjectShape, PushRecord
@@ -35,11 +36,11 @@ from push_ident_sim.studies.common.filmed import FilmedObject
 from push_ident_sim.studies.common.measuring import error_row, grouped, micrometres, pooled, solve_values
 from push_ident_sim.studies.common.seeing import outline_errors, unit_of
 
-__all__ = ["STUDY"]
+__all__ = ["N_PUSHES", "N_TEST", "STUDY"]
 
 _IDEAL: Final = "ideal"
-_N_PUSHES: Final = 4
-_N_TEST: Final = 8
+N_PUSHES: Final = 4
+N_TEST: Final = 8
 _REST: Final = 20
 """Frames before and after each push: long enough for a better outline."""
 _KNOWN: Final = {
@@ -58,8 +59,6 @@ _SEEN: Final = {
     "poses_m": "poses",
 }
 """What the camera saw, and how the table calls it."""
-_OFFSET: Final = "outline_error"
-"""The effect that identification fits beside the maps of a traced outline."""
 _MARGIN: Final = 1.2
 """Error of a sensor over that of the ideal camera that is aimed at [-]."""
 
@@ -71,8 +70,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     try:
         first = filmed.shape
         rng = np.random.default_rng([*own, 9])
-        records = [filmed.execute(filmed.true_push(rng)) for _ in range(_N_PUSHES)]
-        test = filmed.test_pushes(_N_TEST, np.random.default_rng([*own, 10]), as_perceived=False)
+        records = [filmed.execute(filmed.true_push(rng)) for _ in range(N_PUSHES)]
+        test = filmed.test_pushes(N_TEST, np.random.default_rng([*own, 10]), as_perceived=False)
     finally:
         filmed.close()
     inputs: dict[str, tuple[list[PushRecord], ObjectShape]] = {
@@ -98,10 +97,11 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 def _touched(posterior: ModelPosterior) -> Float64Array:
     """Where the pushes show the surface: the outline moved by the identified offset [m], shape (n, 2)."""
-    outline, effects = posterior.model.shape.outline, posterior.effects
-    if _OFFSET not in effects.names:
-        return outline
-    return with_edges_moved(outline, np.full(len(outline), effects.values[effects.slice_of(_OFFSET)][0]))
+    shape, effects = posterior.model.shape, posterior.effects
+    outline = shape.outline
+    for name in nuisances_of(shape):
+        outline = with_edges_moved(outline, np.full(len(outline), effects.values[effects.slice_of(name)][0]))
+    return outline
 
 
 def _is_in_region(posterior: ModelPosterior, record: PushRecord) -> bool:
@@ -207,10 +207,10 @@ STUDY = Experiment(
     question=(
         "How well are unseen pushes predicted when a model of a real depth sensor sees the object? The camera stands where the "
         "sensor sees the workspace, each case has another unit, and perception gets the pose and the intrinsics that the unit "
-        f"publishes, and how well units of its model are calibrated. The object is taken in at rest, then pushed {_N_PUSHES} times "
+        f"publishes, and how well units of its model are calibrated. The object is taken in at rest, then pushed {N_PUSHES} times "
         f"by a rod that hides a part of it, with {_REST} frames at rest before and after each push, and put back by hand when it "
         "nears the edge. Outlines get better at those rests. All pushes are then fitted with the latest outline. The poses of the "
-        f"{_N_TEST} held-out pushes are the true ones in the table frame of the camera: they have the error of its extrinsics, as "
+        f"{N_TEST} held-out pushes are the true ones in the table frame of the camera: they have the error of its extrinsics, as "
         "all poses that it reports, and no other. True motion and pushes are the same before every camera. For comparison: what "
         "remains of the error with poses that have no other error either, with the exact outline, and with both."
     ),

@@ -1,0 +1,183 @@
+"""Many pushes of many models in one compiled call, on all cores.
+
+A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
+between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives and without effects.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.physics.body import BodyParameters, check_body, owned
+from push_ident.physics.kernel import kernel
+from push_ident.physics.measurement import StepClock
+from push_ident.physics.rollout import Numerics, Push, rollout
+from push_ident.physics.simulation import SimulationSettings
+from push_ident.physics.tape import Frames, Tape, new_tape
+from push_ident.types import Float64Array, ObjectShape, PusherPath
+
+__all__ = ["BatchModel", "BatchPush", "rollouts"]
+
+_TASKS_A_CALL = 64
+"""Simulations that a thread takes at a time: enough that the call costs nothing, few enough that all threads end together."""
+
+
+class BatchModel(NamedTuple):
+    """A model of the object."""
+
+    body: BodyParameters
+    pusher_friction: float
+
+
+class BatchPush(NamedTuple):
+    """A push, as `PushScenario` without its checks."""
+
+    pusher: PusherPath
+    pose_object_in_table: Float64Array
+    """First pose, shape (3,)."""
+    time: Float64Array
+    """When to report the pose [s], ascending, shape (n_frames,)."""
+
+
+class _Models(NamedTuple):
+    """Models in arrays, the first axis is the model."""
+
+    arms: Float64Array
+    """(n_models, 2, n_cells)"""
+    limit: Float64Array
+    """(n_models, n_cells)"""
+    centre: Float64Array
+    """(n_models, 2)"""
+    inertia: Float64Array
+    """(n_models, 3)"""
+    mu: Float64Array
+    """(n_models,)"""
+
+
+class _Pushes(NamedTuple):
+    """Pushes in arrays, the first axis is the push; those with fewer steps are padded."""
+
+    n_steps: np.ndarray
+    """(n_pushes,)"""
+    path: Float64Array
+    """Of the pusher at the steps' ends, (n_pushes, max_steps + 1, 3)"""
+    dt: Float64Array
+    """(n_pushes, max_steps)"""
+    pose: Float64Array
+    """(n_pushes, 3)"""
+    step: np.ndarray
+    """Of `Frames`, (n_pushes, n_frames)"""
+    fraction: Float64Array
+    """(n_pushes, n_frames)"""
+
+
+class _Shape(NamedTuple):
+    outline: Float64Array
+    corners: Float64Array
+    radius: float
+
+
+@kernel
+def _roll_range(
+    first: int, last: int, shape: _Shape, models: _Models, pushes: _Pushes, eps: float, tape: Tape, poses: Float64Array
+) -> None:
+    """Tasks `first` to `last` of model x push; a push that fails is NaN."""
+    n_pushes = pushes.pose.shape[0]
+    force = np.empty((pushes.dt.shape[1], 2))
+    for task in range(first, last):
+        m, p = task // n_pushes, task % n_pushes
+        n = pushes.n_steps[p]
+        push = Push(
+            pushes.pose[p], pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
+            models.centre[m], models.inertia[m], models.mu[m],
+        )  # fmt: skip
+        numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
+        frames = Frames(pushes.step[p], pushes.fraction[p])
+        failed_at, _ = rollout(push, numerics, None, frames, poses[m, p], force[:n], tape, None)
+        if failed_at >= 0:
+            poses[m, p] = np.nan
+
+
+def rollouts(
+    shape: ObjectShape,
+    models: Sequence[BatchModel],
+    pushes: Sequence[BatchPush],
+    *,
+    step: float,
+    smoothing_speed: float | None = None,
+    n_threads: int | None = None,
+) -> Float64Array:
+    """Poses of every model under every push.
+
+    Args:
+        shape: of the object.
+        models: that may be true.
+        pushes: all with one pusher, and with one number of frames.
+        step: longest time step [s]; the first contact is resolved within its step.
+        smoothing_speed: of the support friction [m/s]; by default that of `SimulationSettings`.
+        n_threads: by default as many as the processor has cores for this process.
+
+    Returns:
+        Poses in the table frame, shape (n_models, n_pushes, n_frames, 3); NaN where a simulation failed.
+
+    Raises:
+        InputError: nothing to simulate, a body that cannot be simulated, or pushes of different pushers or numbers of frames.
+    """
+    if not models or not pushes:
+        raise InputError(f"There are {len(models)} models and {len(pushes)} pushes, expected one of each at least.")
+    for model in models:
+        check_body(shape, model.body, model.pusher_friction)
+    by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
+    if len(by_pusher) > 1:
+        raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
+    pusher = pushes[0].pusher
+    geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
+    in_arrays, of_pushes = _models(shape, models), _pushes(pushes, step)
+    poses = np.empty((len(models), len(pushes), len(pushes[0].time), 3))
+    eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
+
+    def roll(first: int) -> None:
+        _roll_range(first, min(first + _TASKS_A_CALL, n_tasks), geometry, in_arrays, of_pushes, eps, new_tape(0), poses)
+
+    n_tasks = len(models) * len(pushes)
+    threads = n_threads or len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(roll, range(0, n_tasks, _TASKS_A_CALL)))
+    return poses
+
+
+def _models(shape: ObjectShape, models: Sequence[BatchModel]) -> _Models:
+    bodies = [model.body for model in models]
+    return _Models(
+        arms=np.array([(shape.cells.centres - body.centre).T for body in bodies], order="C"),
+        limit=np.array([body.limit for body in bodies]),
+        centre=np.array([body.centre for body in bodies]),
+        inertia=np.array([[body.mass, body.mass, body.inertia] for body in bodies]),
+        mu=np.array([model.pusher_friction for model in models], dtype=np.float64),
+    )
+
+
+def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:
+    clocks = [StepClock.through(push.pusher.time, max(float(push.time[-1]), float(push.pusher.time[-1])), step) for push in pushes]
+    n, n_frames, longest = len(pushes), len(pushes[0].time), max(clock.n_steps for clock in clocks)
+    path, dt = np.zeros((n, longest + 1, 3)), np.zeros((n, longest))
+    frame_step, fraction = np.zeros((n, n_frames), dtype=np.int64), np.zeros((n, n_frames))
+    for i, (push, clock) in enumerate(zip(pushes, clocks, strict=True)):
+        own = slice(0, clock.n_steps + 1)
+        for axis in (0, 1):
+            path[i, own, axis] = np.interp(clock.ends, push.pusher.time, push.pusher.position[:, axis])
+        if push.pusher.yaw is not None:
+            path[i, own, 2] = np.interp(clock.ends, push.pusher.time, push.pusher.yaw)
+        dt[i, : clock.n_steps] = clock.lengths
+        frames, _ = clock.frames(push.time)
+        frame_step[i], fraction[i] = frames.step, frames.fraction
+    return _Pushes(
+        np.array([clock.n_steps for clock in clocks]), path, dt, np.array([push.pose_object_in_table for push in pushes], dtype=np.float64),
+        frame_step, fraction,
+    )  # fmt: skip

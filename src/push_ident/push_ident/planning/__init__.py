@@ -1,0 +1,1 @@
+"""Pushes that bring an identified object where it belongs."""

@@ -1,0 +1,269 @@
+"""The next push towards a goal.
+
+A library of pushes (`library.py`) holds what each stroke of each length does to the object, for the mean model and for models that may be
+true. A push is worth the pushes that are expected after it:
+
+    J(a) = 1 + mean over models of (1 - s) (1 + (1 - p) r)        s: whether the object is at the goal after a under that model
+                                                                  p: chance that the best push from there ends at the goal
+                                                                  r: pushes after that one, from the distance that it leaves
+
+All strokes and lengths are judged by the mean model, the best by all models, and the best of these in the table frame: those that leave the
+workspace or touch something else first are passed over. Contact, direction and length of a push that may be the last one are then improved
+by the exact derivative, and what is expected of it is taken from more models and from the uncertainty of the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from push_ident.errors import PlanningError
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.physics.batch import BatchPush, rollouts
+from push_ident.planning.belief import Belief
+from push_ident.planning.goal import Goal
+from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
+from push_ident.planning.refine import refine
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.sampling import check_push
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["GoalPlanner", "GoalPush", "PlanStatus"]
+
+_SCREENED: Final = 400
+"""Pushes that the mean model likes best, judged by all models then."""
+_JUDGED: Final = 12
+"""Of these, feasible ones that are judged in the table frame."""
+_DRAWS: Final = 8
+"""Models in the library beside the mean."""
+_FINAL_DRAWS: Final = 32
+"""Models that the expectation of a push is taken from."""
+_NEIGHBOURS: Final = 4
+"""Second pushes that are looked at for each first one."""
+_PUSH_TRAVEL: Final = 0.1
+"""Distance that a further push is expected to cover [m]."""
+_CERTAIN: Final = 0.9
+"""Chance of being at the goal from which the object counts as there."""
+_AGAIN: Final = 0.004
+"""A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
+_NEAR: Final = 5.0
+"""Error, in units of the tolerance, up to which a push may be the last one and is improved: strokes are that coarse."""
+_WAY: Final = 4
+"""Poses along a push, the first included, at which the object is compared with obstacles."""
+_TIME_STEP: Final = 1.0 / 120.0
+"""Of the simulation of the pushes that are judged last [s]."""
+
+
+class PlanStatus(Enum):
+    """How planning ended."""
+
+    PUSH = "a push is proposed"
+    ARRIVED = "the object is at the goal"
+    UNSURE = "the pose is not known well enough for the tolerance: observe longer, or allow more"
+    UNREACHABLE = "no push within the workspace brings the object nearer: move it to the middle, or choose a nearer goal"
+
+
+@dataclass(frozen=True, slots=True)
+class GoalPush:
+    """The next push, or why there is none."""
+
+    status: PlanStatus
+    chance: float
+    """Of being at the goal: now where the object has arrived, after the push where one is proposed [1]."""
+    plan: PushPlan2D | None = None
+    end: Float64Array = field(default_factory=lambda: np.full(3, np.nan))
+    """Expected pose after the push, shape (3,), table frame."""
+    ends: Float64Array = field(default_factory=lambda: np.empty((0, 3)))
+    """Poses after it under models that may be true, shape (n_models, 3), table frame."""
+    expected_pushes: float = np.nan
+    """Pushes from now on, this one included."""
+
+
+class GoalPlanner:
+    """Plans pushes of one object; what it has simulated it keeps until the belief changes.
+
+    Args:
+        shape: of the object.
+        settings: limits of pushes and the pusher.
+        seed: of the models that are drawn.
+    """
+
+    def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0) -> None:
+        self._shape, self._settings, self._seed = shape, settings, seed
+        self._strokes = strokes(shape, settings)
+        self._belief: Belief | None = None
+        self._library: Library | None = None
+
+    def _library_of(self, belief: Belief) -> Library:
+        if self._library is None or belief is not self._belief:
+            self._belief = belief
+            self._library = Library.of(belief, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
+        return self._library
+
+    def plan(
+        self,
+        belief: Belief,
+        pose: Float64Array,
+        covariance: Float64Array,
+        goal: Goal,
+        obstacles: Sequence[Float64Array] = (),
+        failed: Sequence[PushPlan2D] = (),
+    ) -> GoalPush:
+        """The next push.
+
+        Args:
+            belief: what is known of the object.
+            pose: of the object in the table frame, shape (3,).
+            covariance: of that pose, shape (3, 3).
+            goal: pose with tolerances.
+            obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
+            failed: pushes from this pose that did not move the object, or could not be made.
+        """
+        chance = goal.chance(pose, covariance)
+        if chance >= _CERTAIN:
+            return GoalPush(PlanStatus.ARRIVED, chance)
+        if goal.chance(goal.pose, covariance) < _CERTAIN:
+            return GoalPush(PlanStatus.UNSURE, chance)
+        if len(self._strokes) == 0:
+            return GoalPush(PlanStatus.UNREACHABLE, chance)
+        library = self._library_of(belief)
+        wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
+        ranked = _ranked(library, wanted)
+        own = library.strokes
+        candidates: list[tuple[Strokes, int, float]] = []
+        motions: list[Float64Array] = []
+        for number, k in ranked:
+            plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
+            if self._is_possible(plan, pose, library.motion[0, number, k], obstacles, failed):
+                candidates.append((own, number, float(library.lengths[k])))
+                motions.append(library.motion[0, number, k])
+            if len(candidates) == _JUDGED:
+                break
+        if not candidates:
+            return GoalPush(PlanStatus.UNREACHABLE, chance)
+        for (_, number, length), motion in zip(list(candidates), motions, strict=True):
+            if wanted.relative_error(motion) > _NEAR:
+                continue
+            better = refine(belief.mean, own.picked(number), length, wanted, self._settings)
+            if better is not None:
+                plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
+                if self._is_possible(plan, pose, better.motion, obstacles, failed):
+                    candidates.append((better.stroke, 0, better.length))
+        return self._best(belief, library, candidates, pose, covariance, goal)
+
+    def _is_possible(
+        self,
+        plan: PushPlan2D,
+        pose: Float64Array,
+        motion: Float64Array,
+        obstacles: Sequence[Float64Array],
+        failed: Sequence[PushPlan2D],
+    ) -> bool:
+        """Whether a push keeps tool and object within the workspace, touches nothing before, and did not fail before."""
+        if any(np.linalg.norm(plan.contact_point - other.contact_point) < _AGAIN for other in failed):
+            return False
+        way = np.linspace(0.0, 1.0, _WAY)[1:, None] * motion
+        outline, *later = (transform_points(p, self._shape.outline) for p in (pose, *compose(pose, way)))
+        if self._settings.excess(later[-1]) > self._settings.excess(outline):
+            return False
+        if any(_gap(own, other) < self._settings.lowering_gap for own in later for other in obstacles):
+            return False
+        try:
+            check_push(plan, outline, self._settings, obstacles)
+        except PlanningError as error:
+            return error.code not in (PushCode.LIMIT, PushCode.UNREACHABLE)
+        return True
+
+    def _best(
+        self,
+        belief: Belief,
+        library: Library,
+        candidates: Sequence[tuple[Strokes, int, float]],
+        pose: Float64Array,
+        covariance: Float64Array,
+        goal: Goal,
+    ) -> GoalPush:
+        """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
+        settings, rng = self._settings, np.random.default_rng(self._seed + 1)
+        speed = settings.speed_range[0]
+        pushes = []
+        for own, number, length in candidates:
+            path = path_of(own.tool[number], own.heading()[number], length, speed, settings)
+            pushes.append(BatchPush(path, np.zeros(3), path.time[-1:]))
+        motion = rollouts(self._shape, belief.models(_FINAL_DRAWS, rng), pushes, step=_TIME_STEP)[:, :, 0]
+        motion = np.broadcast_to(motion, (1 + _FINAL_DRAWS, *motion.shape[1:])) if len(motion) == 1 else motion
+        # The tool goes where the observed pose has it, and the object lies elsewhere by the error of that pose.
+        root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
+        start = pose + np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
+        ends = compose(start[:, None], motion)
+        wanted = compose(inverse(ends), goal.pose)
+        there = _softly(goal.relative_error(ends))
+        after = _further_pushes(library, wanted.reshape(-1, 3), goal).reshape(there.shape)
+        value = 1.0 + np.nanmean((1.0 - there) * after, axis=0)
+        best = int(np.argmin(np.where(np.isnan(ends).any(axis=(0, 2)), np.inf, value)))
+        own, number, length = candidates[best]
+        return GoalPush(
+            PlanStatus.PUSH,
+            float(np.mean(np.asarray(goal.relative_error(ends[:, best])) <= 1.0)),
+            placed(own, number, pose, length, speed),
+            ends[0, best],
+            ends[:, best],
+            float(value[best]),
+        )
+
+
+def _ranked(library: Library, wanted: Goal) -> list[tuple[int, int]]:
+    """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
+    mean = library.motion[0]
+    value = _value(library, mean.reshape(1, -1, 3), wanted)
+    first = np.argsort(np.where(np.isfinite(value), value, np.inf))[:_SCREENED]
+    motion = library.motion.reshape(len(library.motion), -1, 3)[:, first]
+    value = _value(library, motion, wanted)
+    order = np.argsort(np.where(np.isfinite(value), value, np.inf))
+    n_lengths = len(library.lengths)
+    return [(int(first[k] // n_lengths), int(first[k] % n_lengths)) for k in order if np.isfinite(value[k])]
+
+
+def _value(library: Library, motion: Float64Array, wanted: Goal) -> Float64Array:
+    """Pushes expected from now on for each motion, shape (n_models, n_motions, 3), that a push may make: shape (n_motions,)."""
+    there = _softly(wanted.relative_error(motion))
+    left = compose(inverse(motion), wanted.pose)
+    after = _further_pushes(library, left.reshape(-1, 3), wanted).reshape(there.shape)
+    return 1.0 + np.asarray(np.mean((1.0 - there) * after, axis=0))
+
+
+def _further_pushes(library: Library, wanted: Float64Array, goal: Goal) -> Float64Array:
+    """Pushes expected to make each of the motions, shape (n, 3), within the tolerances: shape (n,)."""
+    tree, entries, spread = _tree(library, goal)
+    finite = np.all(np.isfinite(wanted), axis=1)
+    query = np.where(finite[:, None], wanted, 0.0)
+    query[:, 2] = wrap_angle(query[:, 2])
+    distance, index = tree.query(query / goal.tolerance, k=_NEIGHBOURS)
+    error = np.sqrt(distance**2 + spread[entries[index]] ** 2)
+    chance = _softly(error)
+    beyond = np.maximum(distance - 1.0, 0.0) * goal.position / _PUSH_TRAVEL
+    return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
+
+
+def _tree(library: Library, goal: Goal) -> tuple[KDTree, np.ndarray, Float64Array]:
+    """Motions of the mean model in units of the tolerances; which they are; and the spread of each over the models in the same units."""
+    flat = library.motion.reshape(len(library.motion), -1, 3)
+    spread = np.sqrt(np.nansum(np.nanvar(flat / goal.tolerance, axis=0), axis=1))
+    entries = np.flatnonzero(np.isfinite(flat[0]).all(axis=1))
+    return KDTree(flat[0][entries] / goal.tolerance), entries, spread
+
+
+def _gap(outline: Float64Array, other: Float64Array) -> float:
+    """Least distance of a vertex of either outline from the other [m]; negative inside."""
+    return float(min(np.min(signed_distance(outline, other)), np.min(signed_distance(other, outline))))
+
+
+def _softly(error: Float64Array) -> Float64Array:
+    """Whether an error, in units of its tolerance, is within it: between 1 at no error and 0 at many, since few models are asked."""
+    return np.asarray(1.0 / (1.0 + np.nan_to_num(error, nan=np.inf) ** 4))

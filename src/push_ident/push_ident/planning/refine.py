@@ -1,0 +1,92 @@
+"""A push improved by its exact derivative, so that the mean model ends at the goal.
+
+The rollout gives the derivative of the end by the first pose. To move the path of the pusher by a small motion is to move the object by the
+inverse one and then everything by that motion, so the same derivative tells what another contact and another direction do; the velocity at
+the end tells what another length does. Three numbers of the push for three of the pose: Gauss-Newton.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.unknowns import Mechanics
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings
+from push_ident.planning.goal import Goal
+from push_ident.planning.library import Strokes, path_of
+from push_ident.pushing.push import PushSettings
+from push_ident.types import Float64Array, SolveStatus
+
+__all__ = ["RefinedStroke", "end_by_push", "refine"]
+
+_EVALUATIONS: Final = 5
+"""Simulations of a push with their derivative."""
+_SHORTER: Final = 0.3
+"""Factor on a step that led further away [1]."""
+_DAMPING: Final = 0.5
+"""Weight of a change of the push by its whole range, in tolerances [1]: changes that hardly move the end are not made."""
+_RANGE: Final = np.array([0.01, 0.3, 0.03])
+"""Largest change of contact [m], direction [rad] and length [m] in a step: the derivative holds on one side of a switch only."""
+_SHORTEST: Final = 0.003
+"""Travel after contact [m]."""
+_WINDOW: Final = 0.003
+"""Travel over which the motion at the end is averaged [m]: an object that has been hit runs ahead of the pusher for a moment."""
+_NUMERICS: Final = SimulationSettings(step=1.0 / 120.0, resolve_events=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedStroke:
+    """A push that brings the mean model nearer to the goal."""
+
+    stroke: Strokes
+    """One."""
+    length: float
+    """Travel after contact [m]."""
+    motion: Float64Array
+    """Pose of the object after it in its frame before it, shape (3,)."""
+
+
+def refine(mechanics: Mechanics, stroke: Strokes, length: float, wanted: Goal, settings: PushSettings) -> RefinedStroke | None:
+    """A stroke and a length [m] whose motion is nearer to the wanted one; None where the push cannot be improved."""
+    best: RefinedStroke | None = None
+    first = least = np.inf
+    step = np.zeros(3)
+    for _ in range(_EVALUATIONS):
+        origin = best or RefinedStroke(stroke, length, np.zeros(3))
+        tried = origin.stroke.changed(float(step[0]), float(step[1]))
+        longer = float(np.clip(origin.length + step[2], _SHORTEST, settings.max_distance))
+        end, by_push = end_by_push(mechanics, tried, longer, settings)
+        if end is None or by_push is None:
+            break
+        residual = np.append((end - wanted.pose)[:2], wrap_angle(end[2] - wanted.pose[2])) / wanted.tolerance
+        cost = float(residual @ residual)
+        first = min(first, cost) if best is None else first
+        if cost >= least:
+            step *= _SHORTER
+            continue
+        best, least = RefinedStroke(tried, longer, end), cost
+        scaled = by_push / wanted.tolerance[:, None] * _RANGE
+        step = _RANGE * np.clip(-np.linalg.solve(scaled.T @ scaled + _DAMPING**2 * np.eye(3), scaled.T @ residual), -1.0, 1.0)
+    return best if least < first else None
+
+
+def end_by_push(
+    mechanics: Mechanics, stroke: Strokes, length: float, settings: PushSettings
+) -> tuple[Float64Array | None, Float64Array | None]:
+    """Pose after a push of an object at (0, 0, 0), shape (3,), and its derivative by contact, direction and length, (3, 3)."""
+    tool, heading = stroke.tool[0], stroke.heading()[0]
+    path = path_of(tool, heading, length, settings.speed_range[0], settings)
+    just_before = float(path.time[-1]) - _WINDOW / settings.speed_range[0]
+    motion = mechanics.simulate(PushScenario(path, np.zeros(3), np.array([just_before, path.time[-1]])), settings=_NUMERICS, jacobian=True)
+    if motion.status is not SolveStatus.CONVERGED:
+        return None, None
+    end, by_first = motion.pose[-1], motion.jacobian[-1, :, :3]
+    tangent = stroke.tangent[0]
+    moves = np.array([[tangent[0], tangent[1], 0.0], [tool[1], -tool[0], 1.0]])
+    columns = [move + move[2] * np.array([-end[1], end[0], 0.0]) - by_first @ move for move in moves]
+    by_length = (end - motion.pose[-2]) / _WINDOW
+    return end, np.column_stack([*columns, by_length])
