@@ -41,6 +41,13 @@ class Gap:
     no row where there is no effect."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
+    stage_density_gain: Float64Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Gain of log predictive density of each stage and of all effects over the stage before, in each fold [nat], shape (n_stages + 1,
+    n_folds); no row where there is no effect."""
+    names: tuple[str, ...] = ()
+    """Effects that are added."""
+    fits: tuple[Fit, ...] = ()
+    """With the effects, to the pushes outside each of the folds."""
     policy: ValidationPolicy = field(default_factory=ValidationPolicy)
     """By which the gap is judged."""
 
@@ -94,8 +101,8 @@ class _HeldOutFold:
     """Cell error of each push [m]."""
     log_density: float
     """Of the pushes of the fold under the fit to the others, up to a constant [nat]."""
-    estimates: Float64Array
-    """Values of the effects."""
+    fit: Fit
+    """To the other pushes."""
 
 
 def measure_gap(
@@ -130,10 +137,13 @@ def measure_gap(
         after=errors[-1],
         noise=_noise_errors(fit, policy.noise_draws),
         log_density_gain=density[-1] - density[0],
-        estimates=np.array([result.estimates for result in by_fit[-1]]),
+        estimates=np.array([result.fit.effects.values for result in by_fit[-1]]),
         folds=tuple(map(tuple, folds)),
         log_bayes_factor_without=np.diff(evidence, axis=0),
         stages=dict(zip(stages, errors[1:-1], strict=True)),
+        stage_density_gain=np.diff(density, axis=0),
+        names=tuple(name for name in fit.names if name not in base.names),
+        fits=tuple(result.fit for result in by_fit[-1]),
         policy=policy,
     )
 
@@ -162,7 +172,7 @@ def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
     rest, problem = without_pushes(fit, pushes), fit.problem
     records = [problem.records[push] for push in pushes]
     errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
-    return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest.effects.values)
+    return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 
 def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
