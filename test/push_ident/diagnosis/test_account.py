@@ -67,7 +67,7 @@ def test_noise_has_the_part_that_known_noise_makes() -> None:
             first = observed.pose[0] + NOISE / np.sqrt(n_first) * rng.normal(size=3)
             moved = simulate(TRUTH, replace(scenario, pose_object_in_table=first)).pose[-1]
             errors.append(cell_error(record.shape.cells, moved + NOISE / np.sqrt(n_last) * rng.normal(size=3), end))
-    assert account["noise"].mean == pytest.approx(np.mean(errors), rel=0.2)
+    assert account["noise"].mean == pytest.approx(np.mean(errors), rel=0.35)
     assert not account.is_unexplained and account["noise"].mean > account["maps"].mean > account["model"].mean
 
 

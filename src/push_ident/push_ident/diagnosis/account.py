@@ -164,12 +164,8 @@ class Account:
         return found
 
     def _part(self, name: str, values: Float64Array, *, is_effect: bool) -> AccountPart:
-        policy, rng = self.gap.policy, np.random.default_rng(0)
-        drawn = values[rng.integers(len(values), size=(policy.bootstrap_draws, len(values)))].mean(axis=1)
-        if name == _UNEXPLAINED:
-            drawn = drawn + self.expected.shared_std * rng.normal(size=len(drawn))
-        low, high = np.quantile(drawn, policy.interval_quantiles)
-        return AccountPart(name, float(np.mean(values)), (float(low), float(high)), is_effect)
+        interval = self.gap.mean_interval(values, self.expected.shared_std if name == _UNEXPLAINED else 0.0)
+        return AccountPart(name, float(np.mean(values)), interval, is_effect)
 
 
 def account_of(gap: Gap, problem: FitProblem, policy: AccountPolicy) -> Account:

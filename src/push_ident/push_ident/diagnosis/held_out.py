@@ -71,6 +71,32 @@ class Gap:
         no_more_probable = float(np.mean(self.log_density_gain)) <= self.policy.min_log_density_gain
         return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
 
+    def closes_a_part(self, stage: int) -> bool:
+        """Whether what a stage adds surely helps to predict held-out pushes: their ends, or their density.
+
+        Neither alone would do: lag and latency change the motion and hardly its end, and a density of few folds is uncertain.
+
+        Args:
+            stage: its number, from 0; the last one adds the last effects.
+        """
+        errors = [self.before, *self.stages.values(), self.after]
+        closed = self.mean_interval(errors[stage] - errors[stage + 1])[0] > 0.0
+        return closed or self.mean_interval(self.stage_density_gain[stage])[0] > 0.0
+
+    def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
+        """Contains the mean with the probability of the policy, by bootstrap over the pushes or the folds.
+
+        Args:
+            values: one for each push or fold, shape (n,).
+            shared_std: standard deviation of an error that all of them have in common, in their unit.
+        """
+        rng, n = np.random.default_rng(0), len(values)
+        drawn = values[rng.integers(n, size=(self.policy.bootstrap_draws, n))].mean(axis=1)
+        if shared_std > 0.0:
+            drawn = drawn + shared_std * rng.normal(size=len(drawn))
+        low, high = np.quantile(drawn, self.policy.interval_quantiles)
+        return float(low), float(high)
+
     @property
     def shrink(self) -> float:
         """1 - (after - noise) / (before - noise): 1 where only noise remains; NaN where there was no gap."""
