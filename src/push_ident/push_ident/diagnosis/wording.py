@@ -153,10 +153,12 @@ def sentence_of_more_pushes(account: Account, first: PlannedPush | None) -> str:
     n = account.more_pushes
     if n == 0:
         return ""
-    this = f"; this one first: {described}" if first is not None and (described := describe_push(first)) else ""
+    described = "" if first is None else describe_push(first)
     if n is None:
-        return f" More than {account.policy.max_more_pushes} pushes like these would be needed: touch other sides{this}."
-    return f" {n} more push{' like these' if n == 1 else 'es like these'} would tell{this}."
+        most = f" More than {account.policy.max_more_pushes} pushes like these would be needed, so push it differently"
+        return f"{most}, first like this: {described}." if described else f"{most}."
+    more = f" {n} more push{' like these' if n == 1 else 'es like these'} would tell"
+    return f"{more}; this one first: {described}." if described else f"{more}."
 
 
 def in_mm(length: float) -> str:
