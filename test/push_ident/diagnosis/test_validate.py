@@ -32,7 +32,7 @@ def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
     selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
     zero, policy = np.zeros(5), ValidationPolicy()
     folds = ((0, 3), (1, 4), (2,))
-    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), folds, np.array(log_bayes_factors), {"lag": zero}, np.ones((2, 3)))
+    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), folds, np.array(log_bayes_factors))
     supported, found = supported_selection(selection, gap, policy)
     assert supported.found == kept and found == unsupported
     assert unsupported is None or len(supported.steps) == len(kept) + 1
@@ -41,25 +41,6 @@ def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
     assert supported_selection(selection, worse, policy)[0].found == ()
     neither = Selection(base, base, selection.steps[:1])
     assert supported_selection(neither, replace(worse, log_bayes_factor_without=np.zeros((0, 3))), policy) == (neither, None)
-
-
-@pytest.mark.parametrize(
-    ("closed", "gain", "kept"),
-    [
-        ([1e-3, 2e-3, 0.0, 1e-3], [0.0, 9.0, -8.0], ("wear",)),  # the ends only
-        ([0.0, -1e-3, 1e-3, 0.0], [2.0, 1.0, 3.0], ("wear",)),  # the motion only, as a lag
-        ([0.0, 9e-3, -1e-3, 0.0], [9.0, -1.0, -1.0], ()),  # one push each
-    ],
-)
-def test_effect_is_named_only_where_it_surely_closes_a_part_of_ends_or_motions(
-    closed: list[float], gain: list[float], kept: tuple[str, ...]
-) -> None:
-    base, wear = stub_fit(), stub_fit("wear")
-    selection = Selection(base, wear, tuple(Step(fit, None, (), ()) for fit in (base, wear)))
-    before, zero = np.full(4, 5e-3), np.zeros(4)
-    evidence, gains = np.full((1, 3), 9.0), np.array([gain])
-    gap = Gap(before, before - closed, zero, gains[0], np.zeros((3, 1)), ((0, 3), (1,), (2,)), evidence, {}, gains)
-    assert supported_selection(selection, gap, ValidationPolicy())[0].found == kept
 
 
 def test_several_effects_have_to_beat_the_wrench_and_a_single_one_must_only_not_be_beaten() -> None:

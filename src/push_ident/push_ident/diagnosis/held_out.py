@@ -41,9 +41,6 @@ class Gap:
     no row where there is no effect."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
-    stage_density_gain: Float64Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Gain of log predictive density of each stage and of all effects over the stage before, in each fold [nat], shape (n_stages + 1,
-    n_folds); no row where there is no effect."""
     names: tuple[str, ...] = ()
     """Effects that are added."""
     fits: tuple[Fit, ...] = ()
@@ -71,23 +68,11 @@ class Gap:
         no_more_probable = float(np.mean(self.log_density_gain)) <= self.policy.min_log_density_gain
         return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
 
-    def closes_a_part(self, stage: int) -> bool:
-        """Whether what a stage adds surely helps to predict held-out pushes: their ends, or their density.
-
-        Neither alone would do: lag and latency change the motion and hardly its end, and a density of few folds is uncertain.
-
-        Args:
-            stage: its number, from 0; the last one adds the last effects.
-        """
-        errors = [self.before, *self.stages.values(), self.after]
-        closed = self.mean_interval(errors[stage] - errors[stage + 1])[0] > 0.0
-        return closed or self.mean_interval(self.stage_density_gain[stage])[0] > 0.0
-
     def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
-        """Contains the mean with the probability of the policy, by bootstrap over the pushes or the folds.
+        """Contains the mean with the probability of the policy, by bootstrap over the pushes.
 
         Args:
-            values: one for each push or fold, shape (n,).
+            values: one for each push, shape (n,).
             shared_std: standard deviation of an error that all of them have in common, in their unit.
         """
         rng, n = np.random.default_rng(0), len(values)
@@ -167,7 +152,6 @@ def measure_gap(
         folds=tuple(map(tuple, folds)),
         log_bayes_factor_without=np.diff(evidence, axis=0),
         stages=dict(zip(stages, errors[1:-1], strict=True)),
-        stage_density_gain=np.diff(density, axis=0),
         names=tuple(name for name in fit.names if name not in base.names),
         fits=tuple(result.fit for result in by_fit[-1]),
         policy=policy,

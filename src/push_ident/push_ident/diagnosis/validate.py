@@ -77,7 +77,7 @@ def wrench_explains_more(wrench: SmoothWrench, selection: Selection, policy: Unk
 
 
 def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy) -> tuple[Selection, UnsupportedEffect | None]:
-    """The effects that held-out pushes support: none where they are predicted worse, and none that surely closes no part of the gap.
+    """The effects that held-out pushes support: none where they are predicted worse.
 
     An effect without evidence in the fit without one push came from that push: something happened to it, or it lies at the edge between
     sticking and sliding, where small causes decide where the object goes. It is rejected, and so are those that were added after it.
@@ -93,8 +93,6 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
         names = [name for name in fit.names if name not in earlier]
         if log_bayes_factors[fold] < policy.min_log_bayes_factor_without_push:
             return selection.until(stage), UnsupportedEffect(" and ".join(names), gap.folds[fold])
-        if not gap.closes_a_part(stage):
-            return selection.until(stage), None
         earlier |= set(names)
     return selection, None
 
