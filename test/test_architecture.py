@@ -24,6 +24,7 @@ ORDER = [
     "physics",
     "identification",
     "diagnosis",
+    "planning",
     "bags",
     "offline",
     "fleet",

@@ -23,6 +23,7 @@ from push_ident.cli.live import doctor_command, replay_command, up_command
 from push_ident.cli.look import look_command
 from push_ident.cli.output import console, warn
 from push_ident.cli.predict import predict_command
+from push_ident.cli.push_to import push_to_command
 from push_ident.cli.simulate import simulate_command
 from push_ident.errors import PushIdentError
 
@@ -53,6 +54,7 @@ app.command("export")(export_command)
 app.command("replay")(replay_command)
 app.add_typer(import_app, name="import")
 app.command("up")(up_command)
+app.command("push-to")(push_to_command)
 app.command("experiment")(experiment_command)
 app.command("simulate")(simulate_command)
 app.command("bench")(bench_command)
