@@ -223,7 +223,7 @@ def test_failed_push_is_passed_to_the_planner_and_forgotten_after_one_that_moved
     assert outcome.code is GoalCode.NONE
     assert cell.failed == [0, 1, 2, 0]
     assert outcome.progress.pushes == 3  # the refused one moved nothing
-    assert [p.note for p in seen if p.note][0].startswith("the push failed (NO_CONTACT)")
+    assert next(p.note for p in seen if p.note).startswith("the push failed (NO_CONTACT)")
 
 
 @pytest.mark.parametrize(
