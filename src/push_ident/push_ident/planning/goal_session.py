@@ -31,8 +31,8 @@ _POLL: Final = 0.01
 """Between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
 _CERTAIN: Final = 0.9
 """Chance of being at the goal from which the object counts as there; as the planner has it [1]."""
-_HOLD: Final = 2.0
-"""For the executor to answer that it holds the arm [s]; it does so within 50 ms."""
+_HOLD: Final = 0.7
+"""For the executor to answer that it holds the arm [s]; it does so within 50 ms. A node that ends has 1.8 s for everything."""
 _BLURRED: Final = 3.0
 """For poses to become certain enough for the tolerances [s]: 90 frames at 30 Hz, after which a tracker at rest has settled."""
 
@@ -350,10 +350,9 @@ class GoalSession:
             seed += 1
             if report.code is PushCode.NONE:
                 made, self._refusals = made + 1, 0
-                self._learn(seen, report)
             else:
                 self._take_failure(report, None)
-            seen = self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
+            seen = self._after_push(seen, report)
             if self._is_there(seen):
                 break
         return seen
@@ -389,10 +388,16 @@ class GoalSession:
         if report.code is PushCode.NONE:
             self._failed.clear()
             self._refusals = 0
-            self._learn(seen, report)
         else:
             self._take_failure(report, plan.plan)
-        return self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
+        return self._after_push(seen, report)
+
+    def _after_push(self, before: TrackedObject, report: PushReport) -> TrackedObject:
+        """The object after a push, and once the push was learned: what nobody plans with need not be waited for at the goal."""
+        seen = self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
+        if report.code is PushCode.NONE and not self._is_there(seen):
+            self._learn(before, report)
+        return seen
 
     def _learn(self, seen: TrackedObject, report: PushReport) -> None:
         """Wait until identification has taken the push in; go on with what was known where it does not."""
@@ -468,7 +473,17 @@ class GoalSession:
 
     def _model(self, seen: TrackedObject) -> KnownModel:
         """What is known of the object; ends where identification says nothing."""
-        model = self._wait(lambda: self._ports.model(seen.object_id), self._limits.object_patience)
+
+        def fitting() -> KnownModel | None:
+            found = self._ports.model(seen.object_id)
+            return found if found is not None and found.posterior.unknowns.shape.is_same_object(seen.shape) else None
+
+        model = self._wait(fitting, self._limits.object_patience)
+        if model is None and self._ports.model(seen.object_id) is not None:
+            raise _Ended(
+                GoalCode.MODEL,
+                f"the model of `{seen.object_id}` is of an object of another shape; look at identification, or load another.",
+            )
         if model is None:
             raise _Ended(
                 GoalCode.UNKNOWN_OBJECT, f"identification has published no model of `{seen.object_id}`; is identification_node active?"

@@ -29,6 +29,9 @@ def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequ
     if frame not in ("", TABLE_FRAME):
         raise InputError(f"The goal is in frame {plain_text(frame)!r}, expected {TABLE_FRAME!r}; transform it first.")
     LIMITS.STRING.check(len(msg.object_id), "object_id")
+    position, turn = msg.goal.pose.position, msg.goal.pose.orientation
+    if not all(map(math.isfinite, (position.x, position.y, turn.x, turn.y, turn.z, turn.w))):
+        raise InputError("The goal has coordinates that are not finite; give x and y in metres and a quaternion about z.")
     goal = Goal(
         planar_pose_of(msg.goal.pose),
         float(msg.position_tolerance) or defaults["position_tolerance"],

@@ -143,7 +143,8 @@ class RequestedPush:
             self._is_canceled = True
             if not self._is_sent and self._report is None:
                 self._report = PushReport(PushCode.CANCELED, "canceled before it was sent.")
-        self._link.ask(self._send_cancel)
+        # From this thread: the arm must hold also where the node is about to end and no callback is called any more.
+        self._link.watched(lambda _: self._send_cancel())(None)
 
     # ---- called by the session
 
@@ -208,6 +209,8 @@ class RequestedPush:
             self._report = PushReport(code, plain_text(result.error_text), n_made)
 
     def _send_cancel(self) -> None:
-        if self._handle is not None and not self._is_cancel_sent:
+        with self._lock:
+            if self._handle is None or self._is_cancel_sent:
+                return
             self._is_cancel_sent = True
-            self._handle.cancel_goal_async()
+        self._handle.cancel_goal_async()
