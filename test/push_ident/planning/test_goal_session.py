@@ -103,6 +103,8 @@ class Cell:
     is_visible: Callable[[float], bool] = lambda time: True
     wants: Callable[[Cell], Wish] = lambda cell: Wish.GO_ON
     learns: bool = True
+    pushed: float = -np.inf
+    """Start of a push that somebody made before."""
     settings: PushSettings | None = field(default_factory=PushSettings)
     pushes: list[Push] = field(default_factory=list)
     asked: list[PushPlan2D | int] = field(default_factory=list)
@@ -129,6 +131,9 @@ class Cell:
     def model(self, object_id: str) -> KnownModel | None:
         stamp = self.learned[1] if self.learns and self.time >= self.learned[0] else 0.0
         return KnownModel(self.posterior, stamp, 0, self.is_known or stamp > 0)
+
+    def pushed_at(self, object_id: str) -> float:
+        return self.pushed
 
     def push_settings(self) -> PushSettings | None:
         return self.settings
@@ -253,6 +258,17 @@ def test_object_that_does_not_come_back_into_view_is_lost(posterior: ModelPoster
     # Hidden by the arm for a while is not lost.
     outcome, _ = run(Cell(posterior, is_visible=lambda time: not 105.0 < time < 118.0))
     assert outcome.code is GoalCode.NONE
+
+
+def test_push_made_before_is_learned_first(posterior: ModelPosterior) -> None:
+    cell = Cell(posterior, is_known=False, pushed=98.0, learned=(103.0, 99.0))
+    GoalSession(GoalRequest("", GOAL), cell).check()
+    outcome, seen = run(cell)
+    assert outcome.code is GoalCode.NONE
+    assert outcome.progress.elapsed == pytest.approx(3.0 + 1.0 + PUSH_SECONDS, abs=0.2)
+    assert seen[0].state is GoalState.OBSERVE and any(p.state is GoalState.LEARN and not p.pushes for p in seen)
+    never = Cell(posterior, is_known=False, pushed=98.0)
+    assert run(never)[0].code is GoalCode.NOTHING_KNOWN and not never.pushes
 
 
 def test_push_that_is_not_learned_does_not_end_the_goal(posterior: ModelPosterior) -> None:

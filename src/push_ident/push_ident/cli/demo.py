@@ -275,10 +275,10 @@ def _finish_goal(outcome: _Outcome, where: Float64Array, run: Path, seconds: flo
 
     report = outcome.report
     assert report is not None
-    outline = load_model(run / "model.json")[1].unknowns.shape.outline
-    pushes = [(line.expected, line.seen) for line in report.lines]
-    title = f"{len(report.lines)} pushes to the goal, after {len(outcome.training)} exploring ones"
-    draw_goal_pushes(run / "goal.png", outline, report.start, pushes, Goal(where), title=title)
+    if pushes := [(line.expected, line.seen) for line in report.lines]:
+        outline = load_model(run / "model.json")[1].unknowns.shape.outline
+        title = f"{len(pushes)} pushes to the goal, after {len(outcome.training)} exploring ones"
+        draw_goal_pushes(run / "goal.png", outline, report.start, pushes, Goal(where), title=title)
     content = {"object_id": outcome.object_id, "training": outcome.training, **report.content(), "time_s": seconds}
     write_json(run / "result.json", content)
     if json is not None:

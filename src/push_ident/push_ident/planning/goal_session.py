@@ -194,6 +194,9 @@ class GoalPorts(Protocol):
     def model(self, object_id: str) -> KnownModel | None:
         """What identification knows of an object; None before it has said so."""
 
+    def pushed_at(self, object_id: str) -> float:
+        """Start of the latest push of an object that succeeded, whoever asked for it [s], clock of the poses; -inf: none is known of."""
+
     def push_settings(self) -> PushSettings | None:
         """Limits of pushes and the pusher; None before the executor has said what it pushes with."""
 
@@ -309,6 +312,9 @@ class GoalSession:
     def _run(self) -> None:
         seen = self._observe(-np.inf, GoalCode.UNKNOWN_OBJECT)
         self._check(seen)
+        if not self._is_there(seen):
+            # A push for somebody else, such as the goal before, may still be on its way into the model.
+            self._learn(seen.object_id, self._ports.pushed_at(seen.object_id))
         if self._request.explore and not self._is_there(seen):
             seen = self._explore(self._certain(seen))
         while not self._is_there(seen):
@@ -332,11 +338,16 @@ class GoalSession:
                 "choose a goal further inside.",
             )
         model = self._ports.model(seen.object_id)
-        if model is not None and not model.is_known and not self._request.explore and not self._is_there(seen):
-            raise _Ended(
-                GoalCode.NOTHING_KNOWN,
-                f"no push of `{seen.object_id}` was learned yet; allow exploring pushes (explore), push it first, or load a model.",
-            )
+        is_learning = model is not None and self._ports.pushed_at(seen.object_id) > model.stamp
+        if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(seen):
+            raise self._nothing_known(seen)
+
+    @staticmethod
+    def _nothing_known(seen: TrackedObject) -> _Ended:
+        return _Ended(
+            GoalCode.NOTHING_KNOWN,
+            f"no push of `{seen.object_id}` was learned yet; allow exploring pushes (explore), push it first, or load a model.",
+        )
 
     def _explore(self, seen: TrackedObject) -> TrackedObject:
         """Make the exploring pushes; the object after them."""
@@ -396,18 +407,19 @@ class GoalSession:
         """The object after a push, and once the push was learned: what nobody plans with need not be waited for at the goal."""
         seen = self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
         if report.code is PushCode.NONE and not self._is_there(seen):
-            self._learn(before, report)
+            self._learn(seen.object_id, max(before.stamp, report.stamp))
         return seen
 
-    def _learn(self, seen: TrackedObject, report: PushReport) -> None:
-        """Wait until identification has taken the push in; go on with what was known where it does not."""
-        self._enter(GoalState.LEARN)
-        since = max(seen.stamp, report.stamp)
+    def _learn(self, object_id: str, since: float) -> None:
+        """Wait until identification has taken in a push that began at `since` [s]; go on with what was known where it does not."""
 
         def learned() -> bool | None:
-            model = self._ports.model(seen.object_id)
+            model = self._ports.model(object_id)
             return True if model is not None and model.stamp > since else None
 
+        if learned():
+            return
+        self._enter(GoalState.LEARN)
         if self._wait(learned, self._limits.learn_timeout) is None:
             self._say(f"identification did not learn the push within {self._limits.learn_timeout:g} s; going on with what was known")
 
@@ -489,7 +501,7 @@ class GoalSession:
                 GoalCode.UNKNOWN_OBJECT, f"identification has published no model of `{seen.object_id}`; is identification_node active?"
             )
         if not model.is_known and not self._request.explore:
-            self._check(seen)
+            raise self._nothing_known(seen)
         return model
 
     # ---- waiting

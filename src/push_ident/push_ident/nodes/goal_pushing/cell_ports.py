@@ -106,6 +106,10 @@ class CellPorts:
         """As `GoalPorts`."""
         return self._view.models.get(object_id)
 
+    def pushed_at(self, object_id: str) -> float:
+        """As `GoalPorts`."""
+        return self._view.executor.pushed_at(object_id)
+
     def push_settings(self) -> PushSettings | None:
         """As `GoalPorts`."""
         return self._view.settings()

@@ -14,7 +14,7 @@ from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
-from push_ident.limits import plain_text
+from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert import push_interval_from_msg
 from push_ident.planning.goal_session import PushReport
@@ -53,6 +53,7 @@ class ExecutorLink:
         self._questions: deque[Callable[[], object]] = deque()
         self._bell = node.create_guard_condition(node.guard.callback("execute_push", self._ask), callback_group=self._group)
         self._starts: dict[int, float] = {}
+        self._latest: dict[str, float] = {}
         node.create_subscription(PushRecord, "push_record", self._on_record, 10)
 
     @property
@@ -88,6 +89,10 @@ class ExecutorLink:
         """When a push began [s], clock of the poses; -inf where its record has not come."""
         return self._starts.get(push_id, -np.inf)
 
+    def pushed_at(self, object_id: str) -> float:
+        """When the latest push of an object that succeeded began [s], whoever asked for it, clock of the poses; -inf: none was reported."""
+        return self._latest.get(object_id, -np.inf)
+
     def watched(self, work: Callable[[Any], None]) -> Callable[[Any], None]:
         """`work` such that an exception in it is a refusal."""
 
@@ -105,8 +110,12 @@ class ExecutorLink:
         interval = push_interval_from_msg(msg)
         self._starts.pop(interval.push_id, None)  # of an earlier run of the executor
         self._starts[interval.push_id] = interval.start
-        while len(self._starts) > _RECORDS:
-            del self._starts[next(iter(self._starts))]
+        if interval.error_code == 0 and interval.object_id:
+            self._latest.pop(interval.object_id, None)
+            self._latest[interval.object_id] = interval.start
+        for kept, largest in ((self._starts, _RECORDS), (self._latest, LIMITS.OBJECTS.value)):
+            while len(kept) > largest:
+                del kept[next(iter(kept))]  # type: ignore[attr-defined]
 
 
 class RequestedPush:
