@@ -7,7 +7,7 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from action_msgs.srv import CancelGoal
@@ -36,6 +36,8 @@ _LOOK: Final = 0.25
 """Between two looks at the ROS graph [s]."""
 _RECORDS: Final = 16
 """Latest push records that are remembered."""
+
+K = TypeVar("K")
 
 
 class ExecutorLink:
@@ -108,14 +110,17 @@ class ExecutorLink:
 
     def _on_record(self, msg: PushRecord) -> None:
         interval = push_interval_from_msg(msg)
-        self._starts.pop(interval.push_id, None)  # of an earlier run of the executor
-        self._starts[interval.push_id] = interval.start
+        _remember(self._starts, interval.push_id, interval.start, _RECORDS)
         if interval.error_code == 0 and interval.object_id:
-            self._latest.pop(interval.object_id, None)
-            self._latest[interval.object_id] = interval.start
-        for kept, largest in ((self._starts, _RECORDS), (self._latest, LIMITS.OBJECTS.value)):
-            while len(kept) > largest:
-                del kept[next(iter(kept))]  # type: ignore[attr-defined]
+            _remember(self._latest, interval.object_id, interval.start, LIMITS.OBJECTS.value)
+
+
+def _remember(kept: dict[K, float], key: K, value: float, largest: int) -> None:
+    """Keep the latest `largest` values; a key may come again, as after a restart of the executor."""
+    kept.pop(key, None)
+    kept[key] = value
+    while len(kept) > largest:
+        del kept[next(iter(kept))]
 
 
 class RequestedPush:
