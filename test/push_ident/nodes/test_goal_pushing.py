@@ -24,7 +24,7 @@ from push_ident.geometry.outline import cells_in_outline
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
-from push_ident.planning.goal_session import GoalCode, GoalState
+from push_ident.planning.goal_ports import GoalCode, GoalState
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import ModelPosterior

@@ -12,19 +12,19 @@ from helpers.objects import hammer
 from push_ident.errors import InputError
 from push_ident.identification.result import ModelPosterior, prior_posterior
 from push_ident.planning.goal import Goal
-from push_ident.planning.goal_session import (
+from push_ident.planning.goal_ports import (
     GoalCode,
     GoalOutcome,
     GoalProgress,
     GoalRefusedError,
     GoalRequest,
-    GoalSession,
     GoalState,
     KnownModel,
     PushReport,
     SessionLimits,
     Wish,
 )
+from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings

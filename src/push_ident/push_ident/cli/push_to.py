@@ -98,7 +98,7 @@ class GoalReport:
 
 
 def _codes() -> dict[str, int]:
-    from push_ident.planning.goal_session import GoalCode
+    from push_ident.planning.goal_ports import GoalCode
 
     return {code.name: code.value for code in GoalCode}
 

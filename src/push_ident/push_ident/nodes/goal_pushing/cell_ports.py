@@ -1,4 +1,4 @@
-"""`planning.goal_session.GoalPorts` of a cell on ROS."""
+"""`planning.goal_ports.GoalPorts` of a cell on ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from push_ident.nodes.goal_pushing.model_input import ModelInput
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, PlanUnderWay
 from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.planning.goal import Goal
-from push_ident.planning.goal_session import KnownModel, Wish
+from push_ident.planning.goal_ports import KnownModel, Wish
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array

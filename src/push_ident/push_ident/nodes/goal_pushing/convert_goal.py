@@ -12,7 +12,7 @@ from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.convert import TABLE_FRAME, planar_pose_of
 from push_ident.planning.goal import Goal
-from push_ident.planning.goal_session import GoalOutcome, GoalProgress, GoalRequest
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest
 from push_ident.types import Float64Array
 from push_ident_msgs.action import PushToGoal
 

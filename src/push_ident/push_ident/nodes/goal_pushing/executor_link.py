@@ -17,7 +17,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert import push_interval_from_msg
-from push_ident.planning.goal_session import PushReport
+from push_ident.planning.goal_ports import PushReport
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
@@ -124,7 +124,7 @@ def _remember(kept: dict[K, float], key: K, value: float, largest: int) -> None:
 
 
 class RequestedPush:
-    """`planning.goal_session.PushUnderWay` at the executor.
+    """`planning.goal_ports.PushUnderWay` at the executor.
 
     A server that has not found the client yet drops its answers, and a goal must not be sent twice. So the goal is sent after the executor
     has answered a question that changes nothing.

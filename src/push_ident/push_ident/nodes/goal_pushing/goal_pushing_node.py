@@ -24,7 +24,8 @@ from push_ident.nodes.goal_pushing.parameters import PARAMETERS, push_settings, 
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
 from push_ident.nodes.run import run_node
 from push_ident.nodes.tracked_objects import TrackedObjects
-from push_ident.planning.goal_session import GoalCode, GoalOutcome, GoalProgress, GoalRefusedError, GoalSession, Wish
+from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalRefusedError, Wish
+from push_ident.planning.goal_session import GoalSession
 from push_ident.pushing.push import PushSettings
 from push_ident_msgs.action import PushToGoal
 

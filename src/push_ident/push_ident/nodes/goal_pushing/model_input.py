@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert_model import posterior_from_msg
 from push_ident.nodes.discovery import ObjectTopics
-from push_ident.planning.goal_session import KnownModel
+from push_ident.planning.goal_ports import KnownModel
 from push_ident_msgs.msg import ModelPosterior
 
 __all__ = ["ModelInput"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from push_ident.nodes.parameters import Parameter
-from push_ident.planning.goal_session import SessionLimits
+from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings
 
 __all__ = ["PARAMETERS", "push_settings", "session_limits"]
