@@ -19,7 +19,7 @@ from push_ident.types import Float64Array
 __all__ = ["PlanUnderWay", "PlannerThread"]
 
 _KEPT: Final = 4
-"""Objects whose planner is kept: each holds a library of some 10 MB."""
+"""Objects whose planner is kept: each holds a library of some 3 MB."""
 
 
 class PlanUnderWay:
