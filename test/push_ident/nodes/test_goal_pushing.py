@@ -243,6 +243,18 @@ def test_newer_goal_takes_over_after_the_push_and_a_cancellation_while_it_plans_
     assert second.end().error_code == GoalCode.CANCELED and len(cell.records) == 1
 
 
+def test_cancellation_of_a_goal_that_waits_for_the_push_of_another_holds_the_arm(cell: GoalCell) -> None:
+    first = begin(cell, FAR)
+    n_holds = len(cell.holds)
+    second = send(cell, NEAR)
+    wait_for(lambda: second.feedback, 5.0)
+    assert second.state is GoalState.OBSERVE and not first.result.done()
+    second.handle.cancel_goal_async()
+    assert first.end(5.0).error_code == GoalCode.PREEMPTED
+    assert second.end(5.0).error_code == GoalCode.CANCELED
+    assert len(cell.holds) > n_holds
+
+
 def test_models_of_any_content_are_refused_and_the_one_before_is_used(cell: GoalCell, node: NodeProcess) -> None:
     good = posterior_to_msg(prior_posterior(ObjectShape(cells_in_outline(BOX, 0.01), BOX)), "box", cell.get_clock().now().to_msg(),
                             n_pushes=1, is_known=True)  # fmt: skip

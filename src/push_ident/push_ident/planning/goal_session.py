@@ -255,7 +255,7 @@ class GoalSession:
         self._object_id, self.progress.observed = seen.object_id, self.progress.pushes
         self.progress.pose, self.progress.error = seen.pose, self._goal.error(seen.pose)
         self.progress.chance = self._goal.chance(seen.pose, seen.covariance)
-        self._report(at_once=True)
+        self.report(at_once=True)
         return seen
 
     def _is_there(self, seen: TrackedObject) -> bool:
@@ -340,7 +340,7 @@ class GoalSession:
             found = what()
             if found is not None or self._ports.now() >= deadline:
                 return found
-            self._report()
+            self.report()
             self._ports.sleep(_POLL)
 
     def _check_wanted(self, finish: bool) -> None:
@@ -375,14 +375,15 @@ class GoalSession:
 
     def _enter(self, state: GoalState) -> None:
         self.progress.state = state
-        self._report(at_once=True)
+        self.report(at_once=True)
 
     def _say(self, text: str) -> None:
         self.progress.note = text
-        self._report(at_once=True)
+        self.report(at_once=True)
         self.progress.note = ""
 
-    def _report(self, *, at_once: bool = False) -> None:
+    def report(self, *, at_once: bool = False) -> None:
+        """Hand out the progress if that is due."""
         now = self._ports.now()
         if at_once or now - self._reported >= _FEEDBACK_PERIOD:
             self._reported = now

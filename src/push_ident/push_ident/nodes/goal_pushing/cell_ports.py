@@ -42,6 +42,11 @@ class WishOfClient:
         """The goal ends after the push under way."""
         self._finish.set()
 
+    @property
+    def is_superseded(self) -> bool:
+        """Whether a newer goal has come."""
+        return self._finish.is_set()
+
     def __call__(self) -> Wish:
         """As `GoalPorts.wish`."""
         if self._hold.is_set() or self._is_cancel_requested():

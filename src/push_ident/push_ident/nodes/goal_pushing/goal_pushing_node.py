@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -128,6 +129,11 @@ class _GoalPushing(Component):
         finally:
             with self._lock:
                 self._wishes.discard(wish)
+        if outcome.code is GoalCode.CANCELED and not goal.is_cancel_requested:
+            if wish.is_superseded:
+                outcome = replace(outcome, code=GoalCode.PREEMPTED, text="a newer goal took its place and was canceled; the arm holds.")
+            else:
+                outcome = replace(outcome, text="the node was deactivated; the arm holds. Activate it and send the goal again.")
         return self._answer(goal, outcome)
 
     def _session(self, goal: ServerGoalHandle, wish: WishOfClient) -> GoalSession:
@@ -146,6 +152,7 @@ class _GoalPushing(Component):
     def _run(self, session: GoalSession, wish: WishOfClient) -> GoalOutcome:
         """Push, once the push of the goal before has ended."""
         while not self._arm.acquire(timeout=_LOOK):
+            session.report()
             if wish() is Wish.HOLD and (before := self._pushing) is not None:
                 before.hold()
             if wish() is not Wish.GO_ON:

@@ -21,7 +21,7 @@ PARAMETERS: Final = (
     Parameter("push_speed", 0.1, "Speed of the pushes; slow, since the model is best known there [m/s]", 0.01, 0.25),
     Parameter("pose_timeout", 1.0, "Oldest pose, by time of receipt, that a push is planned from [s]", 0.05, 60.0),
     Parameter("object_patience", 10.0, "How long is waited for the object to come into view [s]", 0.5, 600.0),
-    Parameter("learn_timeout", 20.0, "How long is waited until identification has learned a push [s]", 0.0, 600.0),
+    Parameter("learn_timeout", 30.0, "How long is waited until identification has learned a push [s]", 0.0, 600.0),
     Parameter("executor_timeout", 60.0, "Longest silence of the executor during a push [s]; planning sends no feedback", 1.0, 600.0),
     Parameter("max_refusals", 8, "Pushes in a row that may be refused or miss before a goal is given up", 1, 100),
 )
