@@ -9,6 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from helpers.objects import hammer, random_records
+from push_ident.diagnosis.account import Account, ExpectedErrors
+from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.identification.fit import Fit
 from push_ident.physics.scenario import PushScenario
@@ -69,3 +71,15 @@ def frame_residuals(standardized: Float64Array) -> FrameResiduals:
     zero, white = np.zeros(n), np.random.default_rng(1).normal(size=(400, n, 3))
     push = np.repeat(np.arange(n_pushes), n_frames)
     return FrameResiduals(standardized.reshape(n, 3), np.zeros((n, 3)), push, zero, zero, zero, zero, np.zeros((n, 2)), white)
+
+
+def gap_of(before: list[float], after: list[float], noise: float, log_density_gain: float = 1.0, *, names: tuple[str, ...] = ()) -> Gap:
+    """A gap of some pushes whose errors [m] are given; each push is a fold."""
+    n = len(before)
+    return Gap(np.array(before), np.array(after), np.full(n, noise), np.full(n, log_density_gain), np.zeros((n, 1)), names=names)
+
+
+def account_of_parts(gap: Gap, noise: float, maps: float, model: float, more_pushes: int | None = 0) -> Account:
+    """The account of a gap whose expected parts [m] are given, the same for every push."""
+    cumulated = np.cumsum([noise, maps, model])
+    return Account(gap, ExpectedErrors(*(np.full(len(gap.before), part) for part in cumulated), 0.0), more_pushes)

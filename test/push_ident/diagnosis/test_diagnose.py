@@ -39,7 +39,9 @@ def tilted() -> Diagnosis:
 def test_no_effect_is_found_where_there_is_none(nothing: Diagnosis) -> None:
     assert nothing.verdict is Verdict.NO_GAP
     assert nothing.gap is not None and np.isnan(nothing.gap.shrink)
-    assert "No gap beyond noise" in nothing.sentence
+    # Six pushes hardly determine the maps.
+    assert nothing.sentence.startswith(("No gap beyond noise", "Nothing is found, and the pushes are too few to know"))
+    assert nothing.account is not None and not nothing.account.is_unexplained
     # The smallest size that would have been detected: one number an effect.
     smallest = {entry["name"]: entry["smallest"] for entry in to_json(nothing)["ranking"]}
     assert 1e-4 < smallest["outline_error"] < 2e-3

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.diagnosis import simulated_pushes
+from helpers.diagnosis import gap_of, simulated_pushes
 from push_ident.diagnosis.fits import fit_base, fit_effects
-from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.held_out import measure_gap
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
 
@@ -27,11 +27,6 @@ def test_gap_is_measured_at_every_stage() -> None:
     assert gap.folds == ((0,), (1,), (2,)) and nothing.log_bayes_factor_without.shape == (0, 3)
     pairs = measure_gap(base, base, ValidationPolicy(max_folds=2))
     assert pairs.folds == ((0, 2), (1,)) and pairs.before.shape == (3,)
-
-
-def gap_of(before: list[float], after: list[float], noise: float, log_density_gain: float = 1.0) -> Gap:
-    n = len(before)
-    return Gap(np.array(before), np.array(after), np.full(n, noise), np.full(n, log_density_gain), np.zeros((n, 1)))
 
 
 def test_shrink_is_the_share_of_the_gap_above_noise_that_is_closed_and_not_a_number_without_one() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from helpers.diagnosis import simulated_pushes
+from helpers.diagnosis import NOISE, simulated_pushes
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.report import write_report
 
@@ -16,8 +16,31 @@ def test_page_says_where_why_how_far_and_what_to_do_next(tmp_path: Path) -> None
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<svg") >= 4
     assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
-    for text in ("Where the gap lies", "What causes it", "How far the gap shrinks", "What to do next", "spirit level"):
+    parts = re.findall(r'<span class="part( negative)?" style="left:([\d.]+)%;width:([\d.]+)%', page.split('class="row"')[0])
+    assert tilted.account is not None and len(parts) == len(tilted.account.parts)
+    signed = sum((-1.0 if negative else 1.0) * float(width) for negative, _, width in parts)
+    (total,) = re.findall(r'<span class="total" style="left:([\d.]+)%', page)
+    assert abs(signed - float(total)) < 0.1
+    for text in (
+        "What the error is made of",
+        "mean error on held-out pushes",
+        "noise of the poses",
+        "Where the gap lies",
+        "What causes it",
+        "How far the gap shrinks",
+        "What to do next",
+        "spirit level",
+    ):
         assert text in page
+
+
+def test_title_says_where_nothing_is_named_whether_that_is_known(tmp_path: Path) -> None:
+    few = diagnose(simulated_pushes(4, 1, noise=NOISE / 3))
+    write_report(tmp_path / "few.html", few, object_id="o1", sources=[])
+    page = (tmp_path / "few.html").read_text(encoding="utf-8")
+    assert few.account is not None and few.account.maps_are_open and few.first_push is not None
+    assert "too few pushes to know</title>" in page and few.sentence.startswith("Nothing is found, and the pushes are too few to know")
+    assert "would be needed" in page or "would tell" in page
 
 
 def test_page_without_a_verdict_says_what_failed(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.diagnosis import frame_residuals, simulated_pushes, stub_fit
+from helpers.diagnosis import account_of_parts, frame_residuals, simulated_pushes, stub_fit
 from push_ident.diagnosis.decide import decide
 from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.held_out import Gap
@@ -30,7 +30,14 @@ def state() -> DiagnosisState:
 def validation_of(*, cause_is_unknown: bool) -> Validation:
     residuals = frame_residuals(1.5 * np.random.default_rng(0).normal(size=(4, 25, 3)))
     gap = Gap(np.full(4, 4e-3), np.full(4, 4e-3), np.full(4, 1e-3), ZERO, np.zeros((4, 0)))
-    return Validation(Selection(stub_fit(), stub_fit()), gap, residuals, residuals, cause_is_unknown=cause_is_unknown)
+    return Validation(
+        Selection(stub_fit(), stub_fit()),
+        gap,
+        account_of_parts(gap, 1e-3, 2e-4, 1e-4),
+        residuals,
+        residuals,
+        cause_is_unknown=cause_is_unknown,
+    )
 
 
 def test_nothing_follows_a_gate_that_was_not_passed(state: DiagnosisState) -> None:

@@ -31,7 +31,8 @@ def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
     base, lag, both = stub_fit(), stub_fit("pusher_lag"), stub_fit("pusher_lag", "wear")
     selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
     zero, policy = np.zeros(5), ValidationPolicy()
-    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), ((0, 3), (1, 4), (2,)), np.array(log_bayes_factors))
+    folds = ((0, 3), (1, 4), (2,))
+    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), folds, np.array(log_bayes_factors))
     supported, found = supported_selection(selection, gap, policy)
     assert supported.found == kept and found == unsupported
     assert unsupported is None or len(supported.steps) == len(kept) + 1

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from helpers.diagnosis import frame_residuals
-from push_ident.diagnosis.held_out import Gap
+from helpers.diagnosis import account_of_parts, frame_residuals, gap_of
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.result import FoundEffect
@@ -20,45 +19,85 @@ from push_ident.diagnosis.wording import (
     sentence_of_unknown,
     sentence_of_unsupported,
 )  # fmt: skip
+from push_ident.identification.next_push import PlannedPush
+from push_ident.pushing.push import PushPlan2D
+from push_ident.types import PusherPath
 
-GAP = Gap(np.full(4, 4e-3), np.full(4, 1e-3), np.full(4, 7e-4), np.ones(4), np.ones((4, 2)))
+NONE = account_of_parts(gap_of([1.5e-3, 1.2e-3, 1.3e-3, 1.4e-3], [1.5e-3, 1.2e-3, 1.3e-3, 1.4e-3], 1e-3), 1e-3, 2e-4, 1e-4)
+NAMED = account_of_parts(gap_of([4e-3] * 4, [1.5e-3] * 4, 1e-3, names=("table_tilt",)), 1e-3, 2e-4, 1e-4)
+TWO = replace(NAMED, gap=replace(NAMED.gap, names=("table_tilt", "pusher_lag"), stages={"table_tilt": np.full(4, 2e-3)}))
+SOURCES = [f"push {number}" for number in range(4)]
 TILT = FoundEffect("table_tilt", {"x": 0.0175, "y": 0.0}, {"x": 0.0017, "y": 0.0017}, 30.0)
 LAG = FoundEffect("pusher_lag", {"tau": 0.03}, {"tau": 0.002}, 20.0)
 
 
 def test_one_effect_comes_with_its_size_and_the_errors_before_and_after() -> None:
-    one = sentence_of_effects([TILT], {}, GAP)
+    one = sentence_of_effects([TILT], {}, NAMED)
     assert one.startswith("The simulation leaves out that the table slopes down")
-    assert "(table_tilt: x 1 ± 0.097 deg, y 0 ± 0.097 deg)." in one
     assert (
-        "With this effect added, the mean error on held-out pushes falls from 4.0 to 1.0 mm; noise of the poses accounts for 0.7 mm." in one
+        "(table_tilt: x 1 ± 0.097 deg, y 0 ± 0.097 deg), which accounts for 2.5 mm of the mean error of 4.0 mm on held-out pushes (90 % "
+        "interval 2.5 to 2.5 mm)." in one
     )
-    worse = sentence_of_effects([TILT], {}, replace(GAP, after=np.full(4, 5e-3)))
-    assert "held-out pushes are predicted no better (5.0 mm, 4.0 mm without)" in worse
+    assert (
+        "Of the other 1.5 mm, noise of the poses accounts for 1.0 mm, maps that are not known yet for 0.20 mm and the model's own "
+        "discrepancy for 0.10 mm; 0.20 mm remain unexplained" in one
+    )
+    worse = sentence_of_effects([TILT], {}, account_of_parts(gap_of([4e-3] * 4, [5e-3] * 4, 1e-3, names=("table_tilt",)), 1e-3, 2e-4, 1e-4))
+    assert "accounts for 2" not in worse and "end no nearer to their prediction with it (5.0 mm, 4.0 mm without)" in worse
 
 
 def test_every_confusion_set_has_its_sentence() -> None:
     assert "These pushes cannot distinguish table_tilt from tether or wear." in sentence_of_effects(
-        [TILT], {"table_tilt": ("tether", "wear")}, GAP
+        [TILT], {"table_tilt": ("tether", "wear")}, NAMED
     )
-    two = sentence_of_effects([TILT, LAG], {"pusher_lag": ("pose_latency",)}, GAP)
+    two = sentence_of_effects([TILT, LAG], {"pusher_lag": ("pose_latency",)}, TWO)
+    assert "(table_tilt 2.0 mm, pusher_lag 0.50 mm)" in two
     assert "; and the pusher follows" in two and "tau 30 ± 2 ms" in two
-    assert "cannot distinguish pusher_lag from pose_latency." in two and "With these effects added" in two
+    assert "cannot distinguish pusher_lag from pose_latency." in two and "which together account for 2.5 mm" in two
 
 
-def test_no_gap_states_error_and_noise() -> None:
-    assert "error on held-out pushes is 4.0 mm, and noise of the poses accounts for 0.7 mm" in sentence_of_nothing(GAP)
-    assert "noise of the poses can cause 9.0 mm" in sentence_of_nothing(replace(GAP, noise=np.full(4, 9e-3)))
+def test_nothing_beyond_noise_states_every_part() -> None:
+    nothing = sentence_of_nothing(NONE, SOURCES)
+    assert nothing.startswith(
+        "No gap beyond noise: of the mean error of 1.4 mm on held-out pushes, noise of the poses accounts for 1.0 mm, maps that are not "
+        "known yet for 0.20 mm and the model's own discrepancy for 0.10 mm; 0.05 mm remain unexplained, within chance"
+    )
+    gap = gap_of([1.05e-3] * 4, [0.9e-3, 1.2e-3] * 2, 1e-3)
+    better = sentence_of_nothing(account_of_parts(gap, 1e-3, 2e-4, 1e-4), SOURCES)
+    assert "the pushes were predicted 0.25 mm better than expected (90 % interval 0.10 to 0.40 mm)" in better
+
+
+def test_too_few_pushes_state_how_many_more_and_which_one_first() -> None:
+    few = account_of_parts(NONE.gap, 5e-4, 7e-4, 1e-4, more_pushes=5)
+    plan = PushPlan2D(np.array([0.05, -0.02]), np.array([0.05, -0.035]), np.pi / 2, 0.08, 0.12)
+    pusher = PusherPath(np.array([0.0, 1.0]), np.zeros((2, 2)), 0.015)
+    sentence = sentence_of_nothing(few, SOURCES, PlannedPush(np.zeros(3), pusher, plan))
+    assert sentence.startswith("Nothing is found, and the pushes are too few to know: 0.70 mm (90 % interval 0.70 to 0.70 mm) of ")
+    assert (
+        "5 more pushes like these would tell; this one first: touch at (50, -20) mm of the table, push 80 mm towards 90° at 0.12 m/s."
+        in sentence
+    )
+    assert "1 more push like these would tell." in sentence_of_nothing(replace(few, more_pushes=1), SOURCES)
+    assert "More than 100 pushes like these" in sentence_of_nothing(replace(few, more_pushes=None), SOURCES)
+
+
+def test_unexplained_error_without_a_name_states_how_much_and_where_most() -> None:
+    errors = [2.5e-3, 2.2e-3, 3.3e-3, 2.4e-3]
+    sentence = sentence_of_nothing(account_of_parts(gap_of(errors, errors, 1e-3), 1e-3, 2e-4, 1e-4), SOURCES)
+    assert sentence.startswith(
+        "Nothing is named, but of the mean error of 2.6 mm on held-out pushes, 1.3 mm remain unexplained (90 % interval"
+    )
+    assert "most in push 2 (2.0 mm)" in sentence
 
 
 def test_unknown_cause_without_a_wrench_states_what_is_unusual_about_the_residuals() -> None:
     where = {"push": [ResidualGroup("3", 20, (1.0, 2.5, 1.0), 1e-3, (0.5, 0.0, 0.5))]}
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(4, 25, 3))
-    large = sentence_of_unknown(GAP, None, frame_residuals(1.5 * noise), where, UnknownPolicy())
+    large = sentence_of_unknown(NONE, None, frame_residuals(1.5 * noise), where, UnknownPolicy())
     assert "1.5 times as large as those of a correct model. Residuals are largest for push 3." in large
     smooth = np.sqrt(0.5) * (noise + rng.normal(size=(4, 1, 3)))
-    sentence = sentence_of_unknown(GAP, None, frame_residuals(smooth), where, UnknownPolicy())
+    sentence = sentence_of_unknown(NONE, None, frame_residuals(smooth), where, UnknownPolicy())
     assert re.search(r"[3-6]\d % of the squared residuals continue from frame to frame", sentence)
 
 

@@ -112,6 +112,8 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     assert max(tilt.std) < 0.25 * TILT
     assert all(abs(value - true) < 3 * std for value, true, std in zip(tilt.values, (TILT, 0.0), tilt.std, strict=True))
     assert report.noise < report.after < 0.7 * report.before
+    assert sum(part.mean for part in report.account) == pytest.approx(report.before, rel=1e-9)
+    assert next(part for part in report.account if part.name.startswith("table_tilt")).mean == pytest.approx(report.before - report.after)
     assert report.ranking[0] == "table_tilt" and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
     assert json.loads(report.json)["verdict"] == report.verdict
     assert "fitting the base model" in stages

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,6 +75,27 @@ def test_a_better_outline_takes_the_place_of_the_one_that_was_kept(before: Perce
     np.testing.assert_array_equal(memory.load()["o1"].traced.shape.outline, known.traced.shape.outline)
     memory.keep("o1", better, anew=True)
     np.testing.assert_array_equal(memory.load()["o1"].traced.shape.outline, shape.outline)
+
+
+def test_errors_that_last_are_kept_and_files_without_them_are_read(before: Perception, tmp_path: Path) -> None:
+    known, memory = before.known("o1"), ObjectMemory(str(tmp_path))
+    rests = (np.array([[0.5, 0.1], [0.4, -0.2]]), np.array([[0.3, 0.2]]))
+    traced = replace(known.traced, seen_from=rests, displaced_std=1e-3, displaced_frame=(0.1, 0.2, 0.3), frame_covariance=1e-8 * np.eye(3))
+    memory.keep("o1", replace(known, traced=traced))
+    read = memory.load()["o1"].traced
+    assert read.displaced_frame == traced.displaced_frame and read.seen_from is not None
+    np.testing.assert_array_equal(read.frame_covariance, traced.frame_covariance)
+    for ours, kept in zip(rests, read.seen_from, strict=True):
+        np.testing.assert_array_equal(ours, kept)
+    file = tmp_path / "o1.object.json"
+    content = json.loads(file.read_text())
+    del content["displaced_frame"], content["frame_covariance"]
+    file.write_text(json.dumps(content | {"seen_from": rests[0].tolist()}))
+    (places,) = memory.load()["o1"].traced.seen_from or ()
+    np.testing.assert_array_equal(places, rests[0])
+    file.write_text(json.dumps(content | {"frame_covariance": [[1.0]]}))
+    with pytest.raises(ModelFileError, match="frame_covariance"):
+        memory.load()
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[1]", '{"format": "push_ident/object/1"}'])

@@ -18,8 +18,10 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
+from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
@@ -341,11 +343,41 @@ def test_a_better_outline_is_published_once_the_object_rests_elsewhere(camera, n
         camera.frames = frames
 
 
-def test_an_impossible_parameter_ends_the_process_with_one_line(domain):
-    process = start(domain, "-p", "min_object_height:=7.0")
+@pytest.mark.parametrize(
+    ("parameter", "line"),
+    [
+        ("min_object_height:=7.0", "min_object_height of perception_node is 7.0: expected 0.002 to 0.5"),
+        ("camera_heading_std:=-0.01", "camera_heading_std of perception_node is -0.01: expected 0 to 0.2 (standard deviation"),
+    ],
+)
+def test_an_impossible_parameter_ends_the_process_with_one_line(domain, parameter, line):
+    process = start(domain, "-p", parameter)
     output, _ = process.communicate(timeout=15.0)
-    assert process.returncode == 1
-    assert "min_object_height of perception_node is 7.0: expected 0.002 to 0.5" in output and "Traceback" not in output
+    assert process.returncode == 1 and line in output and "Traceback" not in output
+
+
+def test_accuracy_of_the_camera_widens_the_poses_of_an_object_that_turned(camera, node):
+    hammers = [render([prism.at(POSE + np.array([0.0, 0.0, turn])) for prism in HAMMER]) for turn in np.linspace(0.0, 1.0, 13)]
+    client = camera.create_client(SetParameters, "perception_node/set_parameters")
+
+    def std_with(accuracy: float) -> float:
+        asked = Parameter("camera_position_std", value=accuracy).to_parameter_msg()
+        wait_for(client.call_async(SetParameters.Request(parameters=[asked])).done)
+        n = len(camera.poses)
+        send_until(camera, lambda: len(camera.poses) > n + 1)
+        return float(np.sqrt(camera.poses[-1].pose.covariance[0]))
+
+    send_until(camera, lambda: camera.poses)
+    frames, camera.frames, camera.stamp, before = camera.frames, hammers[:1], 1.0, int(camera.values().get("restarts", 0))
+    try:
+        send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
+        assert std_with(0.005) < 0.002
+        for frame in hammers[1:]:
+            camera.frames = [frame]
+            turned = std_with(0.005)
+        assert turned == pytest.approx(0.005 * np.hypot(1.0 - np.cos(1.0), np.sin(1.0)), rel=0.15) and std_with(0.0) < 0.002
+    finally:
+        camera.frames = frames
 
 
 def test_where_nothing_was_measured_the_workspace_is_unknown(camera, node):

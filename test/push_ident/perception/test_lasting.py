@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.perception.lasting import CameraAccuracy, camera_covariance
+from push_ident.perception.lasting import CameraAccuracy, camera_covariance, frame_step, in_table
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose
@@ -29,6 +30,13 @@ def test_error_of_the_extrinsics_is_that_of_poses_in_the_frame_of_the_first_one(
     error = compose(wrong, later) - compose(later, offset)
     assert camera_covariance(later, first, accuracy) == pytest.approx(np.cov(error.T, bias=True), abs=1e-7)
     assert camera_covariance(first, first, accuracy) == pytest.approx(np.zeros((3, 3)), abs=1e-15)
+
+
+@pytest.mark.parametrize("wrong", [{"position": -1e-3}, {"heading": np.nan}, {"position": np.inf}])
+def test_an_accuracy_that_is_none_is_refused_by_name(wrong):
+    (name,) = wrong
+    with pytest.raises(InputError, match=f"{name} of the camera .* expected a standard deviation of 0 or more"):
+        CameraAccuracy(**wrong)
 
 
 def fits_of_displaced_edges(turn):
@@ -81,3 +89,23 @@ def test_turned_objects_are_within_their_90_percent_regions(sensor):
                 error[2] = wrap_angle(error[2])
                 squares.append(float(error @ np.linalg.solve(known.covariance, error)))
     assert np.mean(np.array(squares) < WITHIN_90) > 0.5  # without the errors that last: 0.3 of a Kinect, 0.4 of a D435
+
+
+def test_frame_of_an_outline_of_several_rests_keeps_the_scatter_of_the_first_view():
+    """Fits of one number: the edge of each view scatters by itself, and the frame follows the outline before."""
+    rng, n_rests = np.random.default_rng(0), 4
+    edge = rng.standard_normal((200000, n_rests + 1))
+    frame, stated = np.zeros(len(edge)), np.zeros((3, 3))
+    for n in range(2, n_rests + 1):
+        before, after = edge[:, : n - 1].mean(axis=1), edge[:, :n].mean(axis=1)
+        stated += frame_step((1.0 + 1.0 / (n - 1)) * np.eye(3), 0.7, n)
+        frame += after - before
+    assert stated == pytest.approx(np.var(frame) * np.eye(3), rel=0.02, abs=1e-12)
+    pose = edge[:, n_rests] - edge[:, :n_rests].mean(axis=1) + frame
+    assert np.var(pose) == pytest.approx(1.0 + 1.0 / n_rests + stated[0, 0], rel=0.02)
+
+
+def test_covariance_of_the_object_frame_turns_with_the_object():
+    along = np.diag([4.0, 1.0, 9.0])
+    assert in_table(along, np.array([5.0, 5.0, np.pi / 2])) == pytest.approx(np.diag([1.0, 4.0, 9.0]))
+    assert frame_step(in_table(along, np.array([0.0, 0.0, 0.4])), 0.4, 2) == pytest.approx(along / 4)

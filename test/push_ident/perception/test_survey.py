@@ -97,6 +97,17 @@ def test_one_image_is_enough_and_what_is_no_object_is_said():
     assert found.bands[0].over_time is None
 
 
+def test_what_reaches_in_like_an_arm_is_no_object_and_may_be_a_robot():
+    """A forearm from the border of the image to above the table, and its tool."""
+    arm = [Prism(rectangle(-0.75, -0.06, -0.12, 0.06), 0.4, 0.25), Prism(circle(0.018) + np.array([-0.15, 0.0]), 0.26, 0.01)]
+    with_arm, without = (survey_frames(frames(CAMERA, [BOX.at((0.05, 0.2, 0.0)), *some])) for some in (arm, []))
+    assert len(with_arm.objects) == len(without.objects) == 1
+    assert any("may be a robot" in note and "turn it out of the view" in note for note in with_arm.notes)
+    assert not any("robot" in note for note in without.notes)
+    low = Prism(rectangle(-0.75, -0.5, -0.2, -0.4), 0.05)
+    assert not any("robot" in note for note in survey_frames(frames(CAMERA, [BOX, low])).notes)
+
+
 def test_only_frames_at_rest_are_used(seen):
     moving = [render([BOX.at((0.02 * i, 0.0, 0.0))], stamp=i / 30) for i in range(3)]
     rest, note = frames_at_rest([*moving, *seen["oblique"]])
@@ -198,7 +209,9 @@ def test_parameter_file_holds_what_was_found_and_is_read_as_parameters(survey):
 
     text = parameter_text(survey, "a\nname: 1")
     values = yaml.safe_load(text)["/**/perception_node"]["ros__parameters"]
-    assert set(values) == {"extrinsics", "camera_position", "camera_quaternion", "workspace_low", "workspace_high"}
+    stds = {"camera_position_std", "camera_heading_std"}
+    assert set(values) == {"extrinsics", "camera_position", "camera_quaternion", "workspace_low", "workspace_high"} | stds
+    assert all(values[name] == 0.0 for name in stds)
     np.testing.assert_allclose(values["camera_position"], survey.camera_in_table[:3, 3], atol=1e-6)
     np.testing.assert_allclose(values["camera_quaternion"], quaternion_of_pose(survey.camera_in_table), atol=1e-7)
     np.testing.assert_allclose(values["workspace_high"], survey.settings.workspace_high, atol=1e-3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
@@ -25,7 +25,9 @@ def experiment_command(
         str,
         typer.Argument(help="Experiment; `list` lists all, `report` writes the page of their results.", show_default=False),
     ],
-    objects: Annotated[str, typer.Option(metavar="A,B", help="Objects. Default: all five.", show_default=False)] = "",
+    objects: Annotated[
+        str, typer.Option(metavar="A,B|N", help="Objects, or a number of random ones for `goals`. Default: all.", show_default=False)
+    ] = "",
     models: Annotated[int, typer.Option(help="Number of ground truths of each object.")] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the first ground truth; the others follow it.")] = 0,
     variants: Annotated[str, typer.Option(metavar="A,B", help="Variants of the experiment. Default: all.", show_default=False)] = "",
@@ -37,6 +39,7 @@ def experiment_command(
     ] = None,
     recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
     minutes: Annotated[float, typer.Option(min=0.5, help="Duration, for `endurance` [min].")] = 60.0,
+    goals: Annotated[int, typer.Option(help="Goals of each object, for `goals`.")] = 4,
     json: JsonOption = None,
     page: Annotated[
         Path, typer.Option(metavar="FILE", help="Page that `report` writes from the JSON files in the folder of the same name.")
@@ -58,27 +61,33 @@ def experiment_command(
     options = runner.RunOptions(
         folder=out,
         truth_folder=truth or out / "truth",
-        **({"objects": _words(objects)} if objects else {}),
-        n_models=models,
+        **({"objects": _words(objects)} if objects and not objects.isdigit() else {}),
+        n_models=int(objects) if objects.isdigit() else models,
         seed=seed,
         variants=_words(variants),
         jobs=jobs,
         max_seconds=seconds,
         recordings=recordings,
         minutes=minutes,
+        goals=goals,
     )
-    columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(name)
-        content = runner.run_experiment(
-            known[name], options, lambda what, done, total: progress.update(task, description=what, completed=done, total=total)
-        )
+    content = _with_progress(runner, known[name], options)
     console.print(known[name].tables(content["summary"]), highlight=False, markup=False, soft_wrap=True)
     for failure in content["failed"]:
         warn(f"push-ident: {failure['case']}: {failure['error']}")
     if json is not None:
         sim_module("push_ident_sim.studies.common.files").write_json(json, content)
         console.print(f"written: {json}", highlight=False, soft_wrap=True)
+
+
+def _with_progress(runner: ModuleType, study: Any, options: Any) -> dict[str, Any]:
+    columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(study.name)
+        content: dict[str, Any] = runner.run_experiment(
+            study, options, lambda what, done, total: progress.update(task, description=what, completed=done, total=total)
+        )
+    return content
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["import_app"]
 
-import_app = typer.Typer(no_args_is_help=True, help="Convert a recording of others to a bag of the contract.")
+import_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Convert a recording of others to a bag of the contract.")
 
 _MIT = MitOptions()
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The recording as it was published.", show_default=False)]

@@ -6,16 +6,20 @@ from typing import Any
 
 import numpy as np
 
+from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
+from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
 __all__ = ["to_json"]
 
 Json = dict[str, Any]
+_PARTS = {"noise_m": "noise", "maps_m": "maps", "model_m": "model", "unexplained_m": "unexplained"}
+"""Keys of the parts of an account that every diagnosis has."""
 _AXES = ("along", "across", "rotation")
 
 
@@ -28,6 +32,7 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in diagnosis.effects],
         "confusable": list(diagnosis.confusion_set),
         "gap": _gap(diagnosis.gap),
+        "account": _account(diagnosis.account, diagnosis.first_push),
         "where": {by: [_group(group) for group in groups] for by, groups in diagnosis.where.items()},
         "ranking": _ranking(diagnosis.selection),
         "next_push": _next_push(diagnosis.next_push),
@@ -57,6 +62,26 @@ def _gap(gap: Gap | None) -> Json:
     }
 
 
+def _account(account: Account | None, first_push: PlannedPush | None) -> Json:
+    """Parts of the error on held-out pushes, which add up to `before_m` of the gap."""
+    if account is None:
+        nan = float("nan")
+        parts, intervals = dict.fromkeys(_PARTS, nan), {key: [nan, nan] for key in _PARTS}
+        nothing: Json = {"per_push_m": {}, "more_pushes": None, "first_push": None}
+        return {**parts, "effects": {}, "intervals": {**intervals, "effects": {}}, **nothing}
+    means = {part.name: part.mean for part in account.parts}
+    intervals = {part.name: list(part.interval) for part in account.parts}
+    effects = [part.name for part in account.effects]
+    return {
+        **{key: means[name] for key, name in _PARTS.items()},
+        "effects": {name: means[name] for name in effects},
+        "intervals": {**{key: intervals[name] for key, name in _PARTS.items()}, "effects": {name: intervals[name] for name in effects}},
+        "per_push_m": {name: values.tolist() for name, values in account.per_push.items()},
+        "more_pushes": account.more_pushes,
+        "first_push": None if first_push is None else _push(first_push),
+    }
+
+
 def _group(group: ResidualGroup) -> Json:
     rms = dict(zip(_AXES, group.rms, strict=True))
     return {"name": group.name, "n": group.n, **rms, "mean_m": group.mean_m, "by_chance": dict(zip(_AXES, group.p_value, strict=True))}
@@ -83,14 +108,17 @@ def _ranking(selection: Selection | None) -> list[Json]:
 def _next_push(proposal: SeparatingPush | None) -> Json | None:
     if proposal is None or proposal.push.plan is None:
         return None
-    plan = proposal.push.plan
+    return {**_push(proposal.push), "between": list(proposal.between), "distance2": proposal.mahalanobis2}
+
+
+def _push(push: PlannedPush) -> Json:
+    plan = push.plan
+    assert plan is not None, "only planned pushes are proposed"
     return {
         "contact_point_m": plan.contact_point.tolist(),
         "direction_rad": float(plan.direction),
         "distance_m": plan.distance,
         "speed_mps": plan.speed,
         "frame": "table",
-        "pose_object_in_table": proposal.push.pose_object_in_table.tolist(),
-        "between": list(proposal.between),
-        "distance2": proposal.mahalanobis2,
+        "pose_object_in_table": push.pose_object_in_table.tolist(),
     }

@@ -6,7 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from push_ident.diagnosis.next_push import SeparatingPush, check_without_a_push, competing_explanations, separating_push
+from push_ident.diagnosis.next_push import (
+    SeparatingPush,
+    check_without_a_push,
+    competing_explanations,
+    most_informative_push,
+    separating_push,
+)  # fmt: skip
 from push_ident.diagnosis.residual_groups import group_residuals
 from push_ident.diagnosis.result import Diagnosis, Verdict
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
@@ -18,6 +24,7 @@ from push_ident.diagnosis.wording import (
     sentence_of_unknown,
     sentence_of_unsupported,
 )  # fmt: skip
+from push_ident.identification.next_push import PlannedPush
 from push_ident.pushing.push import PushSettings
 
 __all__ = ["explain"]
@@ -40,14 +47,17 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
     if validation is None or decision is None:
         return _abstention(state)
     on_progress("looking for the next push")
+    first_push = _first_push(state, validation, push_settings)
     return Diagnosis(
         verdict=decision.verdict,
-        sentence=_sentence(state, validation, decision),
+        sentence=_sentence(state, validation, decision, first_push),
         gates=state.gates,
         policy=policy,
         effects=decision.effects,
         confusion_sets=decision.confusion_sets,
         gap=validation.gap,
+        account=validation.account,
+        first_push=first_push,
         selection=validation.selection,
         where=group_residuals(validation.base_residuals, policy.residuals),
         next_push=_propose(state, validation, push_settings),
@@ -65,15 +75,15 @@ def _abstention(state: DiagnosisState) -> Diagnosis:
     return Diagnosis(Verdict.NOT_TRUSTWORTHY, sentence, state.gates, state.settings.policy, check=failed.remedy)
 
 
-def _sentence(state: DiagnosisState, validation: Validation, decision: Decision) -> str:
-    gap = validation.gap
+def _sentence(state: DiagnosisState, validation: Validation, decision: Decision, first_push: PlannedPush | None) -> str:
+    account = validation.account
     if validation.cause_is_unknown:
         groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
-        sentence = sentence_of_unknown(gap, validation.wrench, validation.residuals, groups, state.settings.policy.unknown)
+        sentence = sentence_of_unknown(account, validation.wrench, validation.residuals, groups, state.settings.policy.unknown)
     elif decision.effects:
-        sentence = sentence_of_effects(decision.effects, decision.confusion_sets, gap)
+        sentence = sentence_of_effects(decision.effects, decision.confusion_sets, account)
     else:
-        sentence = sentence_of_nothing(gap)
+        sentence = sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
     if decision.negligible:
         sentence += sentence_of_negligible(decision.negligible)
     if validation.unsupported is not None:
@@ -89,5 +99,16 @@ def _propose(state: DiagnosisState, validation: Validation, push_settings: PushS
     explanations = competing_explanations(validation.selection, policy.selection)
     if len(explanations) < 2:
         return None
-    limits = push_settings or PushSettings(pusher_radius=last.pusher.radius, workspace=_ANYWHERE)
-    return separating_push(explanations, np.array(last.poses.pose[-1]), limits, policy.next_push)
+    return separating_push(explanations, np.array(last.poses.pose[-1]), _limits(state, push_settings), policy.next_push)
+
+
+def _first_push(state: DiagnosisState, validation: Validation, push_settings: PushSettings | None) -> PlannedPush | None:
+    """The push that predictions gain most from, where maps are not known; none where they are, or no push is safe."""
+    if validation.account.more_pushes == 0:
+        return None
+    pose = np.array(state.records[-1].poses.pose[-1])
+    return most_informative_push(validation.selection.fit, pose, _limits(state, push_settings), state.settings.policy.next_push)
+
+
+def _limits(state: DiagnosisState, push_settings: PushSettings | None) -> PushSettings:
+    return push_settings or PushSettings(pusher_radius=state.records[-1].pusher.radius, workspace=_ANYWHERE)

@@ -41,6 +41,10 @@ class Gap:
     no row where there is no effect."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
+    names: tuple[str, ...] = ()
+    """Effects that are added."""
+    fits: tuple[Fit, ...] = ()
+    """With the effects, to the pushes outside each of the folds."""
     policy: ValidationPolicy = field(default_factory=ValidationPolicy)
     """By which the gap is judged."""
 
@@ -63,6 +67,20 @@ class Gap:
         """Whether held-out pushes are predicted no better with the effects, neither by their end positions nor by their density."""
         no_more_probable = float(np.mean(self.log_density_gain)) <= self.policy.min_log_density_gain
         return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
+
+    def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
+        """Contains the mean with the probability of the policy, by bootstrap over the pushes.
+
+        Args:
+            values: one for each push, shape (n,).
+            shared_std: standard deviation of an error that all of them have in common, in their unit.
+        """
+        rng, n = np.random.default_rng(0), len(values)
+        drawn = values[rng.integers(n, size=(self.policy.bootstrap_draws, n))].mean(axis=1)
+        if shared_std > 0.0:
+            drawn = drawn + shared_std * rng.normal(size=len(drawn))
+        low, high = np.quantile(drawn, self.policy.interval_quantiles)
+        return float(low), float(high)
 
     @property
     def shrink(self) -> float:
@@ -94,8 +112,8 @@ class _HeldOutFold:
     """Cell error of each push [m]."""
     log_density: float
     """Of the pushes of the fold under the fit to the others, up to a constant [nat]."""
-    estimates: Float64Array
-    """Values of the effects."""
+    fit: Fit
+    """To the other pushes."""
 
 
 def measure_gap(
@@ -130,10 +148,12 @@ def measure_gap(
         after=errors[-1],
         noise=_noise_errors(fit, policy.noise_draws),
         log_density_gain=density[-1] - density[0],
-        estimates=np.array([result.estimates for result in by_fit[-1]]),
+        estimates=np.array([result.fit.effects.values for result in by_fit[-1]]),
         folds=tuple(map(tuple, folds)),
         log_bayes_factor_without=np.diff(evidence, axis=0),
         stages=dict(zip(stages, errors[1:-1], strict=True)),
+        names=tuple(name for name in fit.names if name not in base.names),
+        fits=tuple(result.fit for result in by_fit[-1]),
         policy=policy,
     )
 
@@ -162,7 +182,7 @@ def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
     rest, problem = without_pushes(fit, pushes), fit.problem
     records = [problem.records[push] for push in pushes]
     errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
-    return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest.effects.values)
+    return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 
 def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:

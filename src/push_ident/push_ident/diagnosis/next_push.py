@@ -11,9 +11,17 @@ import numpy as np
 from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.errors import PlanningError
+from push_ident.errors import InputError, PlanningError
 from push_ident.identification.fit import Fit
-from push_ident.identification.next_push import PlannedPush, PoseSensor, candidate_pushes, imagine_push
+from push_ident.identification.next_push import (
+    PlannedPush,
+    PoseSensor,
+    RankingOptions,
+    candidate_pushes,
+    imagine_push,
+    rank_pushes,
+    reference_pushes,
+)  # fmt: skip
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.effect_values import reported_poses, true_pose
@@ -23,7 +31,9 @@ from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, SolveStatus
 
-__all__ = ["NO_EFFECT", "SeparatingPush", "check_without_a_push", "competing_explanations", "separating_push", "without"]
+__all__ = [
+    "NO_EFFECT", "SeparatingPush", "check_without_a_push", "competing_explanations", "most_informative_push", "separating_push", "without",
+]  # fmt: skip
 
 NO_EFFECT = "no effect"
 """Name of the explanation that no effect is missing."""
@@ -106,6 +116,32 @@ def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushS
     pair = pairs[separable[int(np.argmin(distances[best, separable]))]]
     resolves = len(separable) == len(pairs) and float(hardest[best]) >= policy.resolving_mahalanobis2
     return SeparatingPush(candidates[best], pair, float(hardest[best]), resolves)
+
+
+def most_informative_push(fit: Fit, pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> PlannedPush | None:
+    """The push after which the next pushes are expected to be predicted best, by the criterion of an identification.
+
+    Args:
+        fit: to the pushes so far.
+        pose: where the object lies, table frame, shape (3,).
+        settings: limits and ranges of pushes.
+        policy: number of candidates.
+
+    Returns:
+        None where no push is safe, or none would add information.
+    """
+    shape, problem = fit.unknowns.shape, fit.problem
+    # Their order is that of the speeds: every third one is an even sample, and enough where no explanations compete.
+    candidates = _candidates(shape, pose, settings, policy)[:: len(policy.speeds)]
+    if not candidates:
+        return None
+    rng = np.random.default_rng(0)
+    reference = reference_pushes(shape, rng, policy.references, settings)
+    options = RankingOptions(sensor=_sensor(problem.records[-1].poses), noise=problem.noise)
+    try:
+        return rank_pushes(fit.posterior, candidates, reference=reference, rng=rng, options=options).best
+    except InputError:  # no reference push moves the object
+        return None
 
 
 def _candidates(shape: ObjectShape, pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> list[PlannedPush]:

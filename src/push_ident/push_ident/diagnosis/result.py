@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.policy import DecisionPolicy
@@ -15,6 +16,7 @@ from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.unknown import SmoothWrench
 from push_ident.identification.fit import Fit
+from push_ident.identification.next_push import PlannedPush
 
 __all__ = ["Diagnosis", "FoundEffect", "Gate", "Verdict"]
 
@@ -67,6 +69,10 @@ class Diagnosis:
     """Of effects that were found: those that may be there in their place."""
     gap: Gap | None = None
     """On held-out pushes; None where the diagnosis abstains, as the following."""
+    account: Account | None = None
+    """What the error on held-out pushes is made of."""
+    first_push: PlannedPush | None = None
+    """Of the pushes that would make the maps known, where they are not (`Account.more_pushes`): the one that predictions gain most from."""
     selection: Selection | None = None
     where: dict[str, list[ResidualGroup]] = field(default_factory=dict)
     """Residuals of the base model in groups."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
@@ -34,6 +35,8 @@ class Validation:
     """Effects that held-out pushes support; none where the cause is unknown."""
     gap: Gap
     """With those effects, or with the wrench."""
+    account: Account
+    """Of that gap."""
     base_residuals: FrameResiduals
     """Of the base model."""
     residuals: FrameResiduals

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from push_ident.diagnosis.account import account_of
 from push_ident.diagnosis.held_out import Gap, measure_gap
 from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
@@ -33,10 +34,12 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     wrench = fit_wrench(selection, policy.unknown)
     remains = _remains(state, base_residuals, residuals)
     if wrench is not None and (gap := _gap_of_wrench(wrench, selection, state, on_progress, remains=remains)) is not None:
-        validation = Validation(selection.without_effects(), gap, base_residuals, residuals, cause_is_unknown=True, wrench=wrench)
+        account = account_of(gap, selection.base.problem, policy.account)
+        validation = Validation(selection.without_effects(), gap, account, base_residuals, residuals, cause_is_unknown=True, wrench=wrench)
     elif remains:
         gap = measure_gap(selection.base, selection.base, policy.validation, on_progress)
-        validation = Validation(selection.without_effects(), gap, base_residuals, residuals, cause_is_unknown=True)
+        account = account_of(gap, selection.base.problem, policy.account)
+        validation = Validation(selection.without_effects(), gap, account, base_residuals, residuals, cause_is_unknown=True)
     else:
         validation = _validate_effects(state, base_residuals, residuals, on_progress)
         validation = validation if validation.cause_is_unknown else replace(validation, wrench=wrench)
@@ -122,9 +125,10 @@ def _validate_effects(
     gap = measure_gap(selected.base, selected.fit, policy.validation, on_progress, between=selected.stages)
     selection, unsupported = supported_selection(selected, gap, policy.validation)
     if selection is selected:
-        return Validation(selection, gap, base_residuals, residuals)
+        return Validation(selection, gap, account_of(gap, selection.base.problem, policy.account), base_residuals, residuals)
     residuals = standardized_residuals(selection.fit, policy.residuals)
     is_unknown = unsupported is not None and _remains(state, base_residuals, residuals)
     selection = selected.without_effects() if is_unknown else selection
     gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages)
-    return Validation(selection, gap, base_residuals, residuals, cause_is_unknown=is_unknown, unsupported=unsupported)
+    account = account_of(gap, selection.base.problem, policy.account)
+    return Validation(selection, gap, account, base_residuals, residuals, cause_is_unknown=is_unknown, unsupported=unsupported)

@@ -6,49 +6,67 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.account import Account, AccountPart
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect
 from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.effects.unknown_wrench import COMPONENTS
 
 __all__ = [
-    "describe_wrench", "sentence_of_effects", "sentence_of_negligible", "sentence_of_nothing", "sentence_of_outliers",
-    "sentence_of_unknown", "sentence_of_unsupported", "size_of",
+    "describe_push", "describe_wrench", "in_mm", "sentence_of_effects", "sentence_of_more_pushes", "sentence_of_negligible",
+    "sentence_of_nothing", "sentence_of_outliers", "sentence_of_unknown", "sentence_of_unsupported", "size_of",
 ]  # fmt: skip
 
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}
 """Everyday units of an effect's size, with their factor."""
 
 
-def sentence_of_nothing(gap: Gap) -> str:
-    """Of a diagnosis that found no gap."""
-    before, _, noise = _millimetres(gap)
-    share = f"noise of the poses accounts for {noise:.1f} mm of it"
-    if noise > before:
-        share = f"noise of the poses can cause {noise:.1f} mm"
-    return f"No gap beyond noise: the mean error on held-out pushes is {before:.1f} mm, and {share}."
+def sentence_of_nothing(account: Account, sources: Sequence[str], first: PlannedPush | None = None) -> str:
+    """Of a diagnosis that names nothing: no gap beyond noise, too few pushes to know, or an error that nothing explains.
+
+    Args:
+        account: of the error on held-out pushes.
+        sources: of the pushes, in their order.
+        first: the push that would teach most of the maps, where these are not known well enough.
+    """
+    error = f"the mean error of {in_mm(account.before)} on held-out pushes"
+    if account.is_unexplained:
+        part = account["unexplained"]
+        largest = int(np.nanargmax(account.per_push["unexplained"]))
+        return (
+            f"Nothing is named, but of {error}, {in_mm(part.mean)} remain unexplained ({_interval(part)}), most in {sources[largest]} "
+            f"({in_mm(account.per_push['unexplained'][largest])}). Of the rest, {_known_parts(account)}."
+            f"{sentence_of_more_pushes(account, first)}"
+        )
+    if account.maps_are_open:
+        maps = account["maps"]
+        return (
+            f"Nothing is found, and the pushes are too few to know: {in_mm(maps.mean)} ({_interval(maps)}) of the "
+            f"{in_mm(account.expected_error)} to be expected on held-out pushes come from maps that are not known yet."
+            f"{sentence_of_more_pushes(account, first)} {_found(account)}."
+        )
+    return f"No gap beyond noise: of {error}, {_known_parts(account)}; {_unexplained(account)}."
 
 
-def sentence_of_effects(effects: Sequence[FoundEffect], confusion_sets: Mapping[str, Sequence[str]], gap: Gap) -> str:
+def sentence_of_effects(effects: Sequence[FoundEffect], confusion_sets: Mapping[str, Sequence[str]], account: Account) -> str:
     """Of a diagnosis that names causes.
 
     Args:
         effects: that were found, at least one.
         confusion_sets: names of those that may be there in place of some of them.
-        gap: with the effects.
+        account: of the error on held-out pushes, with the effects.
     """
     causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
     ties = "".join(f" These pushes cannot distinguish {name} from {' or '.join(names)}." for name, names in confusion_sets.items())
-    added = "this effect" if len(effects) == 1 else "these effects"
-    return f"The simulation leaves out that {causes}.{ties} {_outcome(f'With {added} added', gap)}"
+    return f"The simulation leaves out that {causes}{_share_of_effects(account)}.{ties} {_rest(account)}"
 
 
 def sentence_of_unknown(
-    gap: Gap,
+    account: Account,
     wrench: SmoothWrench | None,
     residuals: FrameResiduals,
     where: Mapping[str, Sequence[ResidualGroup]],
@@ -57,16 +75,15 @@ def sentence_of_unknown(
     """Of a diagnosis whose cause is not in the catalogue.
 
     Args:
-        gap: with the smooth wrench, where there is one.
+        account: of the error on held-out pushes, with the smooth wrench, where there is one.
         wrench: in place of the cause; None where none explains it.
         residuals: beside all effects that could be named.
         where: residuals of the base model in groups.
         policy: which parts of the wrench are described.
     """
     if wrench is not None:
-        outcome = _outcome("With a smooth force in its place", gap)
-        return f"The simulation leaves out something outside the catalogue of effects: it {describe_wrench(wrench, policy)}. {outcome}"
-    before, _, noise = _millimetres(gap)
+        what = f"The simulation leaves out something outside the catalogue of effects: it {describe_wrench(wrench, policy)}"
+        return f"{what}{_share_of_effects(account)}. {_rest(account)}"
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
     ratio, (autocorrelation, _) = residuals.residual_ratio[0], residuals.excess_autocorrelation
     trace = f"residuals are {np.sqrt(ratio):.1f} times as large as those of a correct model"
@@ -74,7 +91,8 @@ def sentence_of_unknown(
         trace = f"{100.0 * autocorrelation / ratio:.0f} % of the squared residuals continue from frame to frame, unlike noise"
     return (
         f"The simulation leaves out something outside the catalogue of effects, and no smooth force explains it: {trace}. Residuals are "
-        f"largest for {by.replace('_', ' ')} {name}. The mean error on held-out pushes is {before:.1f} mm; {_noise(noise)}."
+        f"largest for {by.replace('_', ' ')} {name}. Of the mean error of {in_mm(account.before)} on held-out pushes, "
+        f"{_known_parts(account)}; {_unexplained(account)}."
     )
 
 
@@ -125,25 +143,94 @@ def size_of(effect: FoundEffect) -> str:
     return ", ".join(parts)
 
 
-def _outcome(added: str, gap: Gap) -> str:
-    before, after, noise = _millimetres(gap)
-    if after < before:
-        change = f"the mean error on held-out pushes falls from {before:.1f} to {after:.1f} mm"
-    else:
-        change = f"held-out pushes are predicted no better ({after:.1f} mm, {before:.1f} mm without)"
-    return f"{added}, {change}; {_noise(noise)}."
+def sentence_of_more_pushes(account: Account, first: PlannedPush | None) -> str:
+    """Added to the sentence: how many pushes would make the maps known, and which one first; empty where these are known.
+
+    Args:
+        account: of the error on held-out pushes.
+        first: the push to make first, where there is one.
+    """
+    n = account.more_pushes
+    if n == 0:
+        return ""
+    described = "" if first is None else describe_push(first)
+    if n is None:
+        most = f" More than {account.policy.max_more_pushes} pushes like these would be needed, so push it differently"
+        return f"{most}, first like this: {described}." if described else f"{most}."
+    more = f" {n} more push{' like these' if n == 1 else 'es like these'} would tell"
+    return f"{more}; this one first: {described}." if described else f"{more}."
 
 
-def _noise(noise: float) -> str:
-    return f"noise of the poses accounts for {noise:.1f} mm"
+def in_mm(length: float) -> str:
+    """A length [m] in millimetres, with its unit."""
+    return f"{1e3 * length:.{_digits(length)}f} mm"
+
+
+def describe_push(push: PlannedPush) -> str:
+    """Where to touch, and how to push, to continue "the push": empty where nobody planned it."""
+    plan = push.plan
+    if plan is None:
+        return ""
+    x, y = (1e3 * float(value) for value in plan.contact_point)
+    return (
+        f"touch at ({x:.0f}, {y:.0f}) mm of the table, push {1e3 * plan.distance:.0f} mm towards {np.degrees(plan.direction):.0f}° at "
+        f"{plan.speed:.2f} m/s"
+    )
+
+
+def _share_of_effects(account: Account) -> str:
+    """How much of the error the effects account for, to continue the sentence that names them."""
+    removed = account.before - account.after
+    if not removed > 0.0:
+        return ""
+    parts = account.effects
+    each = f" ({_interval(parts[0])})" if len(parts) == 1 else f" ({', '.join(f'{p.name} {in_mm(p.mean)}' for p in parts)})"
+    which = "which accounts" if len(parts) == 1 else "which together account"
+    return f", {which} for {in_mm(removed)} of the mean error of {in_mm(account.before)} on held-out pushes{each}"
+
+
+def _rest(account: Account) -> str:
+    """What the error beside the effects is made of."""
+    if account.after < account.before:
+        return f"Of the other {in_mm(account.after)}, {_known_parts(account)}; {_unexplained(account)}."
+    worse = f"Held-out pushes end no nearer to their prediction with it ({in_mm(account.after)}, {in_mm(account.before)} without)"
+    return f"{worse}: {_known_parts(account)}; {_unexplained(account)}."
+
+
+def _found(account: Account) -> str:
+    return f"The mean error is {in_mm(account.before)}: {_known_parts(account)}; {_unexplained(account)}"
+
+
+def _known_parts(account: Account) -> str:
+    noise, maps, model = (account[name].mean for name in ("noise", "maps", "model"))
+    return (
+        f"noise of the poses accounts for {in_mm(noise)}, maps that are not known yet for {in_mm(maps)} and the model's own discrepancy "
+        f"for {in_mm(model)}"
+    )
+
+
+def _unexplained(account: Account) -> str:
+    part = account["unexplained"]
+    if part.mean < 0.0:
+        better = AccountPart(part.name, -part.mean, (-part.interval[1], -part.interval[0]))
+        chance = ", within chance" if account.is_within_chance else ""
+        return f"the pushes were predicted {in_mm(better.mean)} better than expected{chance} ({_interval(better)})"
+    chance = "" if account.is_unexplained else ", within chance"
+    return f"{in_mm(part.mean)} remain unexplained{chance} ({_interval(part)})"
+
+
+def _interval(part: AccountPart) -> str:
+    low, high = part.interval
+    digits = _digits(max(abs(low), abs(high), abs(part.mean)))
+    return f"90 % interval {1e3 * low:.{digits}f} to {1e3 * high:.{digits}f} mm"
+
+
+def _digits(length: float) -> int:
+    """Decimals of a length in millimetres [m]."""
+    return 1 if abs(length) >= 1e-3 else 2
 
 
 def _plain(name: str) -> str:
     """What an effect is, to continue a sentence."""
     what = EFFECTS[name].what.rstrip(".")
     return what[0].lower() + what[1:]
-
-
-def _millimetres(gap: Gap) -> tuple[float, float, float]:
-    before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
-    return before, after, noise

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from push_ident.errors import InputError, PushIdentError
-from push_ident.geometry.se2 import rotation
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
+from push_ident.identification.prediction import cell_displacement
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.unknowns import Mechanics, Unknowns
 from push_ident.physics.rollout import PARAM_MASS
@@ -34,16 +34,16 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
-from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
+from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
 
 __all__ = [
-    "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "UnwantedError", "candidate_pushes",
-    "imagine_push", "rank_pushes", "reference_pushes",
+    "CHATTER", "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "UnwantedError",
+    "candidate_pushes", "imagine_push", "rank_pushes", "reference_pushes",
 ]  # fmt: skip
 
 _SAMPLING = 100.0
 """Of planned pusher paths [Hz]."""
-_CHATTER = 10.0
+CHATTER = 10.0
 """Largest derivative of the last pose by the first one [-]. It is 1 to 8 in ordinary pushes. Where it is larger, the motion chatters
 between modes of contact: its derivative, though exact, holds over micrometres only and predicts no observation."""
 
@@ -307,7 +307,7 @@ def _sensitivity(
     whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian)
     by_first = whitened[:, :, :3].reshape(-1, 3)
     in_deviations = by_first @ np.linalg.cholesky(observation.first_covariance)
-    if np.sum(in_deviations**2) > _CHATTER**2 * len(observation.time):
+    if np.sum(in_deviations**2) > CHATTER**2 * len(observation.time):
         return nothing
     by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, len(z))
     explained, _ = np.linalg.qr(by_first)
@@ -325,19 +325,11 @@ def _reference_rows(unknowns: Unknowns, z: Float64Array, reference: Iterable[Pla
         )
         if motion.status is not SolveStatus.CONVERGED:
             continue
-        by_body = _displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
-        by_first = np.linalg.solve(_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
-        if np.linalg.norm(by_first, 2) < _CHATTER:
+        by_body = cell_displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
+        by_first = np.linalg.solve(cell_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
+        if np.linalg.norm(by_first, 2) < CHATTER:
             rows.append(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])
     return np.array(rows)
-
-
-def _displacement(cells: CellGrid, yaw: float) -> Float64Array:
-    """D with |D d|^2 = mean square displacement of the cells when their pose, turned by `yaw`, moves by a small d; shape (3, 3)."""
-    arms = cells.centres @ rotation(yaw).T
-    x, y = arms.mean(axis=0)
-    gyration = float(np.sqrt(np.mean(np.sum((arms - arms.mean(axis=0)) ** 2, axis=1))))
-    return np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, gyration]])
 
 
 def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) -> None:

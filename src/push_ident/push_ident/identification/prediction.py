@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.accuracy import choose_steps
@@ -17,7 +17,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus
 
-__all__ = ["CHI2_90", "Prediction", "cell_error", "held_out_errors", "predict"]
+__all__ = ["CHI2_90", "Prediction", "cell_displacement", "cell_error", "held_out_errors", "predict"]
 
 CHI2_90 = 6.251
 """Chi squared with 3 degrees of freedom is below it with probability 0.9."""
@@ -42,6 +42,14 @@ def cell_error(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: 
     """Mean over the cells of the distance between their centres at two poses [m]."""
     difference = transform_points(pose_a_in_table, cells.centres) - transform_points(pose_b_in_table, cells.centres)
     return float(np.mean(np.linalg.norm(difference, axis=1)))
+
+
+def cell_displacement(cells: CellGrid, yaw: float) -> Float64Array:
+    """D with |D d|^2 = mean square displacement of the cells when their pose, turned by `yaw`, moves by a small d; shape (3, 3)."""
+    arms = cells.centres @ rotation(yaw).T
+    x, y = arms.mean(axis=0)
+    gyration = float(np.sqrt(np.mean(np.sum((arms - arms.mean(axis=0)) ** 2, axis=1))))
+    return np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, gyration]])
 
 
 def predict(

@@ -27,11 +27,12 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.identification.feet import Feet, FeetDerivative, FeetLoad, feet_load, feet_load_derivative
 from push_ident.identification.load import balanced_load, balanced_load_derivative
+from push_ident.identification.map_modes import leading_modes, map_covariance, relative_distances
 from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
@@ -176,7 +177,7 @@ class Unknowns:
         self.shape = shape
         self.prior = prior
         if modes is None:
-            modes = _leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
+            modes = leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
         if modes.ndim != 2 or len(modes) != len(shape.cells):
             raise InputError(f"`modes` has shape {modes.shape}, expected ({len(shape.cells)}, n_modes) as the cells.")
         # Always in one memory layout: products over another one differ in the last bit.
@@ -263,7 +264,7 @@ class Unknowns:
         if length == self.prior.correlation_length:
             return np.eye(self.n_modes)
         if length not in self._mode_transforms:
-            covariance = self._onto_modes @ _covariance(self._distances, length) @ self._onto_modes.T
+            covariance = self._onto_modes @ map_covariance(self._distances, length) @ self._onto_modes.T
             self._mode_transforms[length] = np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.eye(self.n_modes)), dtype=np.float64)
         return self._mode_transforms[length]
 
@@ -274,7 +275,7 @@ class Unknowns:
 
     @cached_property
     def _distances(self) -> Float64Array:
-        return _relative_distances(self.shape)
+        return relative_distances(self.shape)
 
     @cached_property
     def _onto_modes(self) -> Float64Array:
@@ -489,23 +490,3 @@ class Unknowns:
         derivative[PARAM_MU, self.slice_of("pusher_friction")] = model.pusher_friction * self.prior.pusher_friction_std
         derivative[PARAM_LIMIT + n_cells :, self.slice_of("effects")] = np.diag(d_values)
         return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values), derivative)
-
-
-def _leading_modes(shape: ObjectShape, prior: Prior) -> NDArray[np.float64]:
-    """Modes of a unit Gaussian process over the cells, scaled so that modes @ unit normal has its covariance."""
-    value, vector = np.linalg.eigh(_covariance(_relative_distances(shape), prior.correlation_length))
-    keep = np.argsort(value)[::-1][: prior.max_modes]
-    return np.asarray(vector[:, keep] * np.sqrt(np.maximum(value[keep], 0.0)))
-
-
-def _relative_distances(shape: ObjectShape) -> Float64Array:
-    """Between the cells, divided by the diagonal of the object, shape (n_cells, n_cells)."""
-    centres = shape.cells.centres
-    diagonal = float(np.linalg.norm(np.ptp(centres, axis=0))) + shape.cells.size
-    return np.asarray(np.linalg.norm(centres[:, None] - centres[None], axis=2) / diagonal)
-
-
-def _covariance(distances: Float64Array, length: float) -> Float64Array:
-    """Of a unit Gaussian process over the cells (Matern 3/2); `length` and `distances` are divided by the diagonal of the object."""
-    scaled = np.sqrt(3) / length * distances
-    return np.asarray((1 + scaled) * np.exp(-scaled))

@@ -187,7 +187,7 @@ class CellClient:
     def wait_until_settled(self, object_id: str, quiet: float, timeout: float) -> MassFrictionMap:
         """The latest map once none has come for `quiet` [s] of wall time, and all that was sent has been learned or refused.
 
-        Identification says so in its diagnostics: its streams are at rest, and no push is waiting.
+        Identification says so in its diagnostics: its streams are at rest, and neither a push nor a better outline is waiting.
         """
         started = time.monotonic()
 
@@ -195,7 +195,8 @@ class CellClient:
             since = max(self._map_received, started) + quiet
             said: Sequence[Any] = next((status.values for name, status in self.diagnostics.items() if "identification" in name), [])
             values = {value.key: value.value for value in said}
-            done = values.get("streams") == "at rest" and values.get("pushes waiting") == "0"
+            waiting = {values.get(what) for what in ("pushes waiting", "outlines waiting")}
+            done = values.get("streams") == "at rest" and waiting == {"0"}
             return self._maps.get(object_id) if done and self._diagnosed > since else None
 
         return self.wait(settled, timeout, f"no map of object {object_id} came; see identification's log")

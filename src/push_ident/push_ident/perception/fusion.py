@@ -93,7 +93,7 @@ def fuse_views(traced: TracedObject, views: Sequence[View], *, pose_known: bool 
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
     fused = replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
-    return replace(fused, seen_from=seen_from - (x, y), displaced_std=displaced_std(simple, seen_from, simple_lines))
+    return replace(fused, seen_from=(seen_from - (x, y),), displaced_std=displaced_std(simple, seen_from, simple_lines))
 
 
 def _found_in(template: Template, views: Sequence[View], pose_known: bool) -> list[tuple[View, Float64Array]]:

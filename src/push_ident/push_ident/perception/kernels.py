@@ -301,7 +301,7 @@ def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: An
     return normal, gradient
 
 
-@kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, _ROWS)
+@kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, read_only(types.float64, 3))
 def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, camera: Any, seen_from: Any) -> Any:
     """J'd of a camera that displaces by one metre every edge whose wall it does not see, in this image and in the outline.
 
@@ -309,11 +309,12 @@ def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, 
         upper, lower: As in `LinesOfSight`.
         width: Width s of the expected step [m].
         camera: Place of the camera [m], shape (2,), table frame.
-        seen_from: Places of the cameras that traced the outline [m], shape (n, 2), object frame.
+        seen_from: Places of the cameras that traced the outline in each rest [m], shape (n_rests, n_cameras, 2), object frame; NaN where
+            a rest has fewer cameras.
 
     Returns:
-        Shape (3,), J the derivative of the expected by the pose, d the change of the measured: edges that are displaced now and were not
-        in the outline count for 1, those that were and are not now for -1, all others not at all.
+        Shape (3,), J the derivative of the expected by the pose, d the change of the measured: 1 for edges that are displaced now, less
+        the share of the rests in which they were, which is their displacement in the outline.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     camera_x = cos * (camera[0] - pose[0]) + sin * (camera[1] - pose[1])
@@ -324,13 +325,13 @@ def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, 
         distance, along_x, along_y = _bilinear(field, row, column)
         if abs(distance) > 3.0 * width:
             continue  # its square of the steepness is 3 % of that at the edge
-        seen = False
+        change = 0.0 if along_x * (camera_x - x) + along_y * (camera_y - y) > 0.0 else 1.0
         for j in range(len(seen_from)):
-            seen |= along_x * (seen_from[j, 0] - x) + along_y * (seen_from[j, 1] - y) > 0.0
-        seen_now = along_x * (camera_x - x) + along_y * (camera_y - y) > 0.0
-        if seen == seen_now:
-            continue
-        change = 1.0 if seen else -1.0
+            seen = False
+            for k in range(seen_from.shape[1]):
+                seen |= along_x * (seen_from[j, k, 0] - x) + along_y * (seen_from[j, k, 1] - y) > 0.0
+            if not seen:
+                change -= 1.0 / len(seen_from)
         expected = 1.0 / (1.0 + math.exp(distance / width))
         steepness = expected * (1.0 - expected) / width
         by_x_sum += change * steepness**2 * (cos * along_x - sin * along_y)

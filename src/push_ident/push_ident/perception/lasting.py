@@ -4,7 +4,13 @@ The object frame is that of the first detection, so they are zero there, and gro
 
 - A camera displaces edges where depth jumps (`edges`), that is, where the object hides its wall. Those of the first view are out of place
   in the outline; in each later view others are displaced. A pose settles between both. With the displacement h of all such edges, the
-  pose is wrong by h N^-1 J'd, N = J'J, J the derivative of the expected lines of sight by the pose, and d that of the measured by h.
+  pose is wrong by h N^-1 J'd, N = J'J, J the derivative of the expected lines of sight by the pose, and d that of the measured by h. An
+  outline of several rests has each edge out of place by h times the share of the rests that hide its wall. It is put into the frame in
+  which the pose at the last of them stays the same, with the error that it has there; that error f h then turns with the object.
+- Edges scatter, each by itself. A pose has the variance V of the view at hand and V / n of an outline of n rests, and its residuals show
+  both. What they do not show: the frame was defined with the scatter of the first view alone. Each further rest L changes the outline, and
+  the frame follows the old one: it moves by the error of the old outline in the pose at L less that of the new one, of the variance
+  V / (n - 1) - V / n. The pose at L with the old outline has V + V / (n - 1), hence the frame 1 / n^2 of its covariance.
 - The camera is not where its extrinsics place it. An error t of its place and w of its heading displaces a pose p by t + w x p. The first
   one is displaced by as much, and takes its displacement along into the object frame, which has turned by R since: what remains is
   (1 - R) t + w x (p - R p0).
@@ -16,31 +22,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.types import Float64Array
 
-__all__ = ["CameraAccuracy", "camera_covariance", "displaced_covariance"]
+__all__ = ["CameraAccuracy", "camera_covariance", "displaced_pose", "frame_step", "in_table"]
 
 
 @dataclass(frozen=True, slots=True)
 class CameraAccuracy:
-    """Standard deviations of the extrinsics of a camera, as far as the plane of the table does not show them."""
+    """Standard deviations of the extrinsics of a camera, as far as the plane of the table does not show them.
+
+    Raises:
+        InputError: One is negative or not finite.
+    """
 
     position: float = 0.0
     """Of its place along x and y of the table frame [m]."""
     heading: float = 0.0
     """Of its rotation about the normal of the table [rad]."""
 
+    def __post_init__(self) -> None:
+        for name, value, unit in (("position", self.position, "m"), ("heading", self.heading, "rad")):
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"The {name} of the camera is known to {value} {unit}, expected a standard deviation of 0 or more.")
 
-def displaced_covariance(displaced_std: float, scores: Float64Array, normal: Float64Array) -> Float64Array:
-    """Covariance of a pose, shape (3, 3), from edges that are displaced by `displaced_std` [m], all alike.
+
+def displaced_pose(scores: Float64Array, normal: Float64Array, of_frame: Float64Array, yaw: float) -> Float64Array:
+    """Change of a pose (x, y, yaw) by edges that are displaced, all alike, per metre [-, -, rad/m], shape (3,), table frame.
 
     Args:
         scores: J'd, shape (3,).
         normal: J'J, shape (3, 3).
+        of_frame: f, as `TracedObject.displaced_frame`.
+        yaw: Of the object [rad].
     """
-    moved = displaced_std * np.linalg.solve(normal, scores)
-    return np.asarray(np.outer(moved, moved))
+    return np.asarray(np.linalg.solve(normal, scores) + np.append(rotation(yaw) @ of_frame[:2], of_frame[2]))
+
+
+def frame_step(covariance: Float64Array, yaw: float, n_rests: int) -> Float64Array:
+    """Covariance of the step of an object frame that follows the old outline, shape (3, 3), object frame.
+
+    Args:
+        covariance: Of the pose at the latest rest, with the old outline, of errors that do not last, shape (3, 3), table frame.
+        yaw: Of the object there [rad].
+        n_rests: Of the new outline.
+    """
+    return in_table(covariance, np.array([0.0, 0.0, -yaw])) / n_rests**2
+
+
+def in_table(covariance: Float64Array, pose: Float64Array) -> Float64Array:
+    """Covariance of (x, y, yaw), shape (3, 3), given in the object frame, in the table frame."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(float(pose[2]))
+    return np.asarray(turn @ covariance @ turn.T)
 
 
 def camera_covariance(pose: Float64Array, first_pose: Float64Array, accuracy: CameraAccuracy) -> Float64Array:

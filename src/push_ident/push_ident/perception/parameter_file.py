@@ -12,12 +12,16 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from push_ident.perception.survey import Survey
 
-__all__ = ["POSITION", "QUATERNION", "parameter_text", "pose_lines"]
+__all__ = ["HEADING_STD", "POSITION", "POSITION_STD", "QUATERNION", "parameter_text", "pose_lines"]
 
 POSITION: Final = "camera_position"
 """Name of the parameter: optical frame in the table frame, x y z [m]."""
 QUATERNION: Final = "camera_quaternion"
 """Name of the parameter: its orientation, x y z w."""
+POSITION_STD: Final = "camera_position_std"
+"""Name of the parameter: standard deviation of the place along x and y of the table frame [m]."""
+HEADING_STD: Final = "camera_heading_std"
+"""Name of the parameter: standard deviation of the rotation about z of the table frame [rad]."""
 
 
 def pose_lines(pose: Float64Array, prefix: str = "") -> tuple[str, str]:
@@ -48,6 +52,9 @@ def parameter_text(survey: Survey, source: str) -> str:
     lines = [
         *(f"# {line}" for line in pose),
         *pose_lines(survey.camera_in_table),
+        "# Standard deviations of that pose along x and y [m] and about z [rad]. No image shows them: state them as calibrated. 0: exact.",
+        f"{POSITION_STD}: {defaults.camera_accuracy.position}",
+        f"{HEADING_STD}: {defaults.camera_accuracy.heading}",
         "# The box around 99 % of the points of the table.",
         *(f"{name}: {[round(value, 3) for value in getattr(survey.settings, name)]}" for name in ("workspace_low", "workspace_high")),
     ]

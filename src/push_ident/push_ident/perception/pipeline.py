@@ -24,6 +24,7 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import TracedObject
 from push_ident.perception.table import TablePlane, fit_table, plane_now
 from push_ident.perception.topdown import TopDownGrid, top_down
+from push_ident.perception.tracked_object import TrackedObject
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose, relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
@@ -31,13 +32,15 @@ __all__ = ["KnownObject", "Observation", "ObservedObject", "Perception"]
 
 _MAX_JUMP: Final = (0.02, 0.2)
 """Largest distance of a fitted pose from the predicted one [m, rad]: no pushed object moves further between two frames."""
-_MAX_AGE: Final = 0.2
-"""Poses further apart in time do not estimate a velocity [s]."""
 _SAME_AREA: Final = (0.4, 1.6)
 """Range of the area of a segment that may be a lost object, relative to the area of that object."""
 _DOUBTFUL: Final = 0.02
 """Where more of the pixels contradict a pose, it is checked in every frame whether a part is missing, else only before a search: whole
 objects have 0.002 of the plain camera."""
+_PARTS: Final = 30.0
+"""Parts of refinements for each second between two frames [1/s]: one part, some milliseconds, for each frame of a usual camera."""
+_MOST_PARTS: Final = 10
+"""Largest number of parts in one frame, as of a camera of a few frames a second."""
 _ROUNDING: Final = 1e-3
 """Tolerance of the periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
 
@@ -77,7 +80,9 @@ class Observation:
     restarted: bool = False
     """Whether time went back, so that everything known was dropped."""
     refined: dict[str, ObjectShape] = field(default_factory=dict)
-    """Better shapes of known objects, by id: this rest, with those before it, showed their outlines better. The object frame stays."""
+    """Better shapes of known objects, by id: their rests showed their outlines better. The object frame stays."""
+    not_refined: dict[str, str] = field(default_factory=dict)
+    """Why the outline of an object, by id, stays as it is although a rest might have shown it better: what failed."""
     doubts: dict[str, str] = field(default_factory=dict)
     """Of objects registered with this frame, by id: why the tool may not touch them where their outlines are."""
     removed: tuple[Removal, ...] = ()
@@ -105,53 +110,14 @@ class KnownObject:
     """(x, y, yaw) [m, m, rad], table frame."""
 
 
-@dataclass(slots=True)
-class _TrackedObject:
-    """A registered object and its latest pose."""
-
-    traced: TracedObject
-    """How it was traced when it was registered, or later from several rests."""
-    template: Template
-    area: float
-    """Area of its segment [m^2]."""
-    first_pose: Float64Array
-    pose: Float64Array
-    stamp: float
-    velocity: Float64Array = field(default_factory=lambda: np.zeros(3))
-    status: TrackStatus = TrackStatus.TRACKED
-    announced: bool = True
-    """Whether its shape has been reported; that of a remembered object is when it is found again."""
-
-    @property
-    def is_tracked(self) -> bool:
-        """Whether its latest pose is one."""
-        return self.status is TrackStatus.TRACKED
-
-    def predicted(self, stamp: float) -> Float64Array:
-        """Pose at constant velocity."""
-        age = stamp - self.stamp
-        return self.pose + self.velocity * age if 0 < age < _MAX_AGE else self.pose
-
-    def accept(self, fit: PoseFit, stamp: float) -> None:
-        """Update status, pose and velocity with a fit."""
-        self.status = fit.status
-        if not fit.can_start_next:
-            self.velocity = np.zeros(3)
-            return
-        age = stamp - self.stamp
-        self.velocity = (fit.pose - self.pose) / age if 0 < age < _MAX_AGE else np.zeros(3)
-        self.pose, self.stamp = fit.pose, stamp
-
-
 @dataclass(frozen=True, slots=True)
 class _Search:
     """What one search found, as in `Observation`."""
 
     fits: dict[str, PoseFit] = field(default_factory=dict)
-    """Of objects that were found again or have a better outline."""
+    """Of objects that were found again."""
     new_shapes: dict[str, ObjectShape] = field(default_factory=dict)
     further_views: dict[str, str] = field(default_factory=dict)
-    refined: dict[str, ObjectShape] = field(default_factory=dict)
     doubts: dict[str, str] = field(default_factory=dict)
     removed: tuple[Removal, ...] = ()
 
@@ -174,7 +140,7 @@ class Perception:
         """Forget the table plane and all objects."""
         self._plane: TablePlane | None = None
         self._camera = self._extrinsics
-        self._tracked: dict[str, _TrackedObject] = {}
+        self._tracked: dict[str, TrackedObject] = {}
         self._registration = Registration()
         self._parting = Parting()
         self._rests = Rests()
@@ -182,6 +148,7 @@ class Perception:
         self._refused: tuple[Refusal, ...] = ()
         self._search_counts = dict.fromkeys(("table", "robot", "object_pixels", "segments"), 0)
         self._table_hidden = 0
+        self._was_busy = False
         self._last_stamp = self._last_search = self._last_occupancy = -np.inf
 
     @property
@@ -201,7 +168,7 @@ class Perception:
         """
         for name, known in objects.items():
             pose = np.array(known.pose, dtype=np.float64)
-            tracked = _TrackedObject(known.traced, Template(known.traced), known.area, known.traced.pose, pose, -np.inf)
+            tracked = TrackedObject(known.traced, Template(known.traced), known.area, known.traced.pose, pose, -np.inf)
             tracked.status, tracked.announced = TrackStatus.OUT_OF_VIEW, False
             self._tracked[name] = tracked
             self._rests.begin(name)
@@ -234,8 +201,10 @@ class Perception:
             PerceptionError: The frame has no valid pixel, or no table is found.
         """
         frame = usable_frame(frame)
+        elapsed = frame.stamp - self._last_stamp
         restarted, n_valid = self._begin(frame)
         fits = self._track(frame, robot)
+        refined, not_refined = self._adopt_refined(fits, frame, robot)
         self._rests.note(frame, fits, self.settings.rest_frames)
         if on_poses is not None and fits:
             on_poses(tuple(_observed(name, fit) for name, fit in fits.items()))
@@ -255,6 +224,7 @@ class Perception:
                 self._last_occupancy = frame.stamp
             if occupancy_due or not self._tracked:
                 self._check_plane(frame, points)
+        self._go_on(elapsed, is_busy=occupancy_due or search_due)
         objects = tuple(_observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
         return Observation(
@@ -266,7 +236,8 @@ class Perception:
             occupancy,
             search.further_views,
             restarted,
-            search.refined,
+            refined,
+            not_refined,
             search.doubts,
             search.removed,
         )
@@ -380,8 +351,8 @@ class Perception:
         covered = cover_hollows(frame, points, labels, self._camera, self.limits)
         points, labels = covered.points, covered.labels
         segments, counts = find_segments(covered.frame, points, labels, self.limits)
-        found = self._refine(frame, segments, points, robot)
-        refined = {name: self._tracked[name].traced.shape for name in found}
+        self._begin_refinements(segments, points, robot)
+        found: dict[str, PoseFit] = {}
         unexplained = self._unexplained(segments, points)
         for name, known in self._tracked.items():
             if known.status is TrackStatus.TRACKED:
@@ -408,38 +379,62 @@ class Perception:
             found,
             self._announce() | {name: thing.traced.shape for name, thing in new.items()},
             self._registration.further_views,
-            refined,
             {name: thing.doubt for name, thing in new.items() if thing.doubt},
             tuple(removed),
         )
 
-    def _refine(
-        self, frame: DepthFrame, segments: Sequence[Segment], points: NDArray[np.float32], robot: Sequence[RobotPart]
-    ) -> dict[str, PoseFit]:
-        """Give known objects at rest a better outline, where this rest shows one; their fits to it."""
+    def _begin_refinements(self, segments: Sequence[Segment], points: NDArray[np.float32], robot: Sequence[RobotPart]) -> None:
+        """Begin to give known objects at rest a better outline, where this rest may show one."""
         at_rest = {name: self._rests.wants(name, known.traced) for name, known in self._tracked.items() if known.is_tracked}
-        wanted = {name: pose for name, pose in at_rest.items() if pose is not None}
-        fits: dict[str, PoseFit] = {}
+        # What belongs to which of two objects near each other cannot be told.
+        wanted = {name: pose for name, pose in at_rest.items() if pose is not None and not self._others(name)}
         if not wanted:
-            return fits
+            return
         seen = [(segment, points[segment.rows, segment.columns][segment.mask]) for segment in segments]
         for name, pose in wanted.items():
             known = self._tracked[name]
-            if self._others(name):
-                continue  # what belongs to which of them cannot be told
             placed = (known.traced, known.template, pose)
-            better = self._rests.refined(name, placed, seen, self._camera, self._noise, tuple(robot), self.limits)
-            if better is None:
+            self._rests.begin_refinement(name, placed, seen, self._camera, self._noise, tuple(robot), self.limits)
+
+    def _go_on(self, elapsed: float, *, is_busy: bool) -> None:
+        """Do some of what better outlines take, `elapsed` seconds after the frame before; not in a frame that is busy, unless all are."""
+        if not is_busy or self._was_busy:
+            self._rests.go_on(int(np.clip(elapsed * _PARTS, 1, _MOST_PARTS)))
+        self._was_busy = is_busy
+
+    def _adopt_refined(
+        self, fits: dict[str, PoseFit], frame: DepthFrame, robot: Sequence[RobotPart]
+    ) -> tuple[dict[str, ObjectShape], dict[str, str]]:
+        """Take up the better outlines that are ready, with fits of this frame to them; the shapes, and what failed."""
+        ready, failed = self._rests.take_refined()
+        shapes: dict[str, ObjectShape] = {}
+        for name, (better, template) in ready.items():
+            known = self._tracked[name]
+            fit = fit_pose(template, self._scene(name, frame, robot), known.pose)
+            if known.is_tracked and fit.status is not TrackStatus.TRACKED:
+                failed[name] = f"with it, {fit.status.value}"
                 continue
-            template = Template(better.traced)
-            fit = fit_pose(template, self._scene(name, frame, robot), better.poses[-1])
-            if fit.status is TrackStatus.TRACKED:
-                known.traced, known.template, known.area, known.pose = better.traced, template, better.area, fit.pose
-                fits[name] = fit
-        return fits
+            known.adopt(better, template)
+            shapes[name] = better.traced.shape
+            if known.is_tracked:
+                known.pose, fits[name] = fit.pose, fit
+        return shapes, failed
+
+    @property
+    def is_refining(self) -> bool:
+        """Whether a better outline is being worked on."""
+        return self._rests.is_refining
+
+    def finish(self) -> dict[str, ObjectShape]:
+        """Better shapes that the frames so far give, by id, of known objects: after the last frame of a recording nothing is late."""
+        self._rests.go_on()
+        ready, _ = self._rests.take_refined()
+        for name, (better, template) in ready.items():
+            self._tracked[name].adopt(better, template)
+        return {name: better.traced.shape for name, (better, _) in ready.items()}
 
     def _find_again(
-        self, name: str, known: _TrackedObject, segments: Sequence[Segment], frame: DepthFrame, robot: Sequence[RobotPart]
+        self, name: str, known: TrackedObject, segments: Sequence[Segment], frame: DepthFrame, robot: Sequence[RobotPart]
     ) -> PoseFit | None:
         """Fit of a lost object to the first segment of similar area that it fits as a whole; None where it fits none."""
         scene = self._scene(name, frame, robot)
@@ -466,7 +461,7 @@ class Perception:
         """Follow a new object from now on; its id."""
         self._n_ids += 1
         name = f"o{self._n_ids}"
-        self._tracked[name] = _TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, new.traced.pose, stamp)
+        self._tracked[name] = TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, new.traced.pose, stamp)
         self._rests.begin(name, new.views, new.traced.pose)
         return name
 

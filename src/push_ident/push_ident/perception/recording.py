@@ -68,11 +68,9 @@ def observe_offline(
             if known.pose is not None and known.covariance is not None:
                 tracks[known.object_id].append((observation.stamp, known.pose, known.covariance))
         why = observation.why_no_pose()
-    result = {
-        name: (shapes[name], PoseTrack(*(np.array(column) for column in zip(*track, strict=True))))
-        for name, track in tracks.items()
-        if len(track) >= 2
-    }
+    shapes |= perception.finish()
+    long = {name: zip(*track, strict=True) for name, track in tracks.items() if len(track) >= 2}
+    result = {name: (shapes[name], PoseTrack(*(np.array(column) for column in columns))) for name, columns in long.items()}
     if not result:
         raise PerceptionError(
             f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."

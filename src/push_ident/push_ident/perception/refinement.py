@@ -18,11 +18,12 @@ from typing import Final
 import numpy as np
 
 from push_ident.geometry.outline import edge_normals
-from push_ident.geometry.se2 import inverse, rotation
+from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.perception.edges import VARIANCE, EdgeLines, lines_near_edges, scatter_of
 from push_ident.perception.fusion import dense, with_edges_moved, without_reversed
+from push_ident.perception.in_parts import InParts
 from push_ident.perception.labels import RobotPart
-from push_ident.perception.shape import SegmentedView, TracedObject, trace_object
+from push_ident.perception.shape import SegmentedView, TracedObject, trace_in_parts
 from push_ident.perception.straighten import straighten
 from push_ident.perception.tracking import Scene, Template
 from push_ident.types import Float64Array, ObjectShape
@@ -101,7 +102,7 @@ class _State:
     """The same in the latest rest."""
 
 
-def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float) -> Refined:
+def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float) -> InParts[Refined]:
     """The object as all views show it; its frame is that of the first rest, at the pose of that view.
 
     Args:
@@ -111,10 +112,10 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
         PerceptionError: No outline can be traced from the views.
     """
     state = _begin(np.array(traced.shape.outline), [view.pose for view in views])
-    _fit(state, traced, views, moves_edges=False)
+    yield from _fit(state, traced, views, moves_edges=False)
     before = state.misfit
-    _fit(state, traced, views)
-    again = trace_object(
+    yield from _fit(state, traced, views)
+    again = yield from trace_in_parts(
         [view.in_object(pose) for view, pose in zip(views, state.poses, strict=True)],
         min_height=min_height,
         cell_count=len(traced.shape.cells),
@@ -122,29 +123,30 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     origin = again.pose[:2]
     again = replace(again, pose=traced.pose, top_origin=again.top_origin + origin)
     state = _begin(again.shape.outline + origin, state.poses)
-    _fit(state, again, views)
+    yield from _fit(state, again, views)
     straight = straighten(dense(state.outline))
     state = _begin(straight if len(straight) >= 3 else state.outline, state.poses)
     # The first turn moves no edge, so that the deviations are those of the edges that remain.
-    _fit(state, again, views, moves_edges=False)
+    yield from _fit(state, again, views, moves_edges=False)
     std = np.hypot(state.std, DISPLACED * state.scatter)
     shape = ObjectShape(traced.shape.cells, state.outline, std)
-    return Refined(replace(again, shape=shape), tuple(state.poses), views[-1].seen.segment.area, state.misfit, before)
+    again = replace(again, shape=shape, seen_from=_seen_from(views, state.poses), displaced_std=traced.displaced_std)
+    return Refined(again, tuple(state.poses), views[-1].seen.segment.area, state.misfit, before)
 
 
 def _begin(outline: Float64Array, poses: Sequence[Float64Array]) -> _State:
     return _State(outline, np.zeros(len(outline)), list(poses), np.zeros(len(outline)))
 
 
-def _fit(state: _State, traced: TracedObject, views: Sequence[RestView], *, moves_edges: bool = True) -> None:
+def _fit(state: _State, traced: TracedObject, views: Sequence[RestView], *, moves_edges: bool = True) -> InParts[None]:
     """Gauss-Newton for the offsets of the edges and the poses of all rests but the first one."""
     for _ in range(_ITERATIONS if moves_edges else 2):
         n = len(state.outline)
         template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, state.outline)))
-        lines = [
-            lines_near_edges(template, state.outline, Scene(view.seen.frame, view.seen.camera_in_table, view.robot), pose)
-            for view, pose in zip(views, state.poses, strict=True)
-        ]
+        lines = []
+        for view, pose in zip(views, state.poses, strict=True):
+            yield
+            lines.append(lines_near_edges(template, state.outline, Scene(view.seen.frame, view.seen.camera_in_table, view.robot), pose))
         state.scatter = float(np.hypot(scatter_of(lines), _LEAST_SCATTER))
         latest = [own for own, view in zip(lines, views, strict=True) if view.rest == views[-1].rest]
         state.misfit = float(np.hypot(scatter_of(latest), _LEAST_SCATTER))
@@ -166,6 +168,14 @@ def _rests(views: Sequence[RestView]) -> list[int]:
     """Of each view the number of its rest, counted from 0."""
     numbers = list(dict.fromkeys(view.rest for view in views))
     return [numbers.index(view.rest) for view in views]
+
+
+def _seen_from(views: Sequence[RestView], poses: Sequence[Float64Array]) -> tuple[Float64Array, ...]:
+    """Places of the cameras in each rest [m], shapes (n, 2), object frame."""
+    places: dict[int, list[Float64Array]] = {}
+    for view, pose in zip(views, poses, strict=True):
+        places.setdefault(view.rest, []).append(transform_points(inverse(pose), view.seen.camera_in_table[None, :2, 3])[0])
+    return tuple(np.array(own) for own in places.values())
 
 
 def _sums(state: _State, lines: Sequence[EdgeLines], views: Sequence[RestView]) -> tuple[Float64Array, Float64Array]:

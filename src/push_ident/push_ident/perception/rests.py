@@ -3,6 +3,9 @@
 A rest in a new place or heading is kept as one view. An outline is replaced when the latest rest, which did not make it, contradicts it
 clearly more than it contradicts the outline of all rests. So nothing changes for a camera that was right at once, and nothing is
 replaced for the noise of a single view.
+
+The fit of several views takes as long as several frames. It is done in parts, a few of them in a frame (`go_on`), so that poses wait for
+none of it; what it gives is taken up in the first frame after its last part.
 """
 
 from __future__ import annotations
@@ -16,17 +19,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.errors import InputError, PerceptionError
+from push_ident.errors import InputError, PerceptionError, PushIdentError
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.contacts import Placed
+from push_ident.perception.in_parts import InParts
 from push_ident.perception.labels import RobotPart
+from push_ident.perception.lasting import frame_step
 from push_ident.perception.refinement import DISPLACED, Refined, RestView, refine
 from push_ident.perception.segments import Segment
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import SegmentedView, TracedObject, median_depth
-from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, fit_pose
+from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, displaced_by_camera, fit_pose
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Rests", "cut_to"]
@@ -98,6 +103,41 @@ class _Resting:
             views = [own for own in views if own.rest != alike]
         return views
 
+    def refinement(
+        self,
+        placed: tuple[TracedObject, Template, Float64Array],
+        seen: tuple[Sequence[SegmentedView], NDArray[np.float32], tuple[RobotPart, ...]],
+        min_height: float,
+    ) -> InParts[tuple[Refined, Template] | None]:
+        """The better outline that the views and one more rest give, and what tracks it; None where it is not better.
+
+        Args:
+            placed: How the object is known, and its pose at rest.
+            seen: The segment in each frame of the rest, its points in the last one [m], shape (n, 3), and the robot.
+            min_height: Anything lower is table [m].
+
+        Raises:
+            InputError, PerceptionError: No outline of an object can be traced, or the object is not found with it.
+        """
+        (traced, template, pose), (frames, points, robot) = placed, seen
+        cut = [cut_to(view) for view in frames]
+        image = replace(cut[-1].frame, depth=median_depth([one.frame for one in cut]))
+        view = RestView(replace(cut[-1], frame=image, noise=cut[-1].noise / np.sqrt(len(cut))), pose, self.n_rests - 1, robot)
+        if _has_other_thing(view, points, (template, pose), self.views):
+            return None
+        self.views = self.with_latest(view)
+        if self.views[0].rest == view.rest:
+            return None
+        better = yield from refine(traced, self.views, min_height=min_height)
+        if not _is_better(better):
+            return None
+        yield
+        better = _held(better, template, view)
+        yield
+        better = replace(better, traced=replace(better.traced, shape=_with_cells(better.traced.shape)))
+        self.views = [replace(view, pose=pose) for view, pose in zip(self.views, better.poses, strict=True)]
+        return better, Template(better.traced)
+
 
 class Rests:
     """The rests of all known objects."""
@@ -105,6 +145,9 @@ class Rests:
     def __init__(self) -> None:
         self._frames: deque[DepthFrame] = deque()
         self._objects: dict[str, _Resting] = {}
+        self._work: dict[str, InParts[tuple[Refined, Template] | None]] = {}
+        self._refined: dict[str, tuple[Refined, Template]] = {}
+        self._failed: dict[str, str] = {}
 
     def begin(self, object_id: str, views: Sequence[SegmentedView] = (), pose: Float64Array | None = None) -> None:
         """Follow an object, with the views that it was traced from at `pose`; without any for one of an earlier run."""
@@ -115,7 +158,8 @@ class Rests:
 
     def forget(self, object_id: str) -> None:
         """The object is no longer known."""
-        self._objects.pop(object_id, None)
+        for known in (self._objects, self._work, self._refined, self._failed):
+            known.pop(object_id, None)
 
     def note(self, frame: DepthFrame, fits: Mapping[str, PoseFit], rest_frames: int) -> None:
         """Take the next frame and the poses in it; a view of a rest is the median of `rest_frames` frames."""
@@ -132,12 +176,12 @@ class Rests:
         """Pose of an object that has been at rest for long enough in a place and heading that may show something new; else None."""
         own, needed = self._objects[object_id], self._frames.maxlen or 0
         # What is seen of a hollow object depends on its lid, which is made anew in each frame.
-        if traced.hollow is not None or len(self._frames) < needed:
+        if traced.hollow is not None or len(self._frames) < needed or object_id in self._work:
             return None
         pose = own.pose_at_rest(needed)
         return pose if pose is not None and own.shows_something_new(pose) else None
 
-    def refined(
+    def begin_refinement(
         self,
         object_id: str,
         placed: tuple[TracedObject, Template, Float64Array],
@@ -146,8 +190,8 @@ class Rests:
         noise: float,
         robot: tuple[RobotPart, ...],
         settings: PerceptionSettings,
-    ) -> Refined | None:
-        """The better outline that the rest under way gives; None where it gives none.
+    ) -> None:
+        """Take the rest under way for a refinement, which `go_on` then does.
 
         Args:
             placed: How the object is known, and its pose at rest.
@@ -155,32 +199,42 @@ class Rests:
             camera: Optical frame in the table frame, shape (4, 4).
             noise: Standard deviation of a height in one frame [m].
         """
-        own, (traced, template, pose) = self._objects[object_id], placed
+        own, (_, template, pose) = self._objects[object_id], placed
         segment = _segment_of((template, pose), segments)
         if segment is None:
-            return None
-        frames = list(self._frames)
-        cut = [cut_to(SegmentedView(frame, camera, segment, noise)) for frame in frames]
-        image = replace(cut[-1].frame, depth=median_depth([one.frame for one in cut]))
-        seen = replace(cut[-1], frame=image, noise=noise / np.sqrt(len(frames)))
-        view = RestView(seen, pose, own.n_rests, robot)
-        own.n_rests += 1
+            return
+        seen = [SegmentedView(frame, camera, segment, noise) for frame in self._frames]
         points = next(at for one, at in segments if one is segment)
-        if _has_other_thing(view, points, (template, pose), own.views):
-            return None
-        own.views = own.with_latest(view)
-        if own.views[0].rest == view.rest:
-            return None
-        try:
-            better = refine(traced, own.views, min_height=settings.min_object_height)
-            if not _is_better(better):
-                return None
-            better = _held(better, template, view)
-            shape = _with_cells(better.traced.shape)
-        except (InputError, PerceptionError):
-            return None  # as it is known it remains usable
-        own.views = [replace(view, pose=pose) for view, pose in zip(own.views, better.poses, strict=True)]
-        return replace(better, traced=replace(better.traced, shape=shape))
+        own.n_rests += 1
+        self._work[object_id] = own.refinement(placed, (seen, points, robot), settings.min_object_height)
+
+    @property
+    def is_refining(self) -> bool:
+        """Whether parts of a refinement are left to do."""
+        return bool(self._work)
+
+    def go_on(self, n_parts: int | None = None) -> None:
+        """Do so many parts of the refinements under way, in the order in which they began; None: all of them.
+
+        An error of any kind stays with its object, which remains usable as it is known: the frame whose turn it was has poses to give.
+        """
+        while self._work and n_parts != 0:
+            name, work = next(iter(self._work.items()))
+            try:
+                next(work)
+            except StopIteration as end:
+                del self._work[name]
+                if end.value is not None:
+                    self._refined[name] = end.value
+            except Exception as error:
+                del self._work[name]
+                self._failed[name] = str(error) if isinstance(error, PushIdentError) else f"{type(error).__name__}: {error}"
+            n_parts = None if n_parts is None else n_parts - 1
+
+    def take_refined(self) -> tuple[dict[str, tuple[Refined, Template]], dict[str, str]]:
+        """The better outlines since the last call, and why others came to nothing; both by object."""
+        refined, self._refined, failed, self._failed = self._refined, {}, self._failed, {}
+        return refined, failed
 
 
 def cut_to(view: SegmentedView) -> SegmentedView:
@@ -258,6 +312,16 @@ def _held(better: Refined, before: Template, view: RestView) -> Refined:
         raise PerceptionError(f"The object is not found with its better outline: {new.status.value}.")
     step = compose(inverse(old.pose), new.pose)
     traced = better.traced
+    # The pose keeps the error that it has here by displaced edges, though the new outline has another one.
+    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(Template(traced), scene, new.pose)
+    x, y = rotation(old.pose[2]).T @ error[:2]
+    rests = traced.seen_from or ()
+    traced = replace(
+        traced,
+        seen_from=tuple(transform_points(step, places) for places in rests),
+        displaced_frame=(float(x), float(y), float(error[2])),
+        frame_covariance=before.frame_covariance + frame_step(old.residual_covariance, float(old.pose[2]), len(rests)),
+    )
     shape = replace(traced.shape, outline=transform_points(step, traced.shape.outline))
     # Heights are known to a cell, which is more than such a turn moves them.
     traced = replace(traced, shape=shape, top_origin=traced.top_origin + step[:2])

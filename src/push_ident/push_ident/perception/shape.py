@@ -9,7 +9,7 @@ are spread on a fine grid; the outline is where both have equal weight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import cv2
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_area, polygon_centroid
 from push_ident.perception.depth import rays_in_table
+from push_ident.perception.in_parts import InParts, all_at_once
 from push_ident.perception.segments import Segment
 from push_ident.perception.shape_kernels import outline_distances, sort_columns
 from push_ident.perception.straighten import straighten
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["SegmentedView", "TracedObject", "median_depth", "trace_object", "unmeasured_areas"]
+__all__ = ["SegmentedView", "TracedObject", "median_depth", "trace_in_parts", "trace_object", "unmeasured_areas"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
@@ -87,10 +88,14 @@ class TracedObject:
     """Edge of a cell of `top` [m]."""
     hollow: BoolArray | None = None
     """Which cells of `top` lie over a hollow, same shape; `top` has the height of the rim there. None where nothing is hollow."""
-    seen_from: Float64Array | None = None
-    """Places of the cameras that traced it [m], shape (n, 2), object frame; None: unknown."""
+    seen_from: tuple[Float64Array, ...] | None = None
+    """Places of the cameras that traced it in each rest [m], shapes (n, 2), object frame; None: unknown."""
     displaced_std: float = 0.0
     """Standard deviation of how far the camera displaces edges whose wall it does not see, all of them alike [m]."""
+    displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Displacement (x, y, yaw) of the object frame by such edges, per metre of theirs [-, -, rad/m], object frame: 0 for the first view."""
+    frame_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """Covariance of the object frame by single edges of earlier outlines, shape (3, 3), object frame: 0 for the first view."""
 
 
 def median_depth(frames: Sequence[DepthFrame]) -> NDArray[np.float32]:
@@ -119,6 +124,11 @@ def unmeasured_areas(measured: BoolArray) -> NDArray[np.uint8]:
 
 
 def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> TracedObject:
+    """As `trace_in_parts`, all at once."""
+    return all_at_once(trace_in_parts(views, min_height=min_height, cell_count=cell_count))
+
+
+def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> InParts[TracedObject]:
     """Shape of an object from the images of one or several cameras, in which it has the same pose.
 
     Where a taller part hides a place from one camera, the lines of sight of another may prove it empty or full.
@@ -130,13 +140,18 @@ def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_coun
     Raises:
         PerceptionError: No upper side is visible, or no outline can be traced.
     """
-    lines = [_lines_of_sight(view, min_height=min_height) for view in views]
+    lines = []
+    for view in views:
+        lines.append(_lines_of_sight(view, min_height=min_height))
+        yield
     centres = [np.asarray(view.camera_in_table)[:2, 3] for view in views]
     outline, inner = None, None
     for _ in range(_PASSES):
         full, empty = _points_of_views(lines, outline)
+        yield
         inner = inner or [_inner_walls(walls, points, centre) for (_, _, walls), points, centre in zip(lines, full, centres, strict=True)]
         outline, origin = _balance(np.vstack([*full, *inner]), np.vstack(empty))
+        yield
     assert outline is not None
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))

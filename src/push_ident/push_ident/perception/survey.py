@@ -21,7 +21,7 @@ from push_ident.perception.calibration import camera_over_table, table_extent
 from push_ident.perception.depth import points_in_table
 from push_ident.perception.noise_bands import NoiseBand, noise_by_distance
 from push_ident.perception.pipeline import Observation, Perception
-from push_ident.perception.refusals import Refusal
+from push_ident.perception.refusals import Reason, Refusal
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import median_depth
 from push_ident.perception.table import TablePlane
@@ -183,7 +183,20 @@ def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | 
         refused=refused,
         failure=failure,
         why_no_object="" if objects or seen is None else seen.why_no_pose(),
-        notes=tuple(line for line in (*notes, note, *doubts) if line),
+        notes=tuple(line for line in (*notes, note, *doubts, _robot_note(refused, settings)) if line),
+    )
+
+
+def _robot_note(refused: Sequence[Refusal], settings: PerceptionSettings) -> str:
+    """What to do where a robot may be in view; empty where nothing reaches into the image above what a tool can touch, as a robot does."""
+    reaching = [refusal for refusal in refused if refusal.reason is Reason.AT_IMAGE_BORDER and refusal.height > settings.tool_reach[1]]
+    if not reaching:
+        return ""
+    highest = max(refusal.height for refusal in reaching)
+    return (
+        f"what reaches in over the border of the image, up to {1e3 * highest:.0f} mm high, may be a robot, and what it hides or "
+        "cuts off is refused as well; no image says what is robot: turn it out of the view "
+        "(perception_node masks it by its joint states and description)"
     )
 
 

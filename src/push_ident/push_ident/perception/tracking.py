@@ -35,12 +35,12 @@ from push_ident.perception.kernels import (
     scores_of_squares,
 )
 from push_ident.perception.labels import RobotPart, in_robot
-from push_ident.perception.lasting import CameraAccuracy, camera_covariance, displaced_covariance
+from push_ident.perception.lasting import CameraAccuracy, camera_covariance, displaced_pose, in_table
 from push_ident.perception.shape import TracedObject, unmeasured_areas
 from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
-__all__ = ["LinesOfSight", "PoseFit", "Scene", "Template", "TrackStatus", "fit_pose", "lines_of_sight", "relocate"]
+__all__ = ["LinesOfSight", "PoseFit", "Scene", "Template", "TrackStatus", "displaced_by_camera", "fit_pose", "lines_of_sight", "relocate"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the signed distance field [m]."""
@@ -112,6 +112,8 @@ class PoseFit:
     """Fraction of the pixels in the narrow band that are informative."""
     share_contradicting: float
     """Fraction of the pixels clearly inside or outside that contradict the pose."""
+    residual_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """The part of the covariance that the residuals of the frame show: without the errors that last (`lasting`)."""
 
     @property
     def can_start_next(self) -> bool:
@@ -134,8 +136,12 @@ class Template:
         """Pose that defines the object frame (x, y, yaw) [m, m, rad]."""
         self.displaced_std: Final = traced.displaced_std
         """As of `TracedObject`."""
-        self.seen_from: Final = None if traced.seen_from is None else np.array(traced.seen_from, dtype=np.float64)
+        self.displaced_frame: Final = np.array(traced.displaced_frame, dtype=np.float64)
         """As of `TracedObject`."""
+        self.frame_covariance: Final = np.array(traced.frame_covariance, dtype=np.float64)
+        """As of `TracedObject`."""
+        self.seen_from: Final = None if traced.seen_from is None else _padded(traced.seen_from)
+        """As of `TracedObject`, shape (n_rests, n_cameras, 2); NaN where a rest has fewer cameras."""
         self.tops: Final = Grid(
             traced.top.astype(np.float64, order="C"), np.array(traced.top_origin, dtype=np.float64), float(traced.top_resolution)
         )
@@ -181,6 +187,13 @@ class Template:
     def least_top(self, points: NDArray[np.floating]) -> Float64Array:
         """The lowest height of the upper side within some millimetres [m], shape (n,), at points (n, 2) in the object frame."""
         return np.asarray(nearest_values(self.lowest, np.ascontiguousarray(points, dtype=np.float64)))
+
+
+def _padded(rests: Sequence[Float64Array]) -> Float64Array:
+    padded = np.full((len(rests), max(len(places) for places in rests), 2), np.nan)
+    for own, places in zip(padded, rests, strict=True):
+        own[: len(places)] = places
+    return padded
 
 
 def _refined(values: Float64Array, factor: int) -> Float64Array:
@@ -251,8 +264,8 @@ def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     share_contradicting = comparison.share_contradicting
     normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
     covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(_FLOOR))
-    covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
-    covariance = covariance + _lasting(template, scene, lines, pose, normal)
+    own_covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
+    covariance = own_covariance + _lasting(template, scene, lines, pose, normal)
     status = TrackStatus.TRACKED
     if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
         status = TrackStatus.POOR_FIT
@@ -261,7 +274,8 @@ def fit_pose(template: Template, scene: Scene, start: ArrayLike) -> PoseFit:
     elif np.any(np.diag(covariance) > np.square(_MAX_DEVIATION)):
         status = TrackStatus.UNDETERMINED
     pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
-    return PoseFit(status, pose, 0.5 * (covariance + covariance.T), len(lines.stopped), share_visible, share_contradicting)
+    covariance = 0.5 * (covariance + covariance.T)
+    return PoseFit(status, pose, covariance, len(lines.stopped), share_visible, share_contradicting, own_covariance)
 
 
 def relocate(template: Template, scene: Scene, centre: ArrayLike, *, last_yaw: float | None = None) -> PoseFit:
@@ -425,12 +439,32 @@ def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, norm
 
 def _lasting(template: Template, scene: Scene, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
     """Covariance of the errors that every frame at this pose has, shape (3, 3)."""
-    covariance = camera_covariance(pose, template.first_pose, scene.camera_accuracy)
+    covariance = camera_covariance(pose, template.first_pose, scene.camera_accuracy) + in_table(template.frame_covariance, pose)
     if template.seen_from is None or template.displaced_std == 0.0:
         return covariance
+    moved = template.displaced_std * _displaced_by_camera(template, scene, lines, pose, normal)
+    return covariance + np.outer(moved, moved)
+
+
+def _displaced_by_camera(template: Template, scene: Scene, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
+    """As `displaced_pose`, of a template whose `seen_from` is known."""
     camera = np.array(np.asarray(scene.camera_in_table)[:2, 3], dtype=np.float64)
     scores = displaced_scores(template.field, lines.upper, lines.lower, pose, _LEVELS[-1][0], camera, template.seen_from)
-    return covariance + displaced_covariance(template.displaced_std, scores, normal)
+    return displaced_pose(scores, normal, template.displaced_frame, float(pose[2]))
+
+
+def displaced_by_camera(template: Template, scene: Scene, pose: Float64Array) -> Float64Array:
+    """Change of the pose fitted at `pose` by edges that the camera displaces, per metre [-, -, rad/m], shape (3,); 0 where unknown.
+
+    Raises:
+        FrameError: The size of the image differs from its camera info.
+    """
+    width, band, stride, _ = _LEVELS[-1]
+    lines = lines_of_sight(template, scene, pose, band, stride)
+    if template.seen_from is None or lines is None:
+        return np.zeros(3)
+    normal = _compare(template, lines, pose, width).normal + 1e-6 * np.diag(_DAMPING)
+    return _displaced_by_camera(template, scene, lines, np.ascontiguousarray(pose, dtype=np.float64), normal)
 
 
 def _at_least(covariance: Float64Array, other: Float64Array) -> Float64Array:

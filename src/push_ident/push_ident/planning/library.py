@@ -14,13 +14,13 @@ import numpy as np
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points, wrap_angle
-from push_ident.identification.result import ModelPosterior
-from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.batch import BatchPush, rollouts
+from push_ident.planning.belief import Belief
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
-__all__ = ["Library", "Strokes", "models_of", "path_of", "placed", "strokes"]
+__all__ = ["Library", "Strokes", "path_of", "placed", "strokes"]
 
 _CONTACTS: Final = 48
 """Along the outline."""
@@ -32,6 +32,8 @@ _LONGEST: Final = 0.16
 """Travel after contact [m]: of longer pushes little is known beforehand, and two shorter ones see the object between them."""
 _TIME_STEP: Final = 1.0 / 80.0
 """Of the simulation [s]: ends lie within 0.1 mm of fine steps in the median, 0.5 mm in nine of ten pushes of 6 to 10 cm."""
+_CONE: Final = float(np.radians(45.0))
+"""Largest angle between a push and the inward normal [rad]."""
 _EDGE: Final = 1e-3
 """Contacts keep this distance from the ends of an edge [m], where a small error would miss it."""
 
@@ -58,6 +60,27 @@ class Strokes:
         """Unit vectors, shape (n, 2)."""
         return np.stack([np.cos(self.direction), np.sin(self.direction)], axis=-1)
 
+    def picked(self, number: int) -> Strokes:
+        """One of them."""
+        one = slice(number, number + 1)
+        return Strokes(self.contact[one], self.tool[one], self.tangent[one], self.direction[one], self.room[one])
+
+    @property
+    def direction_from_normal(self) -> float:
+        """Angle between the first stroke and the inward normal [rad]."""
+        inward = np.arctan2(self.tangent[0, 0], -self.tangent[0, 1])
+        return float(wrap_angle(self.direction[0] - inward))
+
+    def changed(self, along: float, turn: float) -> Strokes:
+        """One stroke with its contact moved along the edge [m], within the edge, and turned [rad], within a cone of 45 degrees."""
+        along = float(np.clip(along, -self.room[0], self.room[0]))
+        angle = float(np.clip(self.direction_from_normal + turn, -_CONE, _CONE))
+        shift = along * self.tangent
+        inward = self.direction - self.direction_from_normal
+        return Strokes(
+            self.contact + shift, self.tool + shift, self.tangent, np.asarray(wrap_angle(inward + angle)), self.room - abs(along)
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Library:
@@ -71,25 +94,15 @@ class Library:
     The first model is the mean."""
 
     @classmethod
-    def of(cls, posterior: ModelPosterior, own: Strokes, settings: PushSettings, n_draws: int, rng: np.random.Generator) -> Library:
-        """Simulate all strokes with the mean model and with `n_draws` models drawn from the posterior."""
+    def of(cls, belief: Belief, own: Strokes, settings: PushSettings, n_draws: int, rng: np.random.Generator) -> Library:
+        """Simulate all strokes with the mean model and with `n_draws` models that may be true."""
         lengths = np.arange(_STEP_OF_LENGTH, min(_LONGEST, settings.max_distance) + 1e-9, _STEP_OF_LENGTH)
         speed = settings.speed_range[0]
         pushes = []
         for tool, heading in zip(own.tool, own.heading(), strict=True):
             path = path_of(tool, heading, float(lengths[-1]), speed, settings)
             pushes.append(BatchPush(path, np.zeros(3), (settings.clearance + lengths) / speed))
-        models = models_of(posterior, n_draws, rng)
-        return cls(own, lengths, rollouts(posterior.unknowns.shape, models, pushes, step=_TIME_STEP))
-
-
-def models_of(posterior: ModelPosterior, n_draws: int, rng: np.random.Generator) -> list[BatchModel]:
-    """The mean model, then models drawn from the posterior."""
-    value, vector = np.linalg.eigh(posterior.covariance)
-    root = vector * np.sqrt(np.maximum(value, 0.0))
-    z = posterior.z + np.vstack([np.zeros(len(value)), rng.normal(size=(n_draws, len(value)))]) @ root.T
-    mechanics = [posterior.unknowns.mechanics(own) for own in z]
-    return [BatchModel(own.body, own.pusher_friction) for own in mechanics]
+        return cls(own, lengths, rollouts(belief.shape, belief.models(n_draws, rng), pushes, step=_TIME_STEP))
 
 
 def path_of(tool: Float64Array, heading: Float64Array, distance: float, speed: float, settings: PushSettings) -> PusherPath:

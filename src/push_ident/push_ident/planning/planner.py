@@ -23,11 +23,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from push_ident.errors import PlanningError
+from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.identification.result import ModelPosterior
 from push_ident.physics.batch import BatchPush, rollouts
+from push_ident.planning.belief import Belief
 from push_ident.planning.goal import Goal
-from push_ident.planning.library import Library, Strokes, models_of, path_of, placed, strokes
+from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
@@ -51,6 +52,10 @@ _CERTAIN: Final = 0.9
 """Chance of being at the goal from which the object counts as there."""
 _AGAIN: Final = 0.004
 """A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
+_NEAR: Final = 5.0
+"""Error, in units of the tolerance, up to which a push may be the last one and is improved: strokes are that coarse."""
+_WAY: Final = 4
+"""Poses along a push, the first included, at which the object is compared with obstacles."""
 _TIME_STEP: Final = 1.0 / 120.0
 """Of the simulation of the pushes that are judged last [s]."""
 
@@ -81,29 +86,29 @@ class GoalPush:
 
 
 class GoalPlanner:
-    """Plans pushes of one object; what it has simulated it keeps until the posterior changes.
+    """Plans pushes of one object; what it has simulated it keeps until the belief changes.
 
     Args:
         shape: of the object.
         settings: limits of pushes and the pusher.
-        seed: of the draws from posteriors.
+        seed: of the models that are drawn.
     """
 
     def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0) -> None:
         self._shape, self._settings, self._seed = shape, settings, seed
         self._strokes = strokes(shape, settings)
-        self._posterior: ModelPosterior | None = None
+        self._belief: Belief | None = None
         self._library: Library | None = None
 
-    def _library_of(self, posterior: ModelPosterior) -> Library:
-        if self._library is None or posterior is not self._posterior:
-            self._posterior = posterior
-            self._library = Library.of(posterior, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
+    def _library_of(self, belief: Belief) -> Library:
+        if self._library is None or belief is not self._belief:
+            self._belief = belief
+            self._library = Library.of(belief, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
         return self._library
 
     def plan(
         self,
-        posterior: ModelPosterior,
+        belief: Belief,
         pose: Float64Array,
         covariance: Float64Array,
         goal: Goal,
@@ -113,7 +118,7 @@ class GoalPlanner:
         """The next push.
 
         Args:
-            posterior: of the object.
+            belief: what is known of the object.
             pose: of the object in the table frame, shape (3,).
             covariance: of that pose, shape (3, 3).
             goal: pose with tolerances.
@@ -127,27 +132,30 @@ class GoalPlanner:
             return GoalPush(PlanStatus.UNSURE, chance)
         if len(self._strokes) == 0:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
-        library = self._library_of(posterior)
+        library = self._library_of(belief)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
         ranked = _ranked(library, wanted)
         own = library.strokes
         candidates: list[tuple[Strokes, int, float]] = []
+        motions: list[Float64Array] = []
         for number, k in ranked:
             plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             if self._is_possible(plan, pose, library.motion[0, number, k], obstacles, failed):
                 candidates.append((own, number, float(library.lengths[k])))
+                motions.append(library.motion[0, number, k])
             if len(candidates) == _JUDGED:
                 break
         if not candidates:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
-        mechanics = posterior.unknowns.mechanics(posterior.z)
-        for own_strokes, number, length in list(candidates):
-            improved = refine(mechanics, own_strokes, number, length, wanted, self._settings)
-            if improved is not None:
-                plan = placed(improved[0], 0, pose, improved[1], self._settings.speed_range[0])
-                if self._is_possible(plan, pose, improved[2], obstacles, failed):
-                    candidates.append((improved[0], 0, improved[1]))
-        return self._best(posterior, library, candidates, pose, covariance, goal)
+        for (_, number, length), motion in zip(list(candidates), motions, strict=True):
+            if wanted.relative_error(motion) > _NEAR:
+                continue
+            better = refine(belief.mean, own.picked(number), length, wanted, self._settings)
+            if better is not None:
+                plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
+                if self._is_possible(plan, pose, better.motion, obstacles, failed):
+                    candidates.append((better.stroke, 0, better.length))
+        return self._best(belief, library, candidates, pose, covariance, goal)
 
     def _is_possible(
         self,
@@ -160,8 +168,11 @@ class GoalPlanner:
         """Whether a push keeps tool and object within the workspace, touches nothing before, and did not fail before."""
         if any(np.linalg.norm(plan.contact_point - other.contact_point) < _AGAIN for other in failed):
             return False
-        outline, after = (transform_points(p, self._shape.outline) for p in (pose, compose(pose, motion)))
-        if self._settings.excess(after) > self._settings.excess(outline):
+        way = np.linspace(0.0, 1.0, _WAY)[1:, None] * motion
+        outline, *later = (transform_points(p, self._shape.outline) for p in (pose, *compose(pose, way)))
+        if self._settings.excess(later[-1]) > self._settings.excess(outline):
+            return False
+        if any(_gap(own, other) < self._settings.lowering_gap for own in later for other in obstacles):
             return False
         try:
             check_push(plan, outline, self._settings, obstacles)
@@ -171,7 +182,7 @@ class GoalPlanner:
 
     def _best(
         self,
-        posterior: ModelPosterior,
+        belief: Belief,
         library: Library,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
@@ -185,8 +196,8 @@ class GoalPlanner:
         for own, number, length in candidates:
             path = path_of(own.tool[number], own.heading()[number], length, speed, settings)
             pushes.append(BatchPush(path, np.zeros(3), path.time[-1:]))
-        models = models_of(posterior, _FINAL_DRAWS, rng)
-        motion = rollouts(self._shape, models, pushes, step=_TIME_STEP)[:, :, 0]
+        motion = rollouts(self._shape, belief.models(_FINAL_DRAWS, rng), pushes, step=_TIME_STEP)[:, :, 0]
+        motion = np.broadcast_to(motion, (1 + _FINAL_DRAWS, *motion.shape[1:])) if len(motion) == 1 else motion
         # The tool goes where the observed pose has it, and the object lies elsewhere by the error of that pose.
         root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
         start = pose + np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
@@ -246,6 +257,11 @@ def _tree(library: Library, goal: Goal) -> tuple[KDTree, np.ndarray, Float64Arra
     spread = np.sqrt(np.nansum(np.nanvar(flat / goal.tolerance, axis=0), axis=1))
     entries = np.flatnonzero(np.isfinite(flat[0]).all(axis=1))
     return KDTree(flat[0][entries] / goal.tolerance), entries, spread
+
+
+def _gap(outline: Float64Array, other: Float64Array) -> float:
+    """Least distance of a vertex of either outline from the other [m]; negative inside."""
+    return float(min(np.min(signed_distance(outline, other)), np.min(signed_distance(other, outline))))
 
 
 def _softly(error: Float64Array) -> Float64Array:

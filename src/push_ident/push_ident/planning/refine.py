@@ -7,7 +7,7 @@ the end tells what another length does. Three numbers of the push for three of t
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,15 +21,16 @@ from push_ident.planning.library import Strokes, path_of
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["end_by_push", "refine"]
+__all__ = ["RefinedStroke", "end_by_push", "refine"]
 
-_STEPS: Final = 3
-_DAMPING: Final = np.array([0.5, 0.5, 0.5])
+_EVALUATIONS: Final = 5
+"""Simulations of a push with their derivative."""
+_SHORTER: Final = 0.3
+"""Factor on a step that led further away [1]."""
+_DAMPING: Final = 0.5
 """Weight of a change of the push by its whole range, in tolerances [1]: changes that hardly move the end are not made."""
 _RANGE: Final = np.array([0.01, 0.3, 0.03])
 """Largest change of contact [m], direction [rad] and length [m] in a step: the derivative holds on one side of a switch only."""
-_CONE: Final = float(np.radians(45.0))
-"""Largest angle between push and inward normal [rad]."""
 _SHORTEST: Final = 0.003
 """Travel after contact [m]."""
 _WINDOW: Final = 0.003
@@ -37,39 +38,40 @@ _WINDOW: Final = 0.003
 _NUMERICS: Final = SimulationSettings(step=1.0 / 120.0, resolve_events=True)
 
 
-def refine(
-    mechanics: Mechanics, own: Strokes, number: int, length: float, wanted: Goal, settings: PushSettings
-) -> tuple[Strokes, float, Float64Array] | None:
-    """A stroke and a length that bring the mean model nearer to the wanted motion: (one stroke, length [m], motion, shape (3,)).
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedStroke:
+    """A push that brings the mean model nearer to the goal."""
 
-    None where the push cannot be improved.
-    """
-    stroke = _picked(own, number)
-    best: tuple[float, Strokes, float, Float64Array] | None = None
-    start = np.inf
-    for _ in range(_STEPS + 1):
-        end, by_push = end_by_push(mechanics, stroke, length, settings)
+    stroke: Strokes
+    """One."""
+    length: float
+    """Travel after contact [m]."""
+    motion: Float64Array
+    """Pose of the object after it in its frame before it, shape (3,)."""
+
+
+def refine(mechanics: Mechanics, stroke: Strokes, length: float, wanted: Goal, settings: PushSettings) -> RefinedStroke | None:
+    """A stroke and a length [m] whose motion is nearer to the wanted one; None where the push cannot be improved."""
+    best: RefinedStroke | None = None
+    first = least = np.inf
+    step = np.zeros(3)
+    for _ in range(_EVALUATIONS):
+        origin = best or RefinedStroke(stroke, length, np.zeros(3))
+        tried = origin.stroke.changed(float(step[0]), float(step[1]))
+        longer = float(np.clip(origin.length + step[2], _SHORTEST, settings.max_distance))
+        end, by_push = end_by_push(mechanics, tried, longer, settings)
         if end is None or by_push is None:
             break
-        residual = end - wanted.pose
-        residual[2] = wrap_angle(residual[2])
-        cost = float(np.sum((residual / wanted.tolerance) ** 2))
-        if best is None:
-            start = cost
-        if best is None or cost < best[0]:
-            best = (cost, stroke, length, end)
-        elif cost > best[0]:
-            break
+        residual = np.append((end - wanted.pose)[:2], wrap_angle(end[2] - wanted.pose[2])) / wanted.tolerance
+        cost = float(residual @ residual)
+        first = min(first, cost) if best is None else first
+        if cost >= least:
+            step *= _SHORTER
+            continue
+        best, least = RefinedStroke(tried, longer, end), cost
         scaled = by_push / wanted.tolerance[:, None] * _RANGE
-        step = -np.linalg.solve(scaled.T @ scaled + np.diag(_DAMPING**2), scaled.T @ (residual / wanted.tolerance))
-        step = _RANGE * np.clip(step, -1.0, 1.0)
-        stroke, length = (
-            _changed(stroke, float(step[0]), float(step[1])),
-            float(np.clip(length + step[2], _SHORTEST, settings.max_distance)),
-        )
-    if best is None or not best[0] < start:
-        return None
-    return best[1], best[2], best[3]
+        step = _RANGE * np.clip(-np.linalg.solve(scaled.T @ scaled + _DAMPING**2 * np.eye(3), scaled.T @ residual), -1.0, 1.0)
+    return best if least < first else None
 
 
 def end_by_push(
@@ -88,23 +90,3 @@ def end_by_push(
     columns = [move + move[2] * np.array([-end[1], end[0], 0.0]) - by_first @ move for move in moves]
     by_length = (end - motion.pose[-2]) / _WINDOW
     return end, np.column_stack([*columns, by_length])
-
-
-def _picked(own: Strokes, number: int) -> Strokes:
-    one = slice(number, number + 1)
-    return Strokes(own.contact[one], own.tool[one], own.tangent[one], own.direction[one], own.room[one])
-
-
-def _changed(stroke: Strokes, along: float, turn: float) -> Strokes:
-    """With the contact moved along its edge [m], within the edge, and the direction turned [rad], within the cone."""
-    along = float(np.clip(along, -stroke.room[0], stroke.room[0]))
-    shift = along * stroke.tangent
-    inward = np.arctan2(stroke.tangent[0, 0], -stroke.tangent[0, 1])
-    angle = float(np.clip(wrap_angle(stroke.direction[0] + turn - inward), -_CONE, _CONE))
-    return replace(
-        stroke,
-        contact=stroke.contact + shift,
-        tool=stroke.tool + shift,
-        direction=np.array([wrap_angle(inward + angle)]),
-        room=stroke.room - abs(along),
-    )

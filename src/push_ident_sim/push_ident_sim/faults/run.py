@@ -137,7 +137,8 @@ def _settle(cell: Cell) -> None:
 
     def settled() -> bool:
         reports = {name: cell.monitor.reports_of(name, since) for name in nodes}
-        waiting = [own[-1].values.get("pushes waiting", "0") for own in reports.values() if own]
+        kinds = ("pushes waiting", "outlines waiting")
+        waiting = [own[-1].values.get(kind, "0") for own in reports.values() if own for kind in kinds]
         return all(reports.values()) and all(count == "0" for count in waiting)
 
     with suppress(PushIdentError):  # the fault shows what is wrong with a node that does not speak

@@ -11,9 +11,10 @@ import numpy as np
 
 from push_ident import __version__
 from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.report.account_bar import account_bar
 from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
 from push_ident.diagnosis.result import Diagnosis, Verdict
-from push_ident.diagnosis.wording import size_of
+from push_ident.diagnosis.wording import sentence_of_more_pushes, size_of
 from push_ident.pages.page import svg, write_page
 from push_ident.physics.effects import EFFECTS
 
@@ -33,7 +34,7 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
     """Write the page. Raises InputError where the file cannot be written."""
     policy = diagnosis.policy.selection
     context: dict[str, Any] = {
-        "title": f"Simulation against reality, object {object_id}: {_TITLES[diagnosis.verdict]}",
+        "title": f"Simulation against reality, object {object_id}: {_title(diagnosis)}",
         "sentence": diagnosis.sentence,
         "failed": [g for g in diagnosis.gates if not g.passed],
         "gates": diagnosis.gates,
@@ -51,16 +52,28 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
     write_page(path, __package__ or "", "report.html.j2", context)
 
 
+def _title(diagnosis: Diagnosis) -> str:
+    account = diagnosis.account
+    if diagnosis.verdict is Verdict.NO_GAP and account is not None:
+        if account.is_unexplained:
+            return "nothing named, part of the error unexplained"
+        if account.maps_are_open:
+            return "nothing found, too few pushes to know"
+    return _TITLES[diagnosis.verdict]
+
+
 def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     """Figures and texts of all sections; nothing where the diagnosis abstains."""
-    selection, gap, frames = diagnosis.selection, diagnosis.gap, diagnosis.base_residuals
-    if selection is None or gap is None or frames is None:
+    selection, gap, frames, account = diagnosis.selection, diagnosis.gap, diagnosis.base_residuals, diagnosis.account
+    if selection is None or gap is None or frames is None or account is None:
         return {}
     policy = diagnosis.policy.selection
     is_wrench = diagnosis.verdict is Verdict.UNKNOWN and diagnosis.wrench is not None
     added = ("a smooth wrench",) if is_wrench else selection.found
     no_rival = "No other effect of the catalogue explains these pushes nearly as well."
     return {
+        "account": account_bar(account),
+        "more_pushes": sentence_of_more_pushes(account, diagnosis.first_push).strip(),
         "where": svg(draw_where(frames, diagnosis.where)),
         "ranking": svg(draw_ranking(selection, policy.min_log_bayes_factor)),
         "shrink": svg(draw_shrink(gap, added)),

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.identification.result import ModelPosterior
+from push_ident.planning.belief import Belief
 from push_ident.planning.goal import Goal
 from push_ident.planning.kernels import compile_planning
 from push_ident.planning.planner import GoalPlanner, GoalPush
@@ -54,7 +55,7 @@ class PlannerThread:
 
     def __init__(self) -> None:
         self._one_at_a_time = threading.Lock()
-        self._planners: dict[str, tuple[ModelPosterior, PushSettings, GoalPlanner]] = {}
+        self._planners: dict[str, tuple[Belief, PushSettings, GoalPlanner]] = {}
         threading.Thread(target=self._warm_up, name="compile", daemon=True).start()
 
     def begin(
@@ -70,8 +71,8 @@ class PlannerThread:
 
         def work() -> GoalPush:
             with self._one_at_a_time:
-                planner = self._planner(seen.object_id, posterior, settings)
-                return planner.plan(posterior, seen.pose, seen.covariance, goal, obstacles, failed)
+                belief, planner = self._planner(seen.object_id, posterior, settings)
+                return planner.plan(belief, seen.pose, seen.covariance, goal, obstacles, failed)
 
         return PlanUnderWay(work)
 
@@ -79,15 +80,15 @@ class PlannerThread:
         with self._one_at_a_time:
             compile_planning()
 
-    def _planner(self, object_id: str, posterior: ModelPosterior, settings: PushSettings) -> GoalPlanner:
-        """The planner of an object, which keeps what it has simulated; another one for another outline or other settings."""
+    def _planner(self, object_id: str, posterior: ModelPosterior, settings: PushSettings) -> tuple[Belief, GoalPlanner]:
+        """Belief and planner of an object, which keeps what it has simulated; another planner for another outline or other settings."""
         known = self._planners.pop(object_id, None)
         shape = posterior.unknowns.shape
-        if known is not None and known[1] == settings and np.array_equal(known[0].unknowns.shape.outline, shape.outline):
-            planner = known[2]
-        else:
-            planner = GoalPlanner(shape, settings)
-        self._planners[object_id] = (posterior, settings, planner)
+        if known is None or known[1] != settings or not np.array_equal(known[0].shape.outline, shape.outline):
+            known = (Belief.of(posterior), settings, GoalPlanner(shape, settings))
+        elif known[0].posterior is not posterior:
+            known = (Belief.of(posterior), settings, known[2])
+        self._planners[object_id] = known
         while len(self._planners) > _KEPT:
             del self._planners[next(iter(self._planners))]
-        return planner
+        return known[0], known[2]

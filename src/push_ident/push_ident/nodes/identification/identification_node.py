@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +25,7 @@ from push_ident.nodes.convert import planar_pose_of, position_from_msg
 from push_ident.nodes.convert_model import pusher_path_from_msg
 from push_ident.nodes.identification.latest_jobs import LatestJobs
 from push_ident.nodes.identification.output import ObjectOutput
+from push_ident.nodes.identification.work_queue import Kind, WorkQueue
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.paths import file_to_read, file_to_write
 from push_ident.nodes.push_collector import PushCollector
@@ -114,7 +114,7 @@ class _Identification(Component):
         self._wake = threading.Condition()
         # During a push updates need the processor, and a suggestion of the next one would be for poses that change.
         self._is_pushing = False
-        self._finished: deque[Callable[[], None]] = deque()  # what to do with pushes that have ended
+        self._queue = WorkQueue()
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
         self._closing = False
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
@@ -168,7 +168,7 @@ class _Identification(Component):
             self._publish_model(known, 0.0)
         else:
             with self._wake:
-                self._finished.append(partial(self._refine, object_id, shape))
+                self._queue.put(Kind.OUTLINE, partial(self._refine, object_id, shape))
                 self._wake.notify()
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:
@@ -187,12 +187,13 @@ class _Identification(Component):
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         with self._wake:
-            self._finished.extend(partial(self._finish, push) for push in pushes)
+            for push in pushes:
+                self._queue.put(Kind.PUSH, partial(self._finish, push))
             self._wake.notify()
 
     def _on_left_out(self) -> None:
         with self._wake:
-            self._finished.append(self._drop_updates)
+            self._queue.put(Kind.PUSH, self._drop_updates)
             self._wake.notify()
 
     # ---- the worker
@@ -203,10 +204,10 @@ class _Identification(Component):
             settle_memory()
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closing or self._finished or self._frames)
+                self._wake.wait_for(lambda: self._closing or self._queue.first() or self._frames)
                 if self._closing:
                     return
-                ended = self._finished[0] if self._finished else None
+                ended = self._queue.first()
                 frames: dict[str, float] = {}
                 if ended is None:
                     frames, self._frames = self._frames, {}
@@ -218,7 +219,7 @@ class _Identification(Component):
             if ended is not None:
                 # Only now: a push that is being solved is waiting, too.
                 with self._wake:
-                    self._finished.popleft()
+                    self._queue.first_is_done()
 
     def _drop_updates(self) -> None:
         """Go back to the finished pushes: the one under way is left out."""
@@ -395,7 +396,8 @@ class _Identification(Component):
             level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
         values |= {
             "streams": "at rest" if self._collector.is_at_rest else "running",
-            "pushes waiting": self._collector.n_ended + len(self._finished),
+            "pushes waiting": self._collector.n_ended + self._queue.n_waiting(Kind.PUSH),
+            "outlines waiting": self._queue.n_waiting(Kind.OUTLINE),
         }
         values |= {"last solve [s]": f"{self._solve_time:.3f}"}
         for object_id, session in list(self._sessions.items()):

@@ -45,8 +45,10 @@ class _Object(BaseModel):
     top_origin: tuple[float, float]
     top_resolution: float
     hollow: list[list[bool]] | None = None
-    seen_from: list[tuple[float, float]] | None = None
+    seen_from: list[list[tuple[float, float]]] | list[tuple[float, float]] | None = None
     displaced_std: float = 0.0
+    displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    frame_covariance: list[list[float]] | None = None
     area: float
 
 
@@ -88,8 +90,10 @@ class ObjectMemory:
             top_origin=tuple(np.asarray(traced.top_origin).tolist()),
             top_resolution=float(traced.top_resolution),
             hollow=None if traced.hollow is None else traced.hollow.tolist(),
-            seen_from=None if traced.seen_from is None else traced.seen_from.tolist(),
+            seen_from=None if traced.seen_from is None else [places.tolist() for places in traced.seen_from],
             displaced_std=float(traced.displaced_std),
+            displaced_frame=traced.displaced_frame,
+            frame_covariance=traced.frame_covariance.tolist(),
             area=float(known.area),
         )
         write_whole(path, content.model_dump_json(), "a known object", private=True, error=ModelFileError)
@@ -144,7 +148,13 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         raise ModelFileError(f"{path} has a hollow of shape {hollow.shape}, expected {top.shape} as its heights; {_REMEDY}.")
     if content.displaced_std < 0:
         raise ModelFileError(f"{path} has a displaced_std of {content.displaced_std} m, expected 0 or more; {_REMEDY}.")
-    seen_from = None if not content.seen_from else np.array(content.seen_from)
+    frame_covariance = np.zeros((3, 3)) if content.frame_covariance is None else np.array(content.frame_covariance)
+    if frame_covariance.shape != (3, 3) or np.any(np.linalg.eigvalsh(frame_covariance) < -1e-12):
+        raise ModelFileError(f"{path} has a frame_covariance that is none of shape (3, 3); {_REMEDY}.")
+    # Files of earlier versions have the places of one rest, without the list of rests.
+    rests = [np.array(places, dtype=np.float64).reshape(-1, 2) for places in content.seen_from or ()]
+    is_flat = any(isinstance(places, tuple) for places in content.seen_from or ())
+    seen_from = ((np.vstack(rests),) if is_flat else tuple(rests)) if rests else None
     traced = TracedObject(
         shape,
         np.array(content.pose),
@@ -154,5 +164,7 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         hollow,
         seen_from,
         content.displaced_std,
+        content.displaced_frame,
+        frame_covariance,
     )
     return content.object_id, traced, content.area

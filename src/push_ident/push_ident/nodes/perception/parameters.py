@@ -8,6 +8,8 @@ from typing import Any, Final
 from push_ident.errors import InputError
 from push_ident.nodes.depth_pairs import MAX_SKEW
 from push_ident.nodes.parameters import Parameter
+from push_ident.perception.lasting import CameraAccuracy
+from push_ident.perception.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.perception.settings import PerceptionSettings
 
 __all__ = ["PARAMETERS", "names_of_further_cameras", "perception_settings"]
@@ -31,10 +33,28 @@ _SETTINGS: Final = (
     Parameter("search_period", _DEFAULTS.search_period, "between two searches for new or lost objects once one is known [s]", 0.0, 60.0),
 )
 
+_ACCURACY: Final = (
+    Parameter(
+        POSITION_STD,
+        _DEFAULTS.camera_accuracy.position,
+        "standard deviation of the place of the main camera along x and y of `table`, from its calibration [m]",
+        0.0,
+        0.1,
+    ),
+    Parameter(
+        HEADING_STD,
+        _DEFAULTS.camera_accuracy.heading,
+        "standard deviation of the rotation of the main camera about z of `table`, from its calibration [rad]",
+        0.0,
+        0.2,
+    ),
+)
+
 _DEFAULT_OF: Final = {row.name: row.default for row in _SETTINGS}
 
 PARAMETERS: Final = (
     *_SETTINGS,
+    *_ACCURACY,
     Parameter(
         "extrinsics", "parameters", "where the poses of all cameras come from", choices=("parameters", "tf", "calibrate"), read_only=True
     ),
@@ -75,7 +95,7 @@ def perception_settings(values: dict[str, Any]) -> PerceptionSettings:
     """The settings that parameters give; raises InputError when the values contradict each other."""
     names = [row.name for row in _SETTINGS]
     chosen: dict[str, Any] = {name: tuple(values[name]) if isinstance(_DEFAULT_OF[name], list) else values[name] for name in names}
-    return PerceptionSettings(**chosen)
+    return PerceptionSettings(**chosen, camera_accuracy=CameraAccuracy(values[POSITION_STD], values[HEADING_STD]))
 
 
 def names_of_further_cameras(values: dict[str, Any]) -> list[str]:

@@ -331,7 +331,12 @@ class _Perception(Component):
             self._node.get_logger().warning(f"Object {object_id}: {doubt}.")
         for object_id in observation.refined:
             self._counter["outlines_refined"] += 1
+            self._notes[f"outline_{object_id}"] = ""
             self._node.get_logger().info(f"Object {object_id}: its outline is better known from several rests.")
+        for object_id, why in observation.not_refined.items():
+            self._counter["outlines_not_refined"] += 1
+            note = self._notes[f"outline_{object_id}"] = f"stays as it was: {why}"
+            self._node.get_logger().warning(f"Object {object_id}: its outline {note}")
         for object_id, shape in (observation.new_shapes | observation.refined).items():
             _, cells_publisher, outline_publisher, std_publisher = self._publishers_of(object_id)
             cells, outline = shape_to_msgs(shape, object_id, stamp)

@@ -45,9 +45,11 @@ class CaseSettings:
     truth: TruthSettings
     noise: CameraNoise
     recordings: Path = Path("../shared/data")
+    """Of recorded scenes, for the experiments that use them."""
     minutes: float = 60.0
     """Duration of a case that runs for a given time [min]."""
-    """Of recorded scenes, for the experiments that use them."""
+    goals: int = 4
+    """Of each object, for experiments that push to goals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,5 +81,7 @@ class Experiment(Study):
     """Variants with a largest number of ground truths of each object, whatever number is requested."""
     timed: bool = False
     """Whether cases run for `CaseSettings.minutes`."""
+    headline: tuple[str, ...] = ()
+    """Keys of the summary that also stand at the top of the result, for scripts."""
     one_at_a_time: bool = False
     """Whether its cases run in turn, whatever number of processes is requested: live nodes that share their cores fall behind."""

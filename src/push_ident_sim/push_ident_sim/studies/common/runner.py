@@ -61,9 +61,11 @@ class RunOptions:
     """Of recorded scenes, for the experiments that use them."""
     minutes: float = 60.0
     """Of cases that run for a given time [min]."""
+    goals: int = 4
+    """Of each object, for experiments that push to goals."""
 
     def __post_init__(self) -> None:
-        for name, lowest in (("n_models", 1), ("jobs", 1), ("seed", 0)):
+        for name, lowest in (("n_models", 1), ("jobs", 1), ("seed", 0), ("goals", 1)):
             if getattr(self, name) < lowest:
                 raise InputError(f"`{name}` is {getattr(self, name)}, expected at least {lowest}.")
 
@@ -87,6 +89,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         options.noise,
         options.recordings,
         options.minutes,
+        options.goals,
     )
     folder = options.folder / experiment.name
     # Results of other settings or other code have other names, so that no mean is taken over both.
@@ -107,7 +110,9 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     if not results:
         first = next(iter(outcomes.values()))["error"]
         raise InputError(f"All {len(cases)} cases of {experiment.name} failed, the first with: {first}")
+    summary = {**experiment.summarise(results), **({} if sealed is None else {"sealed": sealed})}
     return {
+        **{key: summary[key] for key in experiment.headline},
         "experiment": experiment.name,
         "objects": list(options.objects or experiment.objects),
         "models": options.n_models,
@@ -116,7 +121,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "max_seconds": options.max_seconds,
         "machine": describe_machine(jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
-        "summary": {**experiment.summarise(results), **({} if sealed is None else {"sealed": sealed})},
+        "summary": summary,
     }
 
 
@@ -194,6 +199,8 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
     if experiment.once:
         values.append({"recordings": str(settings.recordings.resolve())})
+    if "goals" in experiment.name:
+        values.append({"goals": settings.goals})
     if experiment.timed:
         values.append({"minutes": settings.minutes})
     files = files_behind(Path(experiment.run.__code__.co_filename), _PRESENTATION)

@@ -1,0 +1,22 @@
+"""`push-ident salvage`: what can still be read of a damaged bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from push_ident.bags.salvage import salvage
+from push_ident.cli.output import console
+
+__all__ = ["salvage_command"]
+
+
+def salvage_command(
+    bag: Annotated[Path, typer.Argument(help="A damaged MCAP bag.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="New bag.", show_default=False)],
+) -> None:
+    """Copy all readable messages of a truncated or damaged bag into a new bag."""
+    report = salvage(bag, out)
+    console.print(f"{report.total} messages recovered into {out}", highlight=False, soft_wrap=True)

@@ -1,0 +1,286 @@
+"""The account of a gap: the mean error on held-out pushes as a sum of named parts.
+
+A push that a fit did not use ends beside the prediction of that fit by more than the poses' noise: its maps are known only to within their
+posterior, and no model of pushing is exact. With draws of the first and the last pose (noise n), of the unknowns z of the posterior of the
+fit without the push, and of the model discrepancy d, which grows with travel from the floor of the noise model (contact is not known
+better), the cell error e to expect is
+
+    A = E e(f(z_mean, x + n_first) + n_last)                  noise of the poses alone
+    B = E e(f(z, x + n_first) + n_last)                       and maps that are not known yet
+    C = E e(f(z, x + n_first) + n_last + d)                   and the model's own discrepancy
+
+    before = A + (B - A) + (C - B) + sum over the effects of the error that each removes + (after - C)
+
+`after - C` is unexplained. It is negative where pushes were predicted better than expected, as half of the pushes of a right model are.
+Motions that switch are no linear function of the model, so that A, B and C are means over simulated motions, not derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.policy import AccountPolicy
+from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fit import Fit
+from push_ident.identification.next_push import CHATTER
+from push_ident.identification.observation import NoiseModel, Observation
+from push_ident.identification.prediction import cell_displacement, cell_error
+from push_ident.identification.problem import FitProblem
+from push_ident.identification.unknowns import Mechanics
+from push_ident.physics.accuracy import choose_steps
+from push_ident.physics.effect_values import true_pose
+from push_ident.physics.rollout import PARAM_MASS
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings
+from push_ident.types import Float64Array, PushRecord, SolveStatus
+
+__all__ = ["Account", "AccountPart", "ExpectedErrors", "account_of", "expected_errors"]
+
+_UNEXPLAINED: Final = "unexplained"
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedErrors:
+    """Mean cell error of held-out pushes that is to be expected if the model is right."""
+
+    noise: Float64Array
+    """A, of the poses' noise alone [m], shape (n_pushes,)."""
+    maps: Float64Array
+    """B, with the unknowns of the posterior [m], shape (n_pushes,)."""
+    discrepancy: Float64Array
+    """C, with the model discrepancy [m], shape (n_pushes,)."""
+    shared_std: float
+    """Standard deviation of the error that all pushes have in common, since they are predicted from the same maps [m]: no number of pushes
+    averages it out, and no resampling of them shows it."""
+
+
+@dataclass(frozen=True, slots=True)
+class AccountPart:
+    """One part of the mean error on held-out pushes."""
+
+    name: str
+    """`noise`, `maps`, `model`, the effect or effects that were added together (joined by " and "), or `unexplained`."""
+    mean: float
+    """[m]; the parts add up to the error before effects."""
+    interval: tuple[float, float]
+    """Contains it with the probability of the policy [m], by bootstrap over the pushes; that of `unexplained` also for the error that all
+    pushes have in common."""
+    is_effect: bool = False
+
+
+@dataclass(frozen=True)
+class Account:
+    """The mean error on held-out pushes, part by part."""
+
+    gap: Gap
+    expected: ExpectedErrors
+    more_pushes: int | None = None
+    """Pushes like these after which the part of the maps is expected to be no larger than that of the noise; 0 where it is not larger now,
+    None where these pushes do not show it, or more than the policy's largest number would be needed."""
+    policy: AccountPolicy = field(default_factory=AccountPolicy)
+
+    @property
+    def before(self) -> float:
+        """Mean error on held-out pushes without the effects: the sum of all parts [m]."""
+        return float(np.mean(self.gap.before))
+
+    @property
+    def after(self) -> float:
+        """With the effects [m]."""
+        return float(np.mean(self.gap.after))
+
+    @property
+    def expected_error(self) -> float:
+        """Of noise, maps and discrepancy together [m]."""
+        return float(np.mean(self.expected.discrepancy))
+
+    @property
+    def per_push(self) -> dict[str, Float64Array]:
+        """Each part by push [m], shape (n_pushes,): `noise`, `maps`, `model`, the effects, `unexplained`."""
+        expected, gap = self.expected, self.gap
+        return {
+            "noise": expected.noise,
+            "maps": expected.maps - expected.noise,
+            "model": expected.discrepancy - expected.maps,
+            **self._effects,
+            _UNEXPLAINED: gap.after - expected.discrepancy,
+        }
+
+    @cached_property
+    def parts(self) -> tuple[AccountPart, ...]:
+        """All of them, in the order in which they are added up."""
+        effects = self._effects
+        return tuple(self._part(name, values, is_effect=name in effects) for name, values in self.per_push.items())
+
+    @property
+    def effects(self) -> tuple[AccountPart, ...]:
+        """The parts of effects, in the order in which they were added."""
+        return tuple(part for part in self.parts if part.is_effect)
+
+    def __getitem__(self, name: str) -> AccountPart:
+        """A part by its name. Raises KeyError where there is none."""
+        return {part.name: part for part in self.parts}[name]
+
+    @property
+    def is_unexplained(self) -> bool:
+        """Whether more than the expected error is certainly there, beyond the accuracy of a cell."""
+        part = self[_UNEXPLAINED]
+        return part.mean > self.policy.negligible and part.interval[0] > 0.0
+
+    @property
+    def is_within_chance(self) -> bool:
+        """Whether the unexplained part may be zero."""
+        part = self[_UNEXPLAINED]
+        return part.interval[0] <= 0.0 <= part.interval[1] or abs(part.mean) <= self.policy.negligible
+
+    @property
+    def maps_are_open(self) -> bool:
+        """Whether maps that are not known yet cost more than the noise, so that what is smaller than they are stays hidden."""
+        return self["maps"].mean > self.accepted_maps
+
+    @property
+    def accepted_maps(self) -> float:
+        """Part of the maps up to which they count as known [m]."""
+        return max(self.policy.max_maps_share * self["noise"].mean, self.policy.negligible)
+
+    @property
+    def _effects(self) -> dict[str, Float64Array]:
+        errors = [self.gap.before, *self.gap.stages.values()]
+        if not self.gap.names:
+            return {}
+        before: set[str] = set()
+        found: dict[str, Float64Array] = {}
+        for names, one, other in zip(
+            [*(key.split(", ") for key in self.gap.stages), self.gap.names], errors, [*errors[1:], self.gap.after], strict=True
+        ):
+            found[" and ".join(name for name in names if name not in before)] = one - other
+            before |= set(names)
+        return found
+
+    def _part(self, name: str, values: Float64Array, *, is_effect: bool) -> AccountPart:
+        interval = self.gap.mean_interval(values, self.expected.shared_std if name == _UNEXPLAINED else 0.0)
+        return AccountPart(name, float(np.mean(values)), interval, is_effect)
+
+
+def account_of(gap: Gap, problem: FitProblem, policy: AccountPolicy) -> Account:
+    """Split a gap into its parts.
+
+    Args:
+        gap: with its fits.
+        problem: with all pushes.
+        policy: number of draws, and what counts.
+    """
+    account = Account(gap, expected_errors(gap.fits, gap.folds, problem, policy), 0, policy)
+    return replace(account, more_pushes=_more_pushes(account, problem)) if account.maps_are_open else account
+
+
+def expected_errors(fits: Sequence[Fit], folds: Sequence[Sequence[int]], problem: FitProblem, policy: AccountPolicy) -> ExpectedErrors:
+    """Cell errors to expect of pushes that are held out of fits.
+
+    Args:
+        fits: to the pushes outside each of the folds.
+        folds: numbers of the pushes that are held out together.
+        problem: with all pushes.
+        policy: number of draws.
+    """
+    errors = np.empty((len(problem.records), 3, policy.draws))
+    results = map_in_threads(lambda task: _errors_of_fold(*task, problem, policy), list(zip(fits, folds, strict=True)))
+    for fold, own in zip(folds, results, strict=True):
+        errors[list(fold)] = own
+    noise, maps, discrepancy = np.nanmean(errors, axis=2).T
+    all_parts = errors[:, 2]
+    # The variance of a mean of independent errors would be the second term.
+    shared = np.var(np.nanmean(all_parts, axis=0), ddof=1) - np.mean(np.nanvar(all_parts, axis=1, ddof=1)) / len(all_parts)
+    return ExpectedErrors(noise, maps, discrepancy, float(np.sqrt(max(0.0, shared))))
+
+
+def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy: AccountPolicy) -> Float64Array:
+    """Cell errors [m], shape (n_pushes, 3, n_draws): with noise, with the maps, with the discrepancy; NaN where a simulation failed."""
+    # The same for every push and every fold, so that the means over the pushes show what pushes have in common. Cholesky's root gives the
+    # maps the same draws whatever effects follow them.
+    normal = policy.posterior_scale * np.random.default_rng(0).normal(size=(policy.draws, fit.unknowns.size))
+    drawn = [fit.unknowns.mechanics(z) for z in fit.z + normal @ np.linalg.cholesky(fit.covariance).T]
+    mean = fit.unknowns.mechanics(fit.z)
+    floor = (problem.noise or NoiseModel()).floor
+    errors = np.full((len(pushes), 3, policy.draws), np.nan)
+    for row, push in enumerate(pushes):
+        record, observed = problem.records[push], problem.observations[push]
+        first, last, discrepancy = np.random.default_rng([1, push]).normal(size=(3, policy.draws, 3))
+        starts = observed.pose[0] + first @ np.linalg.cholesky(observed.first_covariance - floor).T
+        last = last @ np.linalg.cholesky(observed.last_covariance - floor).T
+        discrepancy = discrepancy * np.sqrt(np.diag(floor) + observed.discrepancy[-1] ** 2)
+        end_of = _EndPoses(record, observed, problem.settings, mean)
+        centre = end_of(mean, observed.pose[0])
+        for k, (model, start) in enumerate(zip(drawn, starts, strict=True)):
+            with_maps = end_of(model, start) + last[k]
+            ends = (end_of(mean, start) + last[k], with_maps, with_maps + discrepancy[k])
+            errors[row, :, k] = [cell_error(record.shape.cells, end, centre) for end in ends]
+    return errors
+
+
+class _EndPoses:
+    """Where a push ends, by model and reported first pose, under the numerics that its prediction had."""
+
+    def __init__(self, record: PushRecord, observed: Observation, settings: SimulationSettings, mean: Mechanics) -> None:
+        self._record, self._time = record, observed.time[-1:]
+        self.settings = settings
+
+        def end_pose(numerics: SimulationSettings) -> Float64Array:
+            self.settings = numerics
+            return self(mean, observed.pose[0])
+
+        self.settings = choose_steps(end_pose, settings, observed.last_covariance, record.pusher.time[-1] - record.pusher.time[0]).settings
+
+    def __call__(self, model: Mechanics, first: Float64Array) -> Float64Array:
+        scenario = PushScenario(self._record.pusher, true_pose(model.effects, first), self._time, self._record.order)
+        return np.asarray(model.simulate(scenario, settings=self.settings).pose[-1])
+
+
+def _more_pushes(account: Account, problem: FitProblem) -> int | None:
+    """Further pushes after which the maps count as known, see `Account.more_pushes`.
+
+    The pushes of a fit add the information H to the prior, which is 1. As many pushes like them as bring s H leave the covariance
+    (1 + s H)^-1, and with the derivative G of the end of a held-out push the error sqrt(tr(G (1 + s H)^-1 G')). The part of the maps that
+    was found by simulation is scaled with the mean of that.
+    """
+    terms: list[tuple[Float64Array, Float64Array, int]] = []
+    for fit, fold in zip(account.gap.fits, account.gap.folds, strict=True):
+        information, directions = np.linalg.eigh(np.linalg.inv(fit.covariance) - np.eye(fit.unknowns.size))
+        for push in fold:
+            if (rows := _end_by_unknowns(fit, problem, push)) is not None:
+                terms.append((np.sum((rows @ directions) ** 2, axis=0), np.maximum(information, 0.0), len(fit.problem.records)))
+    noise, both = account["noise"].mean, account["noise"].mean + account["maps"].mean
+    if not terms or not np.isfinite(both):
+        return None
+
+    def error(n_pushes: int | None) -> float:
+        """Of the maps after as many pushes [m], root mean square over the cells; None: as many as in each fit."""
+        scaled = [np.sum(size2 / (1.0 + (1.0 if n_pushes is None else n_pushes / n) * own)) for size2, own, n in terms]
+        return float(np.mean(np.sqrt(scaled)))
+
+    # The scale of the posterior cancels out.
+    simulated = np.sqrt(both**2 - noise**2) / error(None)
+    for more in range(1, account.policy.max_more_pushes + 1):
+        if np.hypot(noise, simulated * error(len(problem.records) + more)) - noise <= account.accepted_maps:
+            return more
+    return None
+
+
+def _end_by_unknowns(fit: Fit, problem: FitProblem, push: int) -> Float64Array | None:
+    """d(cell displacement at the end of a push) / d(unknowns of a fit) [m], shape (3, n_unknowns); None where no derivative predicts it."""
+    record, observed = problem.records[push], problem.observations[push]
+    mechanics = fit.unknowns.mechanics(fit.z)
+    scenario = PushScenario(record.pusher, true_pose(mechanics.effects, observed.pose[0]), observed.time[-1:], record.order)
+    motion = mechanics.simulate(scenario, settings=problem.settings, jacobian=True)
+    cells = record.shape.cells
+    by_body = cell_displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
+    by_first = np.linalg.solve(cell_displacement(cells, observed.pose[0, 2]).T, by_body[:, :3].T).T
+    if motion.status is not SolveStatus.CONVERGED or not np.linalg.norm(by_first, 2) < CHATTER:
+        return None
+    return np.asarray(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])

@@ -1,0 +1,1 @@
+"""Benchmark: time of a frame in perception."""

@@ -1,0 +1,1 @@
+"""Experiment: identification over models of depth sensors."""

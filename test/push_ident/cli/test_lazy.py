@@ -1,0 +1,39 @@
+"""Commands are imported when they are asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from typer.testing import CliRunner
+
+from push_ident.cli.lazy import LazyGroup
+from push_ident.cli.main import app
+
+
+def test_list_of_commands_imports_none_of_them() -> None:
+    code = (
+        "import sys; from push_ident.cli.main import app\n"
+        "try: app(['-h'])\n"
+        "except SystemExit: pass\n"
+        "print('imported', sorted({'cv2', 'numba', 'numpy', 'rclpy', 'scipy', 'torch'} & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.endswith("imported []\n")
+    for name in LazyGroup.places:
+        assert f"\n  {name} " in said
+
+
+def test_every_command_has_a_summary_and_help() -> None:
+    runner = CliRunner()
+    listed = runner.invoke(app, ["--help"]).output.splitlines()
+    for name in LazyGroup.places:
+        line = next(line for line in listed if line.startswith(f"  {name} "))
+        assert len(line.split(maxsplit=1)[1]) > 20
+        asked = runner.invoke(app, [name, "--help"])
+        assert asked.exit_code == 0 and f"push-ident {name}" in asked.output.replace("root", "push-ident")
+
+
+def test_misspelt_command_is_answered_with_the_right_one() -> None:
+    asked = CliRunner().invoke(app, ["identfy"])
+    assert asked.exit_code == 2 and "identify" in asked.output

@@ -1,0 +1,83 @@
+"""What waits for identification is counted by what it is: pushes, and better outlines."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from std_msgs.msg import Float32MultiArray
+
+from helpers.domains import own_domain
+from helpers.node_process import Talker
+from helpers.spinning import spinning
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.identification.session import ObjectSession
+from push_ident.nodes.convert import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
+from push_ident.nodes.identification.identification_node import IdentificationNode
+from push_ident.nodes.identification.work_queue import Kind, WorkQueue
+from push_ident.types import ObjectShape
+from push_ident_msgs.srv import LoadModel, SaveModel
+
+BOX = np.array([(-0.05, -0.04), (0.05, -0.04), (0.05, 0.04), (-0.05, 0.04)])
+
+
+def test_work_is_done_in_its_order_and_waits_until_it_is_done() -> None:
+    queue, done = WorkQueue(), []
+    assert queue.first() is None
+    for i, kind in enumerate((Kind.PUSH, Kind.OUTLINE, Kind.PUSH)):
+        queue.put(kind, lambda i=i: done.append(i))  # type: ignore[misc]
+    left = []
+    while (work := queue.first()) is not None:
+        work()
+        left.append((queue.n_waiting(Kind.PUSH), queue.n_waiting(Kind.OUTLINE)))
+        queue.first_is_done()
+    assert done == [0, 1, 2] and left == [(2, 1), (1, 1), (1, 0)]
+    assert queue.n_waiting(Kind.PUSH) == queue.n_waiting(Kind.OUTLINE) == 0
+
+
+@pytest.mark.alone
+def test_a_better_outline_is_no_push_that_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit with it is held up, so that the status of the node is seen meanwhile."""
+    domain, may_go_on, refine = own_domain(), threading.Event(), ObjectSession.refine_shape
+
+    def held_up(session: ObjectSession, shape: ObjectShape) -> bool:
+        assert session.is_new or may_go_on.wait(60.0)
+        return refine(session, shape)
+
+    monkeypatch.setattr(ObjectSession, "refine_shape", held_up)
+    with spinning(lambda context: IdentificationNode(context=context), domain) as node, Talker(domain) as talker:
+
+        def say(outline: np.ndarray) -> None:
+            shape = ObjectShape(cells_in_outline(BOX, 0.01), outline, np.full(len(outline), 0.001))
+            cells, border = shape_to_msgs(shape, "o1", Time())
+            talker.publish(OccupancyGrid, "objects/o1/cells", cells)
+            talker.publish(Float32MultiArray, "objects/o1/outline_std", outline_std_to_msg(shape))
+            talker.publish(PolygonStamped, "objects/o1/outline", border)
+
+        def waiting() -> tuple[str | None, str | None]:
+            return talker.values().get("pushes waiting"), talker.values().get("outlines waiting")
+
+        pose = planar_pose_to_msg(Time(sec=1), np.zeros(3), 1e-6 * np.eye(3))
+        try:
+            talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", pose)
+            say(BOX)
+            talker.until(lambda: talker.values().get("shapes"))
+            # A model makes the object known, as a push does.
+            path = str(tmp_path / "model.json")
+            save, load = (talker.node.create_client(kind, name) for kind, name in ((SaveModel, "save_model"), (LoadModel, "load_model")))
+            assert talker.ask(save, SaveModel.Request(object_id="o1", path=path)).success
+            answer = talker.ask(load, LoadModel.Request(object_id="o1", path=path))
+            assert answer.success, answer.message
+            say(1.01 * BOX)
+            talker.until(lambda: waiting()[1] not in (None, "0"))
+            assert waiting()[0] == "0"
+            may_go_on.set()
+            talker.until(lambda: waiting() == ("0", "0"), timeout=300.0)  # kernels may have to be compiled first
+        finally:
+            may_go_on.set()
+            node.close()

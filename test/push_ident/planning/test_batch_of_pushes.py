@@ -1,0 +1,65 @@
+"""Batched rollouts give the poses of single ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from push_ident.errors import InputError
+from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings, body_of_cells, simulate_body
+from push_ident.types import ObjectModel, PusherPath
+from push_ident_sim.studies.common.random_objects import random_object
+
+
+def pushes_of(rng: np.random.Generator, n: int) -> list[BatchPush]:
+    """Straight pushes through the middle from all sides, of different lengths and speeds."""
+    pushes = []
+    for _ in range(n):
+        angle, speed = rng.uniform(-np.pi, np.pi), rng.uniform(0.08, 0.2)
+        heading = np.array([np.cos(angle), np.sin(angle)])
+        path = np.outer([-0.14, rng.uniform(-0.05, 0.05)], heading) + rng.uniform(-0.02, 0.02, 2)
+        time = np.array([0.0, np.linalg.norm(path[1] - path[0]) / speed])
+        pushes.append(BatchPush(PusherPath(time, path, 0.008), np.zeros(3), np.array([0.6, 1.0]) * time[1]))
+    return pushes
+
+
+def models() -> list[ObjectModel]:
+    """One shape with different maps."""
+    first = random_object(np.random.default_rng(3))
+    return [first, ObjectModel(first.shape, first.mass[::-1].copy(), first.friction, 0.1)]
+
+
+def test_batch_equals_single_simulations() -> None:
+    both, pushes = models(), pushes_of(np.random.default_rng(0), 70)
+    bodies = [body_of_cells(model.shape, model.mass, model.friction) for model in both]
+    found = rollouts(both[0].shape, [BatchModel(b, m.pusher_friction) for b, m in zip(bodies, both, strict=True)], pushes, step=1 / 120)
+    numerics = SimulationSettings(step=1 / 120, resolve_events=True)
+    expected = [
+        [
+            simulate_body(
+                model.shape, body, model.pusher_friction, PushScenario(p.pusher, p.pose_object_in_table, p.time), settings=numerics
+            ).pose
+            for p in pushes
+        ]
+        for model, body in zip(both, bodies, strict=True)
+    ]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_number_of_threads_does_not_matter() -> None:
+    model, pushes = models()[0], pushes_of(np.random.default_rng(1), 150)
+    arguments = (model.shape, [BatchModel(body_of_cells(model.shape, model.mass, model.friction), 0.2)], pushes)
+    np.testing.assert_array_equal(rollouts(*arguments, step=1 / 80, n_threads=1), rollouts(*arguments, step=1 / 80, n_threads=3))
+
+
+def test_nothing_to_simulate_and_different_pushers_are_refused() -> None:
+    model = models()[0]
+    whole = [BatchModel(body_of_cells(model.shape, model.mass, model.friction), 0.2)]
+    one = pushes_of(np.random.default_rng(0), 1)
+    with pytest.raises(InputError, match="one of each"):
+        rollouts(model.shape, whole, [], step=1 / 80)
+    other = BatchPush(PusherPath(one[0].pusher.time, one[0].pusher.position, 0.01), *one[0][1:])
+    with pytest.raises(InputError, match="differ in their pusher"):
+        rollouts(model.shape, whole, [*one, other], step=1 / 80)
