@@ -18,6 +18,7 @@ ORDER = (
     "push_executor_node",
     "identification_node",
     "gap_diagnosis_node",
+    "goal_pushing_node",
     "viewer_node",
     "bag_player_node",
     "bag_recorder_node",

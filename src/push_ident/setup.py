@@ -33,6 +33,7 @@ setup(
             "bag_player_node = push_ident.nodes.executables:main",
             "bag_recorder_node = push_ident.nodes.executables:main",
             "gap_diagnosis_node = push_ident.nodes.executables:main",
+            "goal_pushing_node = push_ident.nodes.executables:main",
             "viewer_node = push_ident.nodes.executables:main",
         ],
     },

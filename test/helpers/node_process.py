@@ -35,6 +35,7 @@ def node_commands(folder: Path) -> dict[str, tuple[str, dict[str, object]]]:
         "push_executor_node": ("push_ident.nodes", {}),
         "identification_node": ("push_ident.nodes", {}),
         "gap_diagnosis_node": ("push_ident.nodes", {}),
+        "goal_pushing_node": ("push_ident.nodes", {}),
         "bag_player_node": ("push_ident.nodes", {"bag": str(bag), "rate": 0.001, "wait": 0.0}),
         "bag_recorder_node": ("push_ident.nodes", {"bag": str(folder / "recorded"), "min_free_mib": 1}),
         "viewer_node": ("push_ident.nodes", {"output": "file", "file": str(folder / "shown.rrd")}),

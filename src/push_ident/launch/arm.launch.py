@@ -24,7 +24,7 @@ TOPICS = {
 
 def generate_launch_description() -> LaunchDescription:
     config = PathJoinSubstitution([FindPackageShare("push_ident"), "config", "push_ident.yaml"])
-    executables = ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node")
+    executables = ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node", "goal_pushing_node")
     return LaunchDescription(
         [
             DeclareLaunchArgument("params_file", default_value=config, description="parameters of the nodes"),

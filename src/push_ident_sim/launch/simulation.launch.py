@@ -21,6 +21,7 @@ def generate_launch_description() -> LaunchDescription:
         "push_executor_node": ("push_ident", "params_file", on_its_clock | patient),
         "identification_node": ("push_ident", "params_file", on_its_clock),
         "gap_diagnosis_node": ("push_ident", "params_file", on_its_clock),
+        "goal_pushing_node": ("push_ident", "params_file", on_its_clock),
     }
     return LaunchDescription(
         [

@@ -45,6 +45,7 @@ from push_ident.nodes.convert import (
 )
 from push_ident.nodes.executors import make_executor
 from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
+from push_ident.nodes.goal_pushing.goal_pushing_node import GoalPushingNode
 from push_ident.nodes.guard import Guard
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.nodes.perception.perception_node import PerceptionNode
@@ -283,6 +284,7 @@ def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:
         "push_executor_node": PushExecutorNode,
         "identification_node": IdentificationNode,
         "gap_diagnosis_node": GapDiagnosisNode,
+        "goal_pushing_node": GoalPushingNode,
         "bag_player_node": BagPlayerNode,
         "bag_recorder_node": BagRecorderNode,
         "viewer_node": ViewerNode,

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
+from push_ident.cli.push_to import GoalReport, GoalText, finish, goal_message, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
@@ -29,6 +30,9 @@ _OK = 0
 _NO_CONTACT = -5
 _MAX_REFUSALS = 10
 _STARTUP = 30.0
+_N_TRAIN = 6
+_N_TRAIN_FOR_GOAL = 2
+"""Few: the pushes to the goal are learned as well."""
 _TEST_SEEDS = 100_000
 """First seed of the test pushes; the training pushes have smaller ones."""
 
@@ -49,19 +53,26 @@ class _Outcome:
     training: list[dict[str, Any]] = field(default_factory=list)
     test: list[_Score] = field(default_factory=list)
     truth: ObjectModel | None = None
+    report: GoalReport | None = None
+    """Of the pushes to a goal."""
 
 
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
     seed: Annotated[int, typer.Option(help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
-    n_train: Annotated[int, typer.Option(min=1, help="Number of random training pushes.")] = 6,
+    n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="6; with --goal 2")] = None,
     n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, predicted before they are executed.")] = 6,
+    goal: Annotated[
+        str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad] instead of test pushes.", show_default="none")
+    ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Model of the simulated depth camera.")] = "plain",
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:
-    """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes."""
+    """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes, or push it to a goal."""
     started = time.monotonic()
+    where = None if goal is None else GoalText(goal).pose
+    n_train = n_train or (_N_TRAIN if where is None else _N_TRAIN_FOR_GOAL)
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
@@ -77,7 +88,7 @@ def demo_command(
         from push_ident.nodes.client import CellClient
 
         with CellClient(check=supervisor.check) as client, Progress(*columns, console=console) as progress:
-            task = progress.add_task("starting the cell", total=n_train + n_test)
+            task = progress.add_task("starting the cell", total=n_train + (n_test if where is None else 0))
             outcome = _Outcome(object_id=client.wait_for_object())
             progress.console.print(f"object {outcome.object_id} found by perception", highlight=False)
 
@@ -85,10 +96,16 @@ def demo_command(
                 progress.update(task, description=text, advance=step)
 
             _train(client, outcome, n_train, seed, show)
-            _test(client, outcome, n_test, seed, show)
+            if where is None:
+                _test(client, outcome, n_test, seed, show)
+            else:
+                outcome.report = push_to_goal(client, goal_message(where, object_id=outcome.object_id), lambda text: show(text, 0))
             client.save_model(outcome.object_id, str((run / "model.json").resolve()))
             outcome.truth = _ground_truth(client)
-    _finish(outcome, run, time.monotonic() - started, json)
+    if where is None:
+        _finish(outcome, run, time.monotonic() - started, json)
+    else:
+        _finish_goal(outcome, where, run, time.monotonic() - started, json)
 
 
 def _train(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -> None:
@@ -247,14 +264,34 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
     if json is not None:
         write_json(json, content)
     console.print(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}", highlight=False)
-    for what, file in (
-        ("maps", "map.png"),
-        ("numbers", "result.json"),
-        ("model", "model.json"),
-        ("recording", "bag"),
-        ("logs of the nodes", "log"),
-    ):
-        console.print(f"{what}: {run / file}", highlight=False, soft_wrap=True)
+    _say_files(run, "maps: map.png")
+
+
+def _finish_goal(outcome: _Outcome, where: Float64Array, run: Path, seconds: float, json: Path | None) -> None:
+    """Draw and write the way to the goal. Raises typer.Exit with status 1 where it was not reached."""
+    from push_ident.identification.model_file import load_model
+    from push_ident.planning.goal import Goal
+    from push_ident.planning.goal_picture import draw_goal_pushes
+
+    report = outcome.report
+    assert report is not None
+    if pushes := [(line.expected, line.seen) for line in report.lines]:
+        outline = load_model(run / "model.json")[1].unknowns.shape.outline
+        title = f"{len(pushes)} pushes to the goal, after {len(outcome.training)} exploring ones"
+        draw_goal_pushes(run / "goal.png", outline, report.start, pushes, Goal(where), title=title)
+    content = {"object_id": outcome.object_id, "training": outcome.training, **report.content(), "time_s": seconds}
+    write_json(run / "result.json", content)
+    if json is not None:
+        write_json(json, content)
+    _say_files(run, "way to the goal: goal.png")
+    finish(report, None)
+
+
+def _say_files(run: Path, first: str) -> None:
+    what, file = first.split(": ")
+    rest = (("numbers", "result.json"), ("model", "model.json"), ("recording", "bag"), ("logs of the nodes", "log"))
+    for name, path in ((what, file), *rest):
+        console.print(f"{name}: {run / path}", highlight=False, soft_wrap=True)
     console.print(f"again, offline: push-ident identify {run / 'bag'}", highlight=False, soft_wrap=True)
 
 

@@ -40,9 +40,9 @@ _COULD_NOT_START: Final = 1
 _SIM_NODES: Final = ("sim_cell_node", "sim_hand_node")
 """Nodes of the package push_ident_sim; the others belong to push_ident."""
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
-    "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
+    "sim": ("sim_cell_node", "perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node", "goal_pushing_node"),
     "replay": ("perception_node", "identification_node", "bag_player_node"),
-    "arm": ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node"),
+    "arm": ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node", "goal_pushing_node"),
 }
 _SIM_PATIENCE: Final = 1.0
 """Silence or lag of a simulated arm that counts as a fault [s]."""

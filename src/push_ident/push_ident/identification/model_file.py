@@ -17,12 +17,12 @@ from push_ident.files import read_regular, write_whole
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.unknowns import Unknowns
-from push_ident.limits import plain_text
+from push_ident.limits import LIMITS, plain_text
 from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 
 __all__ = [
-    "ModelContent", "failure_of_model", "is_model_file", "load_model", "model_content", "posterior_of", "prior_of", "read_checked",
-    "save_model",
+    "ModelContent", "failure_of_model", "is_model_file", "load_model", "model_content", "model_of_text", "model_text", "posterior_of",
+    "prior_of", "read_checked", "save_model",
 ]  # fmt: skip
 
 _FORMAT = "push_ident/model/1"
@@ -118,6 +118,25 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
     """
     content = _read(path)
     return content.object_id, posterior_of(content, path)
+
+
+def model_text(posterior: ModelPosterior, object_id: str, sources: Sequence[str] = (), status: SolveStatus | None = None) -> str:
+    """Content of the file of a posterior, for a message."""
+    return model_content(posterior, object_id, sources, status).model_dump_json()
+
+
+def model_of_text(text: str, what: str) -> ModelPosterior:
+    """The posterior of a text that `model_text` made; `what` names where it comes from. Raises ModelFileError where it is none."""
+    LIMITS.TEXT_FILE.check(len(text), what, error=ModelFileError)
+    try:
+        content = ModelContent.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the text"
+        raise ModelFileError(f"{what} is not a model: {where}: {first['msg']}; is identification_node of this version?") from None
+    LIMITS.CELLS.check(len(content.cells), what, error=ModelFileError)
+    LIMITS.VERTICES.check(len(content.outline), what, error=ModelFileError)
+    return posterior_of(content, Path(what))
 
 
 def failure_of_model(path: Path) -> str:

@@ -7,6 +7,7 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
@@ -31,7 +32,7 @@ from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.network import COMMAND_LINE
 from push_ident.types import Float64Array, ObjectShape
-from push_ident_msgs.action import DiagnoseGap, ExecutePush
+from push_ident_msgs.action import DiagnoseGap, ExecutePush, PushToGoal
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.srv import PredictPush, SaveModel
 
@@ -42,6 +43,8 @@ _ANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE
 _POLL: Final = 0.02
 _ASK_AGAIN: Final = 0.5
 """Time for an answer before a server is asked again [s]; one that was discovered answers within milliseconds."""
+_CANCEL: Final = 1.0
+"""For the answer to a cancellation [s]; the arm holds within 50 ms."""
 _DISCOVERY: Final = 20.0
 """Longest time for a server to discover this node [s], as for the answers to requests."""
 T = TypeVar("T")
@@ -77,9 +80,11 @@ class CellClient:
         self._topics = ObjectTopics(self.node, self._on_new_object)
         self._push = ActionClient(self.node, ExecutePush, "execute_push")
         self._diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
+        self._push_to = ActionClient(self.node, PushToGoal, "push_to_goal")
         # After the actions: whoever answers these has discovered the ends of the actions as well.
         self._probes = {
-            name: self.node.create_client(CancelGoal, f"{name}/_action/cancel_goal") for name in ("execute_push", "diagnose_gap")
+            name: self.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
+            for name in ("execute_push", "diagnose_gap", "push_to_goal")
         }
         self._predict = self.node.create_client(PredictPush, "predict_push")
         self._save = self.node.create_client(SaveModel, "save_model")
@@ -212,8 +217,28 @@ class CellClient:
         Raises:
             CellTimeout: The action is not served, the goal was refused, or the executor sent no more feedback.
         """
-        self.wait(self._push.server_is_ready, 20.0, "the action execute_push is not served; is push_executor_node running?")
-        self._discover("execute_push")
+        return self._carry_out(self._push, goal, "execute_push", "push_executor_node", silence, on_feedback)
+
+    def push_to_goal(
+        self, goal: PushToGoal.Goal, *, silence: float = 60.0, on_feedback: Callable[[Any], None] | None = None
+    ) -> PushToGoal.Result:
+        """Push an object to a goal; returns the result whatever its error code. An exception meanwhile, such as Ctrl-C, cancels the goal.
+
+        Args:
+            goal: of the action.
+            silence: longest time without feedback [s], wall time; the node sends some ten times a second.
+            on_feedback: called with each feedback, in the client's own thread.
+
+        Raises:
+            CellTimeout: The action is not served, the goal was refused, or its node sent no more feedback.
+        """
+        return self._carry_out(self._push_to, goal, "push_to_goal", "goal_pushing_node", silence, on_feedback)
+
+    def _carry_out(
+        self, action: ActionClient, goal: Any, name: str, server: str, silence: float, on_feedback: Callable[[Any], None] | None
+    ) -> Any:
+        self.wait(action.server_is_ready, 20.0, f"the action {name} is not served; is {server} running?")
+        self._discover(name)
         heard = time.monotonic()
 
         def feedback(msg: Any) -> None:
@@ -222,14 +247,18 @@ class CellClient:
             if on_feedback is not None:
                 on_feedback(msg.feedback)
 
-        handle = self._answer(
-            lambda: self._push.send_goal_async(goal, feedback_callback=feedback), 20.0, "execute_push did not answer within 20 s"
-        )
+        handle = self._answer(lambda: action.send_goal_async(goal, feedback_callback=feedback), 20.0, f"{name} did not answer within 20 s")
         if not handle.accepted:
-            raise CellTimeout("execute_push refused the goal")
+            raise CellTimeout(f"{name} refused the goal")
         heard = time.monotonic()
-        missing = f"execute_push sent no feedback for {silence:.0f} s and no result; see the log of push_executor_node"
-        return self._answer(handle.get_result_async, silence, missing, lambda: heard).result
+        missing = f"{name} sent no feedback for {silence:.0f} s and no result; see the log of {server}"
+        try:
+            return self._answer(handle.get_result_async, silence, missing, lambda: heard).result
+        except BaseException:
+            # Nobody waits for it any more: the arm holds.
+            with suppress(PushIdentError):
+                self._answer(handle.cancel_goal_async, _CANCEL, f"{name} did not answer the cancellation")
+            raise
 
     def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
         """Diagnose the pushes so far.

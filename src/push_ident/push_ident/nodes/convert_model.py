@@ -13,10 +13,11 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
+from push_ident.identification.model_file import model_of_text, model_text
 from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
-from push_ident.limits import LIMITS
+from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     object_frame,
@@ -27,6 +28,7 @@ from push_ident.nodes.convert import (
 )
 from push_ident.types import Float64Array, PusherPath, SolveStatus
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 
 __all__ = [
@@ -37,6 +39,8 @@ __all__ = [
     "path_to_msg",
     "prediction_path_to_msg",
     "prediction_to_msg",
+    "posterior_from_msg",
+    "posterior_to_msg",
     "pusher_path_from_msg",
     "score_to_msg",
 ]
@@ -62,6 +66,20 @@ _CLOUD_FIELDS = ("x", "y", "z", "mass", "friction", "mass_friction", "mass_frict
 def map_status(status: SolveStatus | None) -> tuple[int, str]:
     """Message code and text of a solve; None is an object that was never pushed."""
     return (MassFrictionMap.STATUS_PRIOR, "not pushed yet") if status is None else (_STATUS[status], status.value)
+
+
+def posterior_to_msg(posterior: ModelPosterior, object_id: str, stamp: Time, *, n_pushes: int, is_known: bool) -> ModelPosteriorMsg:
+    """The whole posterior of an object; `stamp` and the rest as in the message."""
+    msg = ModelPosteriorMsg(object_id=object_id, n_pushes=int(n_pushes), is_known=bool(is_known))
+    msg.header.stamp = stamp
+    msg.header.frame_id = object_frame(object_id)
+    msg.model = model_text(posterior, object_id)
+    return msg
+
+
+def posterior_from_msg(msg: ModelPosteriorMsg) -> tuple[float, ModelPosterior]:
+    """Stamp [s] and posterior. Raises PushIdentError where there is none in it."""
+    return stamp_from_msg(msg.header.stamp), model_of_text(msg.model, f"model of object {plain_text(msg.object_id)}")
 
 
 def map_to_msg(posterior: ModelPosterior, object_id: str, stamp: Time, status: SolveStatus | None, n_pushes: int) -> MassFrictionMap:

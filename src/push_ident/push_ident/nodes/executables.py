@@ -20,6 +20,7 @@ NODES: Final = {
     "gap_diagnosis_node": "push_ident.nodes.gap_diagnosis.gap_diagnosis_node",
     "bag_player_node": "push_ident.nodes.bag_player_node",
     "bag_recorder_node": "push_ident.nodes.bag_recorder_node",
+    "goal_pushing_node": "push_ident.nodes.goal_pushing.goal_pushing_node",
     "viewer_node": "push_ident.nodes.viewer.viewer_node",
 }
 """Executable and the module whose `main` it runs. `setup.py` names the same executables."""

@@ -77,6 +77,8 @@ def interface_class(name: str) -> Any:
     action, _, part = name.rpartition("_")
     if kind == "action" and part in ("SendGoal", "GetResult"):
         return getattr(getattr(module, action).Impl, f"{part}Service")
+    if kind == "action" and part == "FeedbackMessage":
+        return getattr(module, action).Impl.FeedbackMessage
     return getattr(getattr(module, action), part) if kind == "action" and action else getattr(module, name)
 
 

@@ -17,6 +17,7 @@ from rclpy.serialization import serialize_message
 
 from push_ident_sim.fuzz.arm_scene import Executor
 from push_ident_sim.fuzz.bench import HANG, Bench, Interfaces, NodeFailure, Sent, granted
+from push_ident_sim.fuzz.goal_scene import GoalPushing
 from push_ident_sim.fuzz.mutate_message import mutate_bytes, mutate_message
 from push_ident_sim.fuzz.scenes import SCENES, Scene
 
@@ -102,7 +103,8 @@ def merged(results: list[NodeResult]) -> NodeResult:
 
 def scene_of(executable: str) -> type[Scene]:
     """What stands around a node."""
-    return Executor if executable == "push_executor_node" else SCENES.get(executable, Scene)
+    own: dict[str, type[Scene]] = {"push_executor_node": Executor, "goal_pushing_node": GoalPushing}
+    return own.get(executable) or SCENES.get(executable, Scene)
 
 
 class Session:

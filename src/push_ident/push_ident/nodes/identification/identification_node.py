@@ -108,6 +108,8 @@ class _Identification(Component):
         self._latencies: deque[float] = deque(maxlen=_N_LATENCIES)
         self._updated: dict[str, float] = {}
         self._predicted: dict[str, float] = {}
+        self._answered: dict[str, float] = {}
+        """Stamp of the latest push of each object that was learned or refused [s]."""
 
         self._wake = threading.Condition()
         # During a push updates need the processor, and a suggestion of the next one would be for poses that change.
@@ -163,6 +165,7 @@ class _Identification(Component):
         elif known.is_new:
             with self._solving:
                 known.refine_shape(shape)
+            self._publish_model(known, 0.0)
         else:
             with self._wake:
                 self._queue.put(Kind.OUTLINE, partial(self._refine, object_id, shape))
@@ -172,6 +175,7 @@ class _Identification(Component):
         if session.restored:
             self._node.get_logger().info(f"object {session.object_id}: continues with {session.n_pushes} pushes from {session.file}")
             self._publish_map(session, 0.0, session.n_pushes)
+        self._publish_model(session, 0.0)
         return session
 
     def _on_frame(self, object_id: str) -> None:
@@ -235,6 +239,7 @@ class _Identification(Component):
         if is_fitted:
             self._counts["outlines refined"] += 1
             self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
+            self._publish_model(session, self._answered.get(object_id, 0.0))
             self._advise(object_id)
 
     def _finish(self, push: list[PushRecord]) -> None:
@@ -245,7 +250,7 @@ class _Identification(Component):
         for record in push:
             session = self._sessions[record.object_id]
             known_again = session.n_known_again
-            started = time.perf_counter()
+            started, stamp = time.perf_counter(), float(record.poses.time[-1])
             try:
                 with self._solving:
                     score = session.finish(record)
@@ -253,13 +258,15 @@ class _Identification(Component):
                 # The next object of this push, and the next push, may be fine.
                 self._collector.refuse("pushes", "identify", f"{record.object_id}, {record.source}: {self._node.guard.explain(error)}")
                 continue
+            finally:
+                # Also where nothing was learned: who pushed waits for it.
+                self._publish_model(session, stamp)
             self._solve_time = time.perf_counter() - started
             if score is None:
                 self._counts["pushes known already" if session.n_known_again > known_again else "pushes without contact"] += 1
                 self._advise(record.object_id)
                 continue
             self._counts["pushes"] += 1
-            stamp = float(record.poses.time[-1])
             self._publish_map(session, stamp, session.n_pushes)
             self._outputs[record.object_id].publish_score(score, session.record.summary, stamp)
             self._node.get_logger().info(
@@ -326,6 +333,10 @@ class _Identification(Component):
         latest = self._collector.latest(session.object_id)
         self._outputs[session.object_id].publish_map(session.posterior, stamp, session.status, n_pushes, latest[1] if latest else None)
 
+    def _publish_model(self, session: ObjectSession, stamp: float) -> None:
+        self._answered[session.object_id] = stamp
+        self._outputs[session.object_id].publish_model(session.posterior, stamp, session.n_pushes, not session.is_new)
+
     # ---- services
 
     def _chosen(self, object_id: str) -> ObjectSession:
@@ -364,6 +375,7 @@ class _Identification(Component):
         with self._solving:
             session.adopt(posterior, request.path)
         self._publish_map(session, max(self._collector.now, 0.0), 0)
+        self._publish_model(session, self._answered.get(session.object_id, 0.0))
         response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
         return response
 

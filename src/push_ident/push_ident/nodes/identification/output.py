@@ -21,12 +21,14 @@ from push_ident.nodes.convert_model import (
     map_to_msg,
     markers_to_msg,
     path_to_msg,
+    posterior_to_msg,
     prediction_path_to_msg,
     prediction_to_msg,
     score_to_msg,
 )
 from push_ident.types import Float64Array, SolveStatus
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
+from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 
 __all__ = ["ObjectOutput"]
@@ -45,6 +47,7 @@ class ObjectOutput:
     def __init__(self, node: Node, object_id: str) -> None:
         self._id = object_id
         self._map = node.create_publisher(MassFrictionMap, f"objects/{object_id}/mass_friction_map", _LATCHED)
+        self._model = node.create_publisher(ModelPosteriorMsg, f"objects/{object_id}/model", _LATCHED)
         self._cloud = node.create_publisher(PointCloud2, f"objects/{object_id}/mass_friction_cloud", _LATCHED)
         self._markers = node.create_publisher(MarkerArray, f"objects/{object_id}/markers", _LATCHED)
         self._prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/prediction", _LATCHED)
@@ -62,6 +65,10 @@ class ObjectOutput:
         self._cloud.publish(cloud_to_msg(msg))
         if pose is not None and self._markers.get_subscription_count() > 0:
             self._markers.publish(markers_to_msg(msg, pose))
+
+    def publish_model(self, posterior: ModelPosterior, stamp: float, n_pushes: int, is_known: bool) -> None:
+        """The whole posterior, for who plans with it; `stamp` [s] is that of the latest push that was learned or refused."""
+        self._model.publish(posterior_to_msg(posterior, self._id, stamp_to_msg(stamp), n_pushes=n_pushes, is_known=is_known))
 
     @property
     def prediction_is_wanted(self) -> bool:

@@ -1,0 +1,1 @@
+"""Node `goal_pushing_node`."""

@@ -1,0 +1,138 @@
+"""`planning.goal_ports.GoalPorts` of a cell on ROS."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from geometry_msgs.msg import Point
+
+from push_ident.errors import PlanningError
+from push_ident.geometry.frames import TABLE_FRAME
+from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
+from push_ident.nodes.goal_pushing.model_input import ModelInput
+from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, PlanUnderWay
+from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.planning.goal import Goal
+from push_ident.planning.goal_ports import KnownModel, Wish
+from push_ident.pushing.ports import TrackedObject
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.types import Float64Array
+from push_ident_msgs.action import ExecutePush
+
+__all__ = ["CellPorts", "CellView", "WishOfClient"]
+
+_EVER = 1e9
+"""An age that no pose has [s]."""
+
+
+class WishOfClient:
+    """What the client of one goal wants; other threads change it."""
+
+    def __init__(self, is_cancel_requested: Callable[[], bool]) -> None:
+        self._is_cancel_requested = is_cancel_requested
+        self._hold, self._finish = threading.Event(), threading.Event()
+
+    def hold(self) -> None:
+        """The arm holds and the goal ends."""
+        self._hold.set()
+
+    def finish(self) -> None:
+        """The goal ends after the push under way."""
+        self._finish.set()
+
+    @property
+    def is_superseded(self) -> bool:
+        """Whether a newer goal has come."""
+        return self._finish.is_set()
+
+    def __call__(self) -> Wish:
+        """As `GoalPorts.wish`."""
+        if self._hold.is_set() or self._is_cancel_requested():
+            return Wish.HOLD
+        return Wish.FINISH if self._finish.is_set() else Wish.GO_ON
+
+
+class CellView:
+    """What all goals share: objects, models, executor, planners."""
+
+    def __init__(
+        self,
+        objects: TrackedObjects,
+        models: ModelInput,
+        executor: ExecutorLink,
+        planners: PlannerThread,
+        settings: Callable[[], PushSettings | None],
+    ) -> None:
+        self.objects, self.models, self.executor, self.planners, self.settings = objects, models, executor, planners, settings
+
+
+class CellPorts:
+    """Of one goal.
+
+    Args:
+        view: of the cell.
+        wish: of the client.
+        executor_timeout: longest silence of the executor during a push [s].
+    """
+
+    def __init__(self, view: CellView, wish: WishOfClient, executor_timeout: float) -> None:
+        self._view, self.wish, self._executor_timeout = view, wish, executor_timeout
+
+    def now(self) -> float:
+        """As `GoalPorts`."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """As `GoalPorts`."""
+        time.sleep(seconds)
+
+    def observe(self, object_id: str, max_age: float, after: float) -> TrackedObject | None:
+        """As `GoalPorts`."""
+        try:
+            return self._view.objects.get(object_id, min(max_age, time.monotonic() - after))
+        except PlanningError:
+            return None
+
+    def why_unseen(self, object_id: str) -> str:
+        """As `GoalPorts`."""
+        try:
+            self._view.objects.get(object_id, _EVER)
+        except PlanningError as error:
+            return str(error)
+        return f"there is no new pose of `{object_id}`."
+
+    def obstacles(self, object_id: str) -> list[Float64Array]:
+        """As `GoalPorts`."""
+        return self._view.objects.outlines_of_others(object_id)
+
+    def model(self, object_id: str) -> KnownModel | None:
+        """As `GoalPorts`."""
+        return self._view.models.get(object_id)
+
+    def pushed_at(self, object_id: str) -> float:
+        """As `GoalPorts`."""
+        return self._view.executor.pushed_at(object_id)
+
+    def push_settings(self) -> PushSettings | None:
+        """As `GoalPorts`."""
+        return self._view.settings()
+
+    def begin_plan(
+        self, model: KnownModel, seen: TrackedObject, goal: Goal, obstacles: list[Float64Array], failed: list[PushPlan2D]
+    ) -> PlanUnderWay:
+        """As `GoalPorts`."""
+        settings = self._view.settings()
+        assert settings is not None, "the goal was checked"
+        return self._view.planners.begin(model.posterior, settings, seen, goal, obstacles, failed)
+
+    def begin_push(self, object_id: str, push: PushPlan2D | int) -> RequestedPush:
+        """As `GoalPorts`."""
+        if isinstance(push, int):
+            goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=push % 2**32)
+        else:
+            goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_CONTACT, object_id=object_id, frame_id=TABLE_FRAME)
+            goal.contact_point = Point(x=float(push.contact_point[0]), y=float(push.contact_point[1]), z=0.0)
+            goal.direction, goal.distance, goal.speed = float(push.direction), float(push.distance), float(push.speed)
+        return self._view.executor.begin(goal, self._executor_timeout)

@@ -1,0 +1,230 @@
+"""The executor of pushes as goal_pushing_node sees it: a client of `execute_push` that never blocks."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from action_msgs.srv import CancelGoal
+from rclpy.action import ActionClient
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+
+from push_ident.limits import LIMITS, plain_text
+from push_ident.nodes.cell_node import CellNode
+from push_ident.nodes.convert import push_interval_from_msg
+from push_ident.planning.goal_ports import PushReport
+from push_ident.pushing.push import PushCode
+from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import PushRecord
+
+__all__ = ["ExecutorLink", "RequestedPush"]
+
+_FIND: Final = 5.0
+"""For the executor to be there, and to have found this node [s]; one that runs answers within milliseconds."""
+_ASK_AGAIN: Final = 0.5
+"""Between two questions whether it has [s]."""
+_ACCEPT: Final = 10.0
+"""For the executor to accept a push that was sent [s]."""
+_GONE: Final = 2.0
+"""How long the executor may be missing from the ROS graph before it is given up [s]."""
+_LOOK: Final = 0.25
+"""Between two looks at the ROS graph [s]."""
+_RECORDS: Final = 16
+"""Latest push records that are remembered."""
+
+K = TypeVar("K")
+
+
+class ExecutorLink:
+    """Sends pushes to the executor.
+
+    Requests are made in the callback group of the client: from another thread, an answer may arrive before rclpy has registered the
+    request, and is dropped.
+    """
+
+    def __init__(self, node: CellNode) -> None:
+        self._node = node
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._client = ActionClient(node, ExecutePush, "execute_push", callback_group=self._group)
+        self._probe = node.create_client(CancelGoal, "execute_push/_action/cancel_goal", callback_group=self._group)
+        self._questions: deque[Callable[[], object]] = deque()
+        self._bell = node.create_guard_condition(node.guard.callback("execute_push", self._ask), callback_group=self._group)
+        self._starts: dict[int, float] = {}
+        self._latest: dict[str, float] = {}
+        node.create_subscription(PushRecord, "push_record", self._on_record, 10)
+
+    @property
+    def is_served(self) -> bool:
+        """Whether an executor is in the ROS graph."""
+        return bool(self._client.server_is_ready())
+
+    def close(self) -> None:
+        """Withdraw the client; the node withdraws the rest."""
+        self._node.destroy_guard_condition(self._bell)
+        self._client.destroy()
+
+    def begin(self, goal: ExecutePush.Goal, timeout: float) -> RequestedPush:
+        """Ask for a push; `timeout` is the longest silence of the executor [s]."""
+        return RequestedPush(self, goal, timeout)
+
+    def ask(self, question: Callable[[], object]) -> None:
+        """Call `question` in the callback group of the client."""
+        self._questions.append(question)
+        self._bell.trigger()
+
+    def probe(self) -> Any:
+        """Future of the answer to a question that changes nothing: to cancel a goal that nobody has. To be called by `ask`."""
+        nobodys = CancelGoal.Request()
+        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        return self._probe.call_async(nobodys)
+
+    def send(self, goal: ExecutePush.Goal, on_feedback: Callable[[Any], None]) -> Any:
+        """Future of the answer to a goal. To be called by `ask`."""
+        return self._client.send_goal_async(goal, feedback_callback=on_feedback)
+
+    def start_of(self, push_id: int) -> float:
+        """When a push began [s], clock of the poses; -inf where its record has not come."""
+        return self._starts.get(push_id, -np.inf)
+
+    def pushed_at(self, object_id: str) -> float:
+        """When the latest push of an object that succeeded began [s], whoever asked for it, clock of the poses; -inf: none was reported."""
+        return self._latest.get(object_id, -np.inf)
+
+    def watched(self, work: Callable[[Any], None]) -> Callable[[Any], None]:
+        """`work` such that an exception in it is a refusal."""
+
+        def guarded(value: Any) -> None:
+            with self._node.guard.watch("execute_push"):
+                work(value)
+
+        return guarded
+
+    def _ask(self) -> None:
+        while self._questions:
+            self._questions.popleft()()
+
+    def _on_record(self, msg: PushRecord) -> None:
+        interval = push_interval_from_msg(msg)
+        _remember(self._starts, interval.push_id, interval.start, _RECORDS)
+        if interval.error_code == 0 and interval.object_id:
+            _remember(self._latest, interval.object_id, interval.start, LIMITS.OBJECTS.value)
+
+
+def _remember(kept: dict[K, float], key: K, value: float, largest: int) -> None:
+    """Keep the latest `largest` values; a key may come again, as after a restart of the executor."""
+    kept.pop(key, None)
+    kept[key] = value
+    while len(kept) > largest:
+        del kept[next(iter(kept))]
+
+
+class RequestedPush:
+    """`planning.goal_ports.PushUnderWay` at the executor.
+
+    A server that has not found the client yet drops its answers, and a goal must not be sent twice. So the goal is sent after the executor
+    has answered a question that changes nothing.
+    """
+
+    def __init__(self, link: ExecutorLink, goal: ExecutePush.Goal, timeout: float) -> None:
+        self._link, self._goal, self._timeout = link, goal, timeout
+        self._lock = threading.Lock()
+        self._report: PushReport | None = None
+        self._push_id = 0
+        self._handle: Any = None
+        self._is_canceled = self._is_cancel_sent = self._is_sent = False
+        self._began = self._heard = self._served = time.monotonic()
+        self._looked = -np.inf
+        self._asked = -np.inf
+
+    def report(self) -> PushReport | None:
+        """As `PushUnderWay`."""
+        if self._report is None:
+            self._look(time.monotonic())
+        report = self._report
+        if report is None or not self._push_id:
+            return report
+        # The record of the push may come after the result.
+        return PushReport(report.code, report.text, report.n_made, self._link.start_of(self._push_id))
+
+    def cancel(self) -> None:
+        """As `PushUnderWay`."""
+        with self._lock:
+            self._is_canceled = True
+            if not self._is_sent and self._report is None:
+                self._report = PushReport(PushCode.CANCELED, "canceled before it was sent.")
+        # From this thread: the arm must hold also where the node is about to end and no callback is called any more.
+        self._link.watched(lambda _: self._send_cancel())(None)
+
+    # ---- called by the session
+
+    def _look(self, now: float) -> None:
+        if now - self._looked >= _LOOK:
+            self._looked = now
+            if self._link.is_served:
+                self._served = now
+        if not self._is_sent:
+            if now - self._began > _FIND:
+                self._give_up(f"the action execute_push did not answer within {_FIND:g} s.")
+            elif now - self._asked >= _ASK_AGAIN and self._served == self._looked:
+                self._asked = now
+                self._link.ask(self._find)
+            return
+        if now - self._served > _GONE:
+            self._give_up("the executor has gone during the push.")
+        elif now - self._heard > (_ACCEPT if self._handle is None else self._timeout):
+            self._give_up(f"the executor has been silent for {now - self._heard:.0f} s.")
+
+    def _give_up(self, why: str) -> None:
+        self._report = PushReport(PushCode.ARM_SILENT, why)
+        self.cancel()
+
+    # ---- called in the callback group of the client
+
+    def _find(self) -> None:
+        self._link.probe().add_done_callback(self._link.watched(self._on_found))
+
+    def _on_found(self, future: Any) -> None:
+        # Where the question was asked twice, the goal is sent once.
+        with self._lock:
+            if self._is_sent or self._is_canceled or self._report is not None or future.result() is None:
+                return
+            self._is_sent, self._heard = True, time.monotonic()
+        self._link.send(self._goal, self._link.watched(self._on_feedback)).add_done_callback(self._link.watched(self._on_answer))
+
+    def _on_answer(self, future: Any) -> None:
+        handle = future.result()
+        self._heard = time.monotonic()
+        if not handle.accepted:
+            self._report = PushReport(PushCode.BUSY, "the executor refused the push.")
+            return
+        self._handle = handle
+        handle.get_result_async().add_done_callback(self._link.watched(self._on_result))
+        if self._is_canceled:
+            self._send_cancel()
+
+    def _on_feedback(self, message: Any) -> None:
+        self._heard = time.monotonic()
+
+    def _on_result(self, future: Any) -> None:
+        result = future.result().result
+        self._push_id = int(result.push_id) or int(result.recentre_push_id)
+        n_made = (result.push_id != 0) + (result.recentre_push_id != 0)
+        try:
+            code = PushCode(int(result.error_code))
+        except ValueError:
+            # An executor of another version: what it says still counts as a failure.
+            code = PushCode.TRACKING
+        if self._report is None:
+            self._report = PushReport(code, plain_text(result.error_text), n_made)
+
+    def _send_cancel(self) -> None:
+        with self._lock:
+            if self._handle is None or self._is_cancel_sent:
+                return
+            self._is_cancel_sent = True
+        self._handle.cancel_goal_async()

@@ -1,0 +1,215 @@
+"""Node `goal_pushing`: pushes an object to a goal pose, one push after another, and learns from each."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from shape_msgs.msg import SolidPrimitive
+
+from push_ident.errors import PushIdentError
+from push_ident.limits import plain_text
+from push_ident.nodes.cell_node import CellNode, Component, Health
+from push_ident.nodes.convert import cylinder_radius_from_msg
+from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, WishOfClient
+from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
+from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
+from push_ident.nodes.goal_pushing.model_input import ModelInput
+from push_ident.nodes.goal_pushing.parameters import PARAMETERS, push_settings, session_limits
+from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
+from push_ident.nodes.run import run_node
+from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalRefusedError, Wish
+from push_ident.planning.goal_session import GoalSession
+from push_ident.pushing.push import PushSettings
+from push_ident_msgs.action import PushToGoal
+
+__all__ = ["PARAMETERS", "GoalPushingNode", "main"]
+
+_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LOOK: Final = 0.01
+"""Between two looks whether the goal before has ended [s]; see `planning.goal_session`."""
+_PAUSE: Final = 0.9
+"""For the arm to hold when the node is deactivated [s]; a component may take a second."""
+
+
+class GoalPushingNode(CellNode):
+    """Serves `push_to_goal`; moves the arm through `execute_push` only.
+
+    A newer goal takes the place of the one before, unless it is refused. When the node is deactivated, cleaned up or shut down, the arm
+    holds.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(
+            "goal_pushing_node", PARAMETERS, check=lambda values: push_settings(values, PushSettings().pusher_radius), **kwargs
+        )
+
+    def make_component(self) -> Component:
+        """What is heard of the cell, the client of the executor, and the action."""
+        return _GoalPushing(self)
+
+
+class _GoalPushing(Component):
+    """Inputs and action of a configured node."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._node, self._settings = node, node.settings
+        self._radius = 0.0
+        self._is_active = False
+        self._wishes: set[WishOfClient] = set()
+        self._lock = threading.Lock()  # of the wishes
+        self._arm = threading.Lock()  # held by the goal that pushes
+        self._pushing: WishOfClient | None = None
+        self._state = "ready"
+        self._n_goals = self._n_reached = 0
+        self._last = ""
+        housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        self._objects = TrackedObjects(node, housekeeping)
+        self._models = ModelInput(node, heavy)
+        node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED, callback_group=housekeeping)
+        self._executor = ExecutorLink(node)
+        self._view = CellView(self._objects, self._models, self._executor, PlannerThread(), self._push_settings)
+        node.create_action_server(PushToGoal, "push_to_goal", self._execute, failed=_failed, callback_group=ReentrantCallbackGroup())
+
+    def resume(self) -> None:
+        """Take goals."""
+        self._is_active = True
+
+    def pause(self) -> None:
+        """Hold the arm and end all goals, within a second."""
+        self._is_active = False
+        with self._lock:
+            for wish in self._wishes:
+                wish.hold()
+        deadline = time.monotonic() + _PAUSE
+        while self._wishes and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+
+    def close(self) -> None:
+        """Withdraw the client of the executor."""
+        self._executor.close()
+
+    # ---- input
+
+    def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
+        self._radius = cylinder_radius_from_msg(msg)
+
+    def _push_settings(self) -> PushSettings | None:
+        return push_settings(self._settings.as_dict(), self._radius) if self._radius else None
+
+    # ---- the action
+
+    def _execute(self, goal: ServerGoalHandle) -> PushToGoal.Result:
+        wish = WishOfClient(lambda: bool(goal.is_cancel_requested))
+        try:
+            session = self._session(goal, wish)
+            session.check()
+        except PushIdentError as error:
+            # The goal before goes on.
+            code = error.code if isinstance(error, GoalRefusedError) else GoalCode.INVALID_GOAL
+            self._node.guard.refuse("push_to_goal", f"{code.name}: {error}")
+            goal.abort()
+            return result_to_msg(GoalOutcome(code, str(error), GoalProgress()))
+        with self._lock:
+            for other in self._wishes:
+                other.finish()
+            self._wishes.add(wish)
+            if not self._is_active:
+                wish.hold()
+        self._n_goals += 1
+        try:
+            outcome = self._run(session, wish)
+        finally:
+            with self._lock:
+                self._wishes.discard(wish)
+        if outcome.code is GoalCode.CANCELED and not goal.is_cancel_requested:
+            if wish.is_superseded:
+                outcome = replace(outcome, code=GoalCode.PREEMPTED, text="a newer goal took its place and was canceled; the arm holds.")
+            else:
+                outcome = replace(outcome, text="the node was deactivated; the arm holds. Activate it and send the goal again.")
+        return self._answer(goal, outcome)
+
+    def _session(self, goal: ServerGoalHandle, wish: WishOfClient) -> GoalSession:
+        values = self._settings.as_dict()
+
+        def show(progress: GoalProgress) -> None:
+            self._state = progress.state.name.lower()
+            if progress.note:
+                self._node.get_logger().warning(plain_text(progress.note))
+            with self._node.guard.watch("push_to_goal"):
+                goal.publish_feedback(feedback_to_msg(progress))
+
+        request = request_from_msg(goal.request, values)
+        return GoalSession(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
+
+    def _run(self, session: GoalSession, wish: WishOfClient) -> GoalOutcome:
+        """Push, once the push of the goal before has ended."""
+        while not self._arm.acquire(timeout=_LOOK):
+            session.report()
+            if wish() is Wish.HOLD and (before := self._pushing) is not None:
+                before.hold()
+            if wish() is not Wish.GO_ON:
+                # The session says so itself, without a step.
+                return session.run()
+        self._pushing = wish
+        try:
+            return session.run()
+        finally:
+            self._pushing, self._state = None, "ready"
+            self._arm.release()
+
+    def _answer(self, goal: ServerGoalHandle, outcome: GoalOutcome) -> PushToGoal.Result:
+        position, yaw = outcome.progress.error
+        self._last = f"{outcome.code.name}, {outcome.progress.pushes} pushes, {1e3 * position:.1f} mm and {yaw:.3f} rad from the goal"
+        if outcome.code is GoalCode.NONE:
+            self._n_reached += 1
+            self._node.get_logger().info(f"push_to_goal: {self._last}")
+            goal.succeed()
+        else:
+            self._node.get_logger().warning(f"push_to_goal: {self._last}: {plain_text(outcome.text)}")
+            if outcome.code is GoalCode.CANCELED and goal.is_cancel_requested:
+                goal.canceled()
+            else:
+                goal.abort()
+        return result_to_msg(outcome)
+
+    # ---- health
+
+    def health(self) -> Health:
+        """Whether objects, models and executor are there, and how the last goal ended."""
+        served, models = self._executor.is_served, self._models.n_pushes()
+        reasons = [
+            text
+            for text, lacks in (
+                ("execute_push is not served; is push_executor_node running?", not served),
+                ("nothing on pusher/shape yet", not self._radius),
+                ("no objects; is perception running?", not self._objects.ids),
+                ("no models; is identification running?", not models),
+            )
+            if lacks
+        ]
+        values = {
+            "objects": ", ".join(self._objects.ids),
+            "pushes learned by object": models,
+            "goals": self._n_goals,
+            "goals reached": self._n_reached,
+            "last goal": self._last or "none",
+        }
+        return Health(DiagnosticStatus.WARN if reasons else DiagnosticStatus.OK, "; ".join(reasons) or self._state, values)
+
+
+def _failed(why: str) -> PushToGoal.Result:
+    return result_to_msg(GoalOutcome(GoalCode.INVALID_GOAL, why, GoalProgress()))
+
+
+def main() -> int:
+    """Run the node until a signal ends it; the exit code."""
+    # A goal that pushes and one that waits for it keep a thread each; poses, models, answers of the executor and cancellations need theirs.
+    return run_node(GoalPushingNode, n_threads=7)

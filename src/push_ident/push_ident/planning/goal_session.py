@@ -1,0 +1,391 @@
+"""Pushing an object to a goal: observe, explore, plan, push, learn, until it is there or a reason to end is found.
+
+The steps know the cell only through `GoalPorts`; the node has those of ROS, a test has its own. A step that takes time is begun and then
+looked at every 10 ms, so that a cancellation is noticed within that time whatever is under way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import numpy as np
+
+from push_ident.geometry.se2 import transform_points
+from push_ident.planning.goal_ports import (
+    GoalCode,
+    GoalOutcome,
+    GoalPorts,
+    GoalProgress,
+    GoalRefusedError,
+    GoalRequest,
+    GoalState,
+    KnownModel,
+    PushReport,
+    PushUnderWay,
+    SessionLimits,
+    Wish,
+)
+from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident.pushing.ports import TrackedObject
+from push_ident.pushing.push import PushCode, PushPlan2D
+
+__all__ = ["GoalSession"]
+
+_POLL: Final = 0.01
+"""Between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
+_CERTAIN: Final = 0.9
+"""Chance of being at the goal from which the object counts as there; as the planner has it [1]."""
+_HOLD: Final = 0.7
+"""For the executor to answer that it holds the arm [s]; it does so within 50 ms. A node that ends has 1.8 s for everything."""
+_BLURRED: Final = 3.0
+"""For poses to become certain enough for the tolerances [s]: 90 frames at 30 Hz, after which a tracker at rest has settled."""
+
+_FEEDBACK_PERIOD: Final = 0.1
+"""Longest time between two reports of progress [s]."""
+
+T = TypeVar("T")
+
+
+class _Ended(Exception):
+    def __init__(self, code: GoalCode, text: str) -> None:
+        super().__init__(text)
+        self.code, self.text = code, text
+
+
+_WITHOUT_REMEDY: Final = frozenset({PushCode.HAND, PushCode.RECORDING, PushCode.BUSY, PushCode.FORCE, PushCode.TRACKING})
+"""Failures of the executor that another contact does not cure."""
+_ANOTHER_CONTACT: Final = frozenset({PushCode.NO_CONTACT, PushCode.UNREACHABLE, PushCode.LIMIT, PushCode.INVALID_GOAL})
+"""Failures that belong to this push: the object was missed, or the arm cannot make it."""
+
+
+class GoalSession:
+    """One goal.
+
+    Args:
+        request: the goal.
+        ports: of the cell.
+        limits: of waiting.
+        on_progress: called with the progress at each change and every 0.1 s.
+    """
+
+    def __init__(
+        self,
+        request: GoalRequest,
+        ports: GoalPorts,
+        limits: SessionLimits | None = None,
+        *,
+        on_progress: Callable[[GoalProgress], None] = lambda progress: None,
+    ) -> None:
+        self._request, self._ports, self._limits = request, ports, limits or SessionLimits()
+        self._goal, self._on_progress = request.goal, on_progress
+        self._object_id = request.object_id
+        self._started = ports.now()
+        self._reported = -np.inf
+        self._failed: list[PushPlan2D] = []
+        self._refusals = 0
+        self.progress = GoalProgress()
+
+    def check(self) -> None:
+        """Raise GoalRefusedError for a goal that cannot be reached whatever is pushed. Moves nothing.
+
+        The pose may be old: a push for another goal may hide the object.
+        """
+        try:
+            seen = self._ports.observe(self._object_id, np.inf, -np.inf)
+            if seen is None:
+                raise _Ended(GoalCode.UNKNOWN_OBJECT, self._ports.why_unseen(self._object_id))
+            self._check(seen)
+        except _Ended as end:
+            raise GoalRefusedError(end.code, end.text) from None
+
+    def run(self) -> GoalOutcome:
+        """Carry it out. Returns, whatever happens in the cell; exceptions are errors of the program or of the ports."""
+        try:
+            self._run()
+            code, text = GoalCode.NONE, ""
+        except _Ended as end:
+            code, text = end.code, end.text
+        self.progress.elapsed = self._ports.now() - self._started
+        return GoalOutcome(code, text, self.progress)
+
+    # ---- the steps
+
+    def _run(self) -> None:
+        seen = self._observe(-np.inf, GoalCode.UNKNOWN_OBJECT)
+        self._check(seen)
+        if not self._is_there(seen):
+            # A push for somebody else, such as the goal before, may still be on its way into the model.
+            self._learn(seen.object_id, self._ports.pushed_at(seen.object_id))
+        if self._request.explore and not self._is_there(seen):
+            seen = self._explore(self._certain(seen))
+        while not self._is_there(seen):
+            seen = self._certain(seen)
+            plan = self._plan(seen)
+            if plan.status is PlanStatus.ARRIVED:
+                return
+            seen = self._push_to_goal(seen, plan)
+
+    def _check(self, seen: TrackedObject) -> None:
+        """End where the goal cannot be, or nothing is known and nothing may be explored."""
+        settings = self._ports.push_settings()
+        if settings is None:
+            raise _Ended(GoalCode.ARM_SILENT, "nothing was received on pusher/shape yet; is push_executor_node running?")
+        at_goal, now = (settings.excess(transform_points(pose, seen.shape.outline)) for pose in (self._goal.pose, seen.pose))
+        # The planner accepts no push after which the outline reaches further out than before it.
+        if at_goal > max(now, 1e-6):
+            raise _Ended(
+                GoalCode.OUTSIDE_WORKSPACE,
+                f"at the goal `{seen.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
+                "choose a goal further inside.",
+            )
+        model = self._ports.model(seen.object_id)
+        is_learning = model is not None and self._ports.pushed_at(seen.object_id) > model.stamp
+        if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(seen):
+            raise self._nothing_known(seen)
+
+    @staticmethod
+    def _nothing_known(seen: TrackedObject) -> _Ended:
+        return _Ended(
+            GoalCode.NOTHING_KNOWN,
+            f"no push of `{seen.object_id}` was learned yet; allow exploring pushes (explore), push it first, or load a model.",
+        )
+
+    def _explore(self, seen: TrackedObject) -> TrackedObject:
+        """Make the exploring pushes; the object after them."""
+        # Another seed for each push that was learned: the same random push again would show little.
+        made, seed = 0, 1000 * self._model(seen).n_pushes
+        while made < self._request.explore:
+            self._check_pushes()
+            self.progress.plan = None
+            self._enter(GoalState.EXPLORE)
+            report = self._carry_out(self._ports.begin_push(seen.object_id, seed))
+            seed += 1
+            if report.code is PushCode.NONE:
+                made, self._refusals = made + 1, 0
+            else:
+                self._take_failure(report, None)
+            seen = self._after_push(seen, report)
+            if self._is_there(seen):
+                break
+        return seen
+
+    def _plan(self, seen: TrackedObject) -> GoalPush:
+        self._check_pushes()
+        model = self._model(seen)
+        self._enter(GoalState.PLAN)
+        planning = self._ports.begin_plan(model, seen, self._goal, self._ports.obstacles(seen.object_id), list(self._failed))
+        try:
+            plan = self._wait(planning.result)
+            assert plan is not None, "without a timeout"
+        except _Ended:
+            raise
+        except Exception as error:
+            raise _Ended(
+                GoalCode.MODEL,
+                f"no push can be planned with the model of `{seen.object_id}` ({type(error).__name__}: {error}); push it or load another.",
+            ) from error
+        if plan.status is PlanStatus.UNREACHABLE:
+            tried = f", beside {len(self._failed)} that failed" if self._failed else ""
+            raise _Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}.")
+        if plan.status is PlanStatus.UNSURE:
+            raise _Ended(GoalCode.TOLERANCE, self._unsure(seen))
+        return plan
+
+    def _push_to_goal(self, seen: TrackedObject, plan: GoalPush) -> TrackedObject:
+        """Make a planned push, learn from it, and see where the object is."""
+        assert plan.plan is not None, "the planner proposes a push"
+        self.progress.plan = plan
+        self._enter(GoalState.PUSH)
+        report = self._carry_out(self._ports.begin_push(seen.object_id, plan.plan))
+        if report.code is PushCode.NONE:
+            self._failed.clear()
+            self._refusals = 0
+        else:
+            self._take_failure(report, plan.plan)
+        return self._after_push(seen, report)
+
+    def _after_push(self, before: TrackedObject, report: PushReport) -> TrackedObject:
+        """The object after a push, and once the push was learned: what nobody plans with need not be waited for at the goal."""
+        seen = self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
+        if report.code is PushCode.NONE and not self._is_there(seen):
+            self._learn(seen.object_id, max(before.stamp, report.stamp))
+        return seen
+
+    def _learn(self, object_id: str, since: float) -> None:
+        """Wait until identification has taken in a push that began at `since` [s]; go on with what was known where it does not."""
+
+        def learned() -> bool | None:
+            model = self._ports.model(object_id)
+            return True if model is not None and model.stamp > since else None
+
+        if learned():
+            return
+        self._enter(GoalState.LEARN)
+        if self._wait(learned, self._limits.learn_timeout) is None:
+            self._say(f"identification did not learn the push within {self._limits.learn_timeout:g} s; going on with what was known")
+
+    def _take_failure(self, report: PushReport, push: PushPlan2D | None) -> None:
+        """Go on after a failed push with another one, or end."""
+        text = f"the push failed ({report.code.name}): {report.text}"
+        if report.code is PushCode.ARM_SILENT:
+            raise _Ended(GoalCode.ARM_SILENT, f"{text} Is the arm's driver running, and push_executor_node active?")
+        if report.code in _WITHOUT_REMEDY or report.code is PushCode.CANCELED:
+            raise _Ended(GoalCode.PUSH_FAILED, f"{text} Look at the cell, then send the goal again; what was learned is kept.")
+        self._refusals += 1
+        if self._refusals > self._limits.max_refusals:
+            raise _Ended(GoalCode.PUSH_FAILED, f"{self._refusals} pushes in a row failed; the last ({report.code.name}): {report.text}")
+        self._say(text)
+        if push is not None and report.code in _ANOTHER_CONTACT:
+            self._failed.append(push)
+
+    # ---- observing
+
+    def _observe(self, after: float, code: GoalCode) -> TrackedObject:
+        """The object by a pose received after `after`, monotonic [s]; ends with `code` where it does not come into view."""
+        self._enter(GoalState.OBSERVE)
+        patience = self._limits.object_patience
+        seen = self._wait(lambda: self._ports.observe(self._object_id, self._limits.pose_timeout, after), patience)
+        if seen is None:
+            why = self._ports.why_unseen(self._object_id)
+            raise _Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
+        return self._note_seen(seen)
+
+    def _note_seen(self, seen: TrackedObject) -> TrackedObject:
+        self._object_id, self.progress.observed = seen.object_id, self.progress.pushes
+        self.progress.pose, self.progress.error = seen.pose, self._goal.error(seen.pose)
+        self.progress.chance = self._goal.chance(seen.pose, seen.covariance)
+        self.report(at_once=True)
+        return seen
+
+    def _is_there(self, seen: TrackedObject) -> bool:
+        return self._goal.chance(seen.pose, seen.covariance) >= _CERTAIN
+
+    def _certain(self, seen: TrackedObject) -> TrackedObject:
+        """The object by a pose that tells whether it is within the tolerances."""
+
+        def certain() -> TrackedObject | None:
+            latest = self._ports.observe(self._object_id, self._limits.pose_timeout, -np.inf)
+            return latest if latest is not None and self._can_tell(latest) else None
+
+        if self._can_tell(seen):
+            return seen
+        latest = self._wait(certain, _BLURRED)
+        if latest is None:
+            raise _Ended(GoalCode.TOLERANCE, self._unsure(seen))
+        return self._note_seen(latest)
+
+    def _can_tell(self, seen: TrackedObject) -> bool:
+        return self._goal.chance(self._goal.pose, seen.covariance) >= _CERTAIN
+
+    def _unsure(self, seen: TrackedObject) -> str:
+        std = np.sqrt(np.diag(seen.covariance))
+        return (
+            f"the pose is known to {1e3 * float(np.hypot(std[0], std[1])):.1f} mm and {std[2]:.3f} rad (standard deviations): not enough "
+            f"for the tolerance of {1e3 * self._goal.position:.1f} mm and {self._goal.yaw:.3f} rad; allow more, or bring the camera nearer."
+        )
+
+    def _model(self, seen: TrackedObject) -> KnownModel:
+        """What is known of the object; ends where identification says nothing."""
+
+        def fitting() -> KnownModel | None:
+            found = self._ports.model(seen.object_id)
+            return found if found is not None and found.posterior.unknowns.shape.is_same_object(seen.shape) else None
+
+        model = self._wait(fitting, self._limits.object_patience)
+        if model is None and self._ports.model(seen.object_id) is not None:
+            raise _Ended(
+                GoalCode.MODEL,
+                f"the model of `{seen.object_id}` is of an object of another shape; look at identification, or load another.",
+            )
+        if model is None:
+            raise _Ended(
+                GoalCode.UNKNOWN_OBJECT, f"identification has published no model of `{seen.object_id}`; is identification_node active?"
+            )
+        if not model.is_known and not self._request.explore:
+            raise self._nothing_known(seen)
+        return model
+
+    # ---- waiting
+
+    def _carry_out(self, push: PushUnderWay) -> PushReport:
+        """Wait for a push to end; the arm holds where the client cancels or the time is over."""
+        try:
+            report = self._wait(push.report, finish=True)
+            assert report is not None, "without a timeout"
+        except _Ended:
+            deadline = self._ports.now() + _HOLD
+            push.cancel()
+            # Until the goal has reached the executor there is nothing to cancel there: it is asked again.
+            while (held := push.report()) is None and self._ports.now() < deadline:
+                self._ports.sleep(_POLL)
+                push.cancel()
+            self.progress.pushes += 0 if held is None else held.n_made
+            raise
+        self.progress.pushes += report.n_made
+        if report.code is PushCode.OBJECT_LOST:
+            self._say(f"lost during a push: {report.text}")
+        if self._ports.wish() is Wish.FINISH:
+            raise self._preempted()
+        return report
+
+    def _wait(self, what: Callable[[], T | None], timeout: float = np.inf, *, finish: bool = False) -> T | None:
+        """Wait until `what` gives something; None after `timeout` [s]. Ends where the client does not want it any more, or time is over.
+
+        `finish`: what is under way is not ended by a newer goal.
+        """
+        deadline = self._ports.now() + timeout
+        while True:
+            self._check_wanted(finish)
+            found = what()
+            if found is not None or self._ports.now() >= deadline:
+                return found
+            self.report()
+            self._ports.sleep(_POLL)
+
+    def _check_wanted(self, finish: bool) -> None:
+        wish = self._ports.wish()
+        if wish is Wish.HOLD:
+            raise _Ended(GoalCode.CANCELED, "canceled on request; the arm holds. What was learned is kept.")
+        if wish is Wish.FINISH and not finish:
+            raise self._preempted()
+        self.progress.elapsed = self._ports.now() - self._started
+        if self.progress.elapsed > self._request.time_limit:
+            raise _Ended(
+                GoalCode.TIME_LIMIT,
+                f"not at the goal after {self._request.time_limit:g} s ({self._distance()}); the arm holds. Send the goal again: what was "
+                "learned is kept.",
+            )
+
+    @staticmethod
+    def _preempted() -> _Ended:
+        return _Ended(GoalCode.PREEMPTED, "a newer goal took its place; what was learned is kept.")
+
+    def _check_pushes(self) -> None:
+        if self.progress.pushes >= self._request.max_pushes:
+            raise _Ended(
+                GoalCode.MAX_PUSHES,
+                f"not at the goal after {self.progress.pushes} pushes ({self._distance()}); send the goal again, what was learned is kept, "
+                "or allow more tolerance.",
+            )
+
+    def _distance(self) -> str:
+        position, yaw = self.progress.error
+        return f"{1e3 * position:.1f} mm and {yaw:.3f} rad from it" if np.isfinite(position) else "never observed"
+
+    def _enter(self, state: GoalState) -> None:
+        self.progress.state = state
+        self.report(at_once=True)
+
+    def _say(self, text: str) -> None:
+        self.progress.note = text
+        self.report(at_once=True)
+        self.progress.note = ""
+
+    def report(self, *, at_once: bool = False) -> None:
+        """Hand out the progress if that is due."""
+        now = self._ports.now()
+        if at_once or now - self._reported >= _FEEDBACK_PERIOD:
+            self._reported = now
+            self.progress.elapsed = now - self._started
+            self._on_progress(self.progress)

@@ -1,0 +1,62 @@
+"""What `push-ident push-to` and `demo --goal` say and draw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.commands import run_here
+from helpers.objects import hammer
+from push_ident.cli.push_to import GoalReport, GoalText, PushLine, goal_message
+from push_ident.errors import InputError
+from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.planning.goal import Goal
+from push_ident.planning.goal_picture import draw_goal_pushes
+from push_ident_msgs.action import PushToGoal
+
+
+def feedback(number: int, *, predicted: bool) -> PushToGoal.Feedback:
+    msg = PushToGoal.Feedback(pushes=number, position_error=0.0123, yaw_error=0.1, is_predicted=predicted, expected_chance=0.8)
+    for pose, (x, yaw) in ((msg.pose, (0.1, 0.2)), (msg.expected_pose, (0.104, 0.2 + np.radians(2.0)))):
+        pose.position.x = x
+        pose.orientation.z, pose.orientation.w = (float(value) for value in quaternion_of_yaw(yaw)[2:])
+    return msg
+
+
+def test_line_of_a_push_says_where_it_ended_and_how_well_that_was_predicted() -> None:
+    line = PushLine(feedback(2, predicted=True))
+    assert str(line) == "push 2: 12.3 mm and 5.7° from the goal; predicted to 4.0 mm and 2.0°, 80 % chance of the goal"
+    assert str(PushLine(feedback(1, predicted=False))) == "push 1: explores; 12.3 mm and 5.7° from the goal"
+    assert line.content()["position_error_m"] == 0.0123 and PushLine(feedback(1, predicted=False)).content()["expected"] is None
+
+
+def test_report_names_its_code() -> None:
+    report = GoalReport(PushToGoal.Result(error_code=-11, error_text="not at the goal", pushes=15), [], np.zeros(3))
+    assert not report.is_reached and report.content()["code"] == "MAX_PUSHES"
+    assert GoalReport(PushToGoal.Result(error_code=-99), [], np.zeros(3)).content()["code"] == "-99"
+    assert GoalReport(PushToGoal.Result(), [], np.zeros(3)).content()["reached"]
+
+
+def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
+    msg = goal_message(GoalText("0.05,-0.1,1.5").pose, object_id="o1", tolerance_mm=10.0, tolerance_deg=9.0, explore=2)
+    assert (msg.goal.header.frame_id, msg.object_id, msg.explore) == ("table", "o1", 2)
+    assert msg.position_tolerance == pytest.approx(0.01) and msg.yaw_tolerance == pytest.approx(np.radians(9.0))
+    assert (msg.goal.pose.position.x, msg.goal.pose.position.y) == (0.05, -0.1)
+    assert 2 * np.arctan2(msg.goal.pose.orientation.z, msg.goal.pose.orientation.w) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "inf,0,0"])
+def test_goal_that_is_no_pose_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="X,Y,YAW"):
+        GoalText(text)
+    done = run_here("demo", "--goal", text)
+    assert done.returncode == 1 and "X,Y,YAW" in done.stderr
+
+
+def test_picture_has_a_panel_for_each_push(tmp_path: Path) -> None:
+    outline = hammer(1).shape.outline
+    pushes = [(None, np.array([0.02, 0.0, 0.1])), *[(np.array([0.05, 0.01 * i, 0.2]), np.array([0.05, 0.012 * i, 0.21])) for i in range(5)]]
+    draw_goal_pushes(tmp_path / "goal.png", outline, np.zeros(3), pushes, Goal(np.array([0.05, 0.05, 0.2])), title="six pushes")
+    assert (tmp_path / "goal.png").stat().st_size > 10_000

@@ -1,0 +1,111 @@
+"""Goals, their progress and the posterior as messages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+
+from helpers.objects import hammer
+from push_ident.errors import InputError, PushIdentError
+from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.identification.result import prior_posterior
+from push_ident.nodes.convert import planar_pose_of
+from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
+from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
+from push_ident.nodes.goal_pushing.parameters import PARAMETERS, push_settings
+from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalState
+from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident_msgs.action import PushToGoal
+from push_ident_msgs.msg import ModelPosterior
+
+DEFAULTS = {parameter.name: parameter.default for parameter in PARAMETERS}
+
+
+def goal_msg(x: float, y: float, yaw: float, frame: str = "table", **fields: object) -> PushToGoal.Goal:
+    msg = PushToGoal.Goal(**fields)
+    msg.goal.header.frame_id = frame
+    msg.goal.pose.position.x, msg.goal.pose.position.y = float(x), float(y)
+    turn = msg.goal.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(yaw))
+    return msg
+
+
+def test_posterior_survives_its_message_to_the_last_bit() -> None:
+    posterior = prior_posterior(hammer(2).shape)
+    msg = posterior_to_msg(posterior, "o1", Time(sec=7, nanosec=5), n_pushes=3, is_known=True)
+    assert (msg.object_id, msg.n_pushes, msg.is_known, msg.header.frame_id) == ("o1", 3, True, "object_o1")
+    stamp, again = posterior_from_msg(msg)
+    assert stamp == pytest.approx(7.000000005, abs=1e-9)
+    assert np.array_equal(again.z, posterior.z) and np.array_equal(again.covariance, posterior.covariance)
+    assert np.array_equal(again.unknowns.shape.outline, posterior.unknowns.shape.outline)
+    assert np.array_equal(again.model.mass, posterior.model.mass)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "{" * 1000, "x" * 20_000_000])
+def test_text_that_is_no_model_is_refused(text: str) -> None:
+    with pytest.raises(PushIdentError, match=r"model of object o1"):
+        posterior_from_msg(ModelPosterior(object_id="o1", model=text))
+
+
+def test_zeros_of_a_goal_stand_for_the_parameters() -> None:
+    request = request_from_msg(goal_msg(0.1, -0.05, 2.5, frame=""), DEFAULTS)
+    assert request.goal.pose == pytest.approx([0.1, -0.05, 2.5])
+    assert (request.goal.position, request.goal.yaw) == (0.02, 0.1)
+    assert (request.time_limit, request.max_pushes, request.explore, request.object_id) == (300.0, 15, 0, "")
+    given = request_from_msg(
+        goal_msg(0, 0, 0, position_tolerance=0.01, yaw_tolerance=0.2, time_limit=7.0, max_pushes=3, explore=2), DEFAULTS
+    )
+    assert (given.goal.position, given.goal.yaw, given.time_limit, given.max_pushes, given.explore) == (0.01, 0.2, 7.0, 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("msg", "word"),
+    [
+        (goal_msg(math.nan, 0, 0), "finite"),
+        (goal_msg(0, 0, math.inf), "finite"),
+        (goal_msg(1e6, 0, 0), "metres"),
+        (goal_msg(0, 0, 0, frame="object_o1"), "table"),
+        (goal_msg(0, 0, 0, position_tolerance=-1.0), "positive"),
+        (goal_msg(0, 0, 0, yaw_tolerance=math.nan), "positive"),
+        (goal_msg(0, 0, 0, time_limit=-3.0), "time_limit"),
+        (goal_msg(0, 0, 0, explore=16), "explore"),
+        (goal_msg(0, 0, 0, object_id="o" * 2000), "object_id"),
+    ],
+)
+def test_goal_that_cannot_be_is_refused_with_its_reason(msg: PushToGoal.Goal, word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        request_from_msg(msg, DEFAULTS)
+
+
+def test_goal_tilted_against_the_table_is_refused() -> None:
+    msg = goal_msg(0, 0, 0)
+    msg.goal.pose.orientation.x, msg.goal.pose.orientation.w = 1.0, 0.0
+    with pytest.raises(InputError):
+        request_from_msg(msg, DEFAULTS)
+
+
+def test_progress_says_nothing_of_what_was_not_observed_or_predicted() -> None:
+    msg = feedback_to_msg(GoalProgress(GoalState.EXPLORE, pushes=2, observed=1))
+    assert msg.state == PushToGoal.Feedback.STATE_EXPLORE and msg.pushes == 1 and not msg.is_predicted
+    assert math.isnan(msg.position_error) and math.isnan(msg.pose.position.x) and math.isnan(msg.pose.orientation.w)
+    plan = GoalPush(PlanStatus.PUSH, 0.7, end=np.array([0.1, 0.2, 0.3]))
+    seen = GoalProgress(GoalState.PUSH, pose=np.array([0.05, 0.0, -3.0]), error=np.array([0.03, 0.4]), plan=plan, elapsed=12.0)
+    msg = feedback_to_msg(seen)
+    assert msg.is_predicted and msg.expected_chance == 0.7 and planar_pose_of(msg.expected_pose) == pytest.approx([0.1, 0.2, 0.3])
+    assert planar_pose_of(msg.pose) == pytest.approx([0.05, 0.0, -3.0]) and (msg.position_error, msg.yaw_error) == (0.03, 0.4)
+
+
+def test_result_has_code_and_text() -> None:
+    progress = GoalProgress(pushes=4, error=np.array([0.03, 0.4]), chance=0.1, elapsed=50.0)
+    msg = result_to_msg(GoalOutcome(GoalCode.MAX_PUSHES, "not at the goal\n\x1b[31m", progress))
+    assert (msg.error_code, msg.pushes, msg.position_error, msg.yaw_error, msg.chance) == (PushToGoal.Result.MAX_PUSHES, 4, 0.03, 0.4, 0.1)
+    assert "\n" not in msg.error_text and "\x1b" not in msg.error_text
+
+
+def test_parameters_that_contradict_each_other_are_refused() -> None:
+    assert push_settings(DEFAULTS, 0.018).speed_range == (0.1, 0.1)
+    with pytest.raises(InputError, match="workspace"):
+        push_settings(DEFAULTS | {"workspace": [0.2, -0.2, 0.0, 0.1]}, 0.018)

@@ -1,0 +1,317 @@
+"""goal_pushing_node and push_executor_node as real processes, with an arm and a box that the test plays, and models that it publishes."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.context import Context
+
+from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, start_node, summary, wait_for
+from helpers.node_process import NodeProcess
+from helpers.spinning import spinning
+from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.identification.result import prior_posterior
+from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
+from push_ident.planning.goal_ports import GoalCode, GoalState
+from push_ident.types import ObjectShape
+from push_ident_msgs.action import PushToGoal
+from push_ident_msgs.msg import ModelPosterior
+
+pytestmark = pytest.mark.alone
+
+NEAR = (0.06, 0.02, 0.3)
+"""A goal that one push along the box reaches."""
+FAR = (0.0, 0.14, 0.3)
+OWN: dict[str, object] = {"workspace": [-0.1, 0.2, -0.25, 0.25], "learn_timeout": 0.5, "object_patience": 3.0, "push_speed": 0.1}
+"""Parameters of the node; the workspace is that of the executor of these tests."""
+REACTION = 0.05
+"""Within which a cancellation must have its effect [s], beside what the machine keeps a thread waiting."""
+
+
+class GoalCell(Cell):
+    """A cell whose box has a model, learned anew after each push, and a client of the action."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._posterior = prior_posterior(ObjectShape(cells_in_outline(BOX, 0.01), BOX))
+        self._model = self.create_publisher(ModelPosterior, "objects/box/model", LATCHED)
+        self.goal_client = ActionClient(self, PushToGoal, "push_to_goal")
+        self.canceling: list[float] = []
+        """When the executor said that a push is being cancelled [s]."""
+        self.create_subscription(GoalStatusArray, "execute_push/_action/status", self._on_status, 10)
+        self.publish_model()
+
+    def _on_status(self, msg: GoalStatusArray) -> None:
+        if any(status.status == GoalStatus.STATUS_CANCELING for status in msg.status_list):
+            self.canceling.append(time.monotonic())
+
+    def publish_model(self, **fields: object) -> None:
+        """What identification would say now; `fields` replace some of it."""
+        msg = posterior_to_msg(self._posterior, "box", self.get_clock().now().to_msg(), n_pushes=3, is_known=True)
+        for name, value in fields.items():
+            setattr(msg, name, value)
+        self._model.publish(msg)
+
+
+@dataclass
+class Sent:
+    """A goal that was sent."""
+
+    handle: Any
+    result: Any
+    feedback: list[PushToGoal.Feedback] = field(default_factory=list)
+
+    @property
+    def state(self) -> GoalState | None:
+        return GoalState(self.feedback[-1].state) if self.feedback else None
+
+    def end(self, timeout: float = 60.0) -> PushToGoal.Result:
+        wait_for(self.result.done, timeout)
+        return self.result.result().result
+
+
+def send(cell: GoalCell, pose: tuple[float, float, float] = NEAR, *, frame: str = "table", **fields: object) -> Sent:
+    goal = PushToGoal.Goal(**fields)
+    goal.goal.header.frame_id = frame
+    goal.goal.pose.position.x, goal.goal.pose.position.y = pose[:2]
+    turn = goal.goal.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
+    feedback: list[PushToGoal.Feedback] = []
+    sent = cell.goal_client.send_goal_async(goal, feedback_callback=lambda msg: feedback.append(msg.feedback))
+    wait_for(sent.done)
+    assert sent.result().accepted
+    return Sent(sent.result(), sent.result().get_result_async(), feedback)
+
+
+@pytest.fixture(scope="module")
+def the_goal_cell(domain: int) -> Iterator[GoalCell]:
+    with spinning(GoalCell, domain) as cell:
+        yield cell
+
+
+@pytest.fixture(scope="module")
+def executor(domain: int, the_goal_cell: GoalCell) -> Iterator[subprocess.Popen[str]]:
+    process = start_node(domain)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+@pytest.fixture(scope="module")
+def node(domain: int, the_goal_cell: GoalCell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    folder: Path = tmp_path_factory.mktemp("node")
+    process = NodeProcess("goal_pushing_node", "push_ident.nodes", OWN, domain, folder)
+    yield process
+    assert process.stop() == 0
+    assert "Traceback" not in process.output and "exception" not in process.output, process.output
+
+
+def reports(cell: Cell, name: str) -> list[DiagnosticArray]:
+    return [msg for msg in list(cell.diagnostics) if name in msg.status[0].name]
+
+
+@pytest.fixture
+def cell(executor: subprocess.Popen[str], node: NodeProcess, the_goal_cell: GoalCell) -> GoalCell:
+    """At home, with an idle node that knows everything."""
+    cell = the_goal_cell
+
+    def is_ready() -> bool:
+        own = reports(cell, "goal_pushing")[-1:]
+        return bool(own) and own[0].status[0].message == "ready" and any("objects: box" in summary(m) for m in reports(cell, "executor"))
+
+    wait_for(is_ready, 90.0)
+    cell.reset()
+    cell.diagnostics.clear()
+    time.sleep(0.3)
+    return cell
+
+
+def begin(cell: GoalCell, pose: tuple[float, float, float] = NEAR, **fields: object) -> Sent:
+    """A goal whose push touches the box now."""
+    sent = send(cell, pose, **fields)
+    wait_for(lambda: sent.result.done() or cell.pusher, 60.0)
+    assert not sent.result.done(), sent.end()
+    return sent
+
+
+def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
+    sent = send(cell, position_tolerance=0.02, yaw_tolerance=0.4)
+    wait_for(lambda: sent.result.done() or cell.records, 60.0)
+    cell.publish_model()
+    result = sent.end()
+    assert result.error_code == GoalCode.NONE, result.error_text
+    assert result.position_error < 0.02 and result.yaw_error < 0.4 and result.chance > 0.9
+    assert np.hypot(*(cell.box[:2] - NEAR[:2])) < 0.02, "the box itself is there"
+    assert result.pushes == len(cell.records) >= 1
+    assert {int(f.state) for f in sent.feedback} >= {GoalState.OBSERVE, GoalState.PLAN, GoalState.PUSH}
+    pushed = [f for f in sent.feedback if f.state == GoalState.PUSH]
+    assert pushed[0].is_predicted and pushed[0].expected_pose.position.x == pytest.approx(NEAR[0], abs=0.03)
+    assert 0.0 < pushed[0].expected_chance <= 1.0 and pushed[-1].elapsed > 0.0
+    # A second goal at the same place needs no push.
+    again = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
+    assert again.error_code == GoalCode.NONE and again.pushes == 0
+
+
+WRONG = {
+    "not finite": ({"pose": (np.nan, 0.0, 0.0)}, GoalCode.INVALID_GOAL, "finite"),
+    "another frame": ({"frame": "camera"}, GoalCode.INVALID_GOAL, "table"),
+    "negative tolerance": ({"position_tolerance": -0.01}, GoalCode.INVALID_GOAL, "positive"),
+    "time limit": ({"time_limit": np.inf}, GoalCode.INVALID_GOAL, "time_limit"),
+    "more exploring pushes than pushes": ({"explore": 9, "max_pushes": 3}, GoalCode.INVALID_GOAL, "explore"),
+    "unknown object": ({"object_id": "o9"}, GoalCode.UNKNOWN_OBJECT, "box"),
+    "name of any length": ({"object_id": "x" * 5000}, GoalCode.INVALID_GOAL, "object_id"),
+    "outside": ({"pose": (0.19, 0.0, 0.0)}, GoalCode.OUTSIDE_WORKSPACE, "further inside"),
+}
+
+
+def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> None:
+    running = begin(cell, FAR)
+    for name, (fields, code, word) in WRONG.items():
+        result = send(cell, **fields).end(5.0)  # type: ignore[arg-type]
+        assert result.error_code == code, (name, result.error_text)
+        assert word in result.error_text, (name, result.error_text)
+        assert not running.result.done(), name
+    wait_for(lambda: cell.records, 30.0)
+    assert cell.records[0].error_code == 0, cell.records[0].error_text
+    running.handle.cancel_goal_async()
+    assert running.end().error_code == GoalCode.CANCELED
+
+
+def test_unknown_mechanics_are_said_where_exploring_is_not_allowed(cell: GoalCell) -> None:
+    cell.publish_model(is_known=False)
+    try:
+        time.sleep(0.3)
+        result = send(cell).end()
+        assert result.error_code == GoalCode.NOTHING_KNOWN and "explor" in result.error_text
+    finally:
+        cell.publish_model()
+
+
+def test_tolerance_below_the_noise_of_the_poses_is_said(cell: GoalCell) -> None:
+    # The poses of this cell have a standard deviation of 1 mm.
+    result = send(cell, position_tolerance=0.0005).end()
+    assert result.error_code == GoalCode.TOLERANCE and result.pushes == 0 and "1.4 mm" in result.error_text
+
+
+def test_cancellation_in_the_middle_of_a_push_holds_the_arm_at_once(cell: GoalCell) -> None:
+    sent = begin(cell, FAR)
+    time.sleep(0.3)
+    n_holds = len(cell.holds)
+    cell.canceling.clear()
+    with Stalls() as stalls:
+        asked = time.monotonic()
+        sent.handle.cancel_goal_async()
+        wait_for(lambda: len(cell.holds) > n_holds and cell.canceling, 5.0)
+        held, passed_on = cell.holds[n_holds][0], cell.canceling[0]
+        result = sent.end(5.0)
+    print(
+        f"passed on after {1e3 * (passed_on - asked):.0f} ms, held after {1e3 * (held - asked):.0f} ms; stalls {1e3 * stalls.worst:.0f} ms"
+    )
+    # The node has as long as the executor.
+    assert passed_on - asked < REACTION + 3 * stalls.worst
+    assert held - asked < 2 * REACTION + 3 * stalls.worst
+    assert result.error_code == GoalCode.CANCELED and result.pushes == 1
+    time.sleep(0.3)
+    assert not [received for received, _ in cell.commands if received > held + 0.1], "the arm holds"
+
+
+def test_newer_goal_takes_over_after_the_push_and_a_cancellation_while_it_plans_is_answered_at_once(cell: GoalCell) -> None:
+    first = begin(cell, FAR)
+    second = send(cell, NEAR)
+    result = first.end(30.0)
+    assert result.error_code == GoalCode.PREEMPTED and result.pushes == 1
+    assert len(cell.records) == 1 and cell.records[0].error_code == 0, "the push under way was finished"
+    wait_for(lambda: second.state is GoalState.PLAN, 20.0)
+    with Stalls() as stalls:
+        asked = time.monotonic()
+        second.handle.cancel_goal_async()
+        wait_for(second.result.done, 5.0)
+        took = time.monotonic() - asked
+    assert took < 2 * REACTION + 3 * stalls.worst
+    assert second.end().error_code == GoalCode.CANCELED and len(cell.records) == 1
+
+
+def test_cancellation_of_a_goal_that_waits_for_the_push_of_another_holds_the_arm(cell: GoalCell) -> None:
+    first = begin(cell, FAR)
+    n_holds = len(cell.holds)
+    second = send(cell, NEAR)
+    wait_for(lambda: second.feedback, 5.0)
+    assert second.state is GoalState.OBSERVE and not first.result.done()
+    second.handle.cancel_goal_async()
+    assert first.end(5.0).error_code == GoalCode.PREEMPTED
+    assert second.end(5.0).error_code == GoalCode.CANCELED
+    assert len(cell.holds) > n_holds
+
+
+def test_models_of_any_content_are_refused_and_the_one_before_is_used(cell: GoalCell, node: NodeProcess) -> None:
+    good = posterior_to_msg(prior_posterior(ObjectShape(cells_in_outline(BOX, 0.01), BOX)), "box", cell.get_clock().now().to_msg(),
+                            n_pushes=1, is_known=True)  # fmt: skip
+    assert posterior_from_msg(good)[1].unknowns.size > 0
+    for text in (
+        "",
+        "{",
+        "[1]",
+        '{"format": 3}',
+        "\x00" * 100,
+        good.model[:-20],
+    ):
+        cell.publish_model(model=text)
+    time.sleep(0.5)
+    assert node.runs
+    result = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
+    assert result.error_code == GoalCode.NONE, result.error_text
+    assert "refused" in node.output
+
+
+def test_model_of_another_shape_is_not_planned_with(cell: GoalCell) -> None:
+    other = prior_posterior(ObjectShape(cells_in_outline(2 * BOX, 0.02), 2 * BOX))
+    cell.publish_model(model=posterior_to_msg(other, "box", cell.get_clock().now().to_msg(), n_pushes=1, is_known=True).model)
+    try:
+        time.sleep(0.3)
+        result = send(cell).end()
+        assert result.error_code == GoalCode.MODEL and "another shape" in result.error_text
+    finally:
+        cell.publish_model()
+
+
+def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCell, node: NodeProcess) -> None:
+    sent = begin(cell, FAR)
+    n_holds = len(cell.holds)
+    assert not sent.result.done()
+    with Stalls() as stalls:
+        asked = time.monotonic()
+        assert node.stop() == 0, node.output
+        wait_for(lambda: len(cell.holds) > n_holds, 2.0)
+    held = cell.holds[n_holds][0] - asked
+    print(f"the arm was told to hold {1e3 * held:.0f} ms after Ctrl-C; stalls up to {1e3 * stalls.worst:.0f} ms")
+    # The node looks at the signal every 50 ms.
+    assert held < 2 * REACTION + 3 * stalls.worst
+
+
+def test_executor_that_dies_in_the_middle_of_a_push_is_said(
+    executor: subprocess.Popen[str], the_goal_cell: GoalCell, domain: int, tmp_path: Path
+) -> None:
+    cell = the_goal_cell
+    cell.reset()
+    cell.diagnostics.clear()
+    node = NodeProcess("goal_pushing_node", "push_ident.nodes", OWN, domain, tmp_path)
+    try:
+        wait_for(lambda: any(msg.status[0].message == "ready" for msg in reports(cell, "goal_pushing")), 60.0)
+        sent = begin(cell, FAR)
+        executor.send_signal(signal.SIGKILL)
+        result = sent.end(30.0)
+        assert result.error_code == GoalCode.ARM_SILENT and "push_executor_node" in result.error_text
+    finally:
+        assert node.stop() == 0
