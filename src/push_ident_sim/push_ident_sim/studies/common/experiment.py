@@ -79,6 +79,8 @@ class Experiment(Study):
     """Variants that are one case, of the first object and ground truth."""
     fewer: Mapping[str, int] = field(default_factory=dict)
     """Variants with a largest number of ground truths of each object, whatever number is requested."""
+    counts_goals: bool = False
+    """Whether each object is pushed to `CaseSettings.goals` goals."""
     timed: bool = False
     """Whether cases run for `CaseSettings.minutes`."""
     headline: tuple[str, ...] = ()

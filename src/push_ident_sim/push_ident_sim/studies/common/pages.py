@@ -104,6 +104,7 @@ def _origin_of_experiment(experiment: Experiment, run: Json) -> str:
     left_out = [name for name in experiment.variants if name not in run.get("variants", experiment.variants)]
     chosen = f" --variants {','.join(run['variants'])}" if left_out else ""
     not_run = f" Not run: {', '.join(left_out)}." if left_out else ""
+    chosen += f" --goals {run['goals']}" if "goals" in run else ""
     return (
         f"`push-ident experiment {run['experiment']} --seed {run['seed']} --models {run['models']}{chosen}`: {objects}; "
         f"{run['models']} ground truths each, from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "

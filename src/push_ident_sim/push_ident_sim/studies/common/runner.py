@@ -118,6 +118,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "models": options.n_models,
         "variants": list(options.variants or experiment.variants),
         "seed": options.seed,
+        **({"goals": options.goals} if experiment.counts_goals else {}),
         "max_seconds": options.max_seconds,
         "machine": describe_machine(jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
@@ -199,7 +200,7 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
     if experiment.once:
         values.append({"recordings": str(settings.recordings.resolve())})
-    if "goals" in experiment.name:
+    if experiment.counts_goals:
         values.append({"goals": settings.goals})
     if experiment.timed:
         values.append({"minutes": settings.minutes})

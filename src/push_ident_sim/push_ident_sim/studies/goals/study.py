@@ -126,6 +126,7 @@ STUDY = Experiment(
     tables=_tables,
     draw=_draw,
     needs_truth=False,
+    counts_goals=True,
     stages=("geometry", "physics", "identification", "pushing", "planning"),
     headline=("success", "pushes_mean", "time_mean_s", "falls"),
 )
