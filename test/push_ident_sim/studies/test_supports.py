@@ -12,10 +12,11 @@ from helpers.paths import ROOT
 from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.identification.identify import identify
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY
-from push_ident.types import PusherPath
+from push_ident.types import PusherPath, SolveStatus
 from push_ident_sim.engines.planar import LoadedBody, PlanarWorld
 from push_ident_sim.objects import Part, object_from_picture
 from push_ident_sim.studies.common.calibration import calibration_row
@@ -192,3 +193,10 @@ def test_object_of_another_study_is_refused_with_those_that_there_are() -> None:
 def test_published_seeds_are_not_those_of_tuning() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert "experiment supports --seed 1000 --models 50" in makefile and "experiment loads --seed 3000 --models 8" in makefile
+
+
+def test_solve_that_prefers_equal_cells_ends_as_converged() -> None:
+    """Shorter time steps raise the cost of the best candidate: that makes it no worse than others."""
+    result = identify([make_push(make_plate("base", 1001), number).record for number in range(2)])
+    assert max(result.candidates, key=lambda candidate: candidate.probability).name.startswith("equal cells")
+    assert result.status is SolveStatus.CONVERGED

@@ -220,8 +220,11 @@ class _Candidates:
         return Fit(problem, *minimise(problem, rough.x, steps, tolerance=FINE, start=rough.end, needed_cost=self._needed_cost(rough)))
 
     def _needed_cost(self, start: Fit) -> float:
-        """Cost above which a fit from a start is negligible, as far as the curvature at the start is that at the end."""
-        return start.end.cost - max(self._needed_evidence - start.log_evidence, 0.0)
+        """Cost above which a fit from a start is negligible, as far as the curvature at the start is that at the end.
+
+        It may lie above the cost at the start: with shorter time steps the cost of a good fit may rise.
+        """
+        return start.end.cost + start.log_evidence - self._needed_evidence
 
     def fit_maps(self) -> None:
         """With maps whose prior the pushes set, from each start; where nothing else shows the noise of the poses, they set it too."""
