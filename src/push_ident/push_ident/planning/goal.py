@@ -10,8 +10,10 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.types import Float64Array
 
-__all__ = ["Goal"]
+__all__ = ["CERTAIN", "Goal"]
 
+CERTAIN = 0.9
+"""Chance of being at the goal from which the object counts as there [1]."""
 _DRAWS = 2000
 """Poses drawn for a chance: its standard error is 1 % at most."""
 

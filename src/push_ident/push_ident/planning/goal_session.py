@@ -12,6 +12,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from push_ident.geometry.se2 import transform_points
+from push_ident.planning.goal import CERTAIN
 from push_ident.planning.goal_ports import (
     GoalCode,
     GoalOutcome,
@@ -34,8 +35,6 @@ __all__ = ["GoalSession"]
 
 _POLL: Final = 0.01
 """Between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
-_CERTAIN: Final = 0.9
-"""Chance of being at the goal from which the object counts as there; as the planner has it [1]."""
 _HOLD: Final = 0.7
 """For the executor to answer that it holds the arm [s]; it does so within 50 ms. A node that ends has 1.8 s for everything."""
 _BLURRED: Final = 3.0
@@ -259,7 +258,7 @@ class GoalSession:
         return seen
 
     def _is_there(self, seen: TrackedObject) -> bool:
-        return self._goal.chance(seen.pose, seen.covariance) >= _CERTAIN
+        return self._goal.chance(seen.pose, seen.covariance) >= CERTAIN
 
     def _certain(self, seen: TrackedObject) -> TrackedObject:
         """The object by a pose that tells whether it is within the tolerances."""
@@ -276,7 +275,7 @@ class GoalSession:
         return self._note_seen(latest)
 
     def _can_tell(self, seen: TrackedObject) -> bool:
-        return self._goal.chance(self._goal.pose, seen.covariance) >= _CERTAIN
+        return self._goal.chance(self._goal.pose, seen.covariance) >= CERTAIN
 
     def _unsure(self, seen: TrackedObject) -> str:
         std = np.sqrt(np.diag(seen.covariance))

@@ -27,10 +27,10 @@ from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal import Goal
+from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
-from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape
 
@@ -48,8 +48,6 @@ _NEIGHBOURS: Final = 4
 """Second pushes that are looked at for each first one."""
 _PUSH_TRAVEL: Final = 0.1
 """Distance that a further push is expected to cover [m]."""
-_CERTAIN: Final = 0.9
-"""Chance of being at the goal from which the object counts as there."""
 _AGAIN: Final = 0.004
 """A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
 _NEAR: Final = 5.0
@@ -126,15 +124,16 @@ class GoalPlanner:
             failed: pushes from this pose that did not move the object, or could not be made.
         """
         chance = goal.chance(pose, covariance)
-        if chance >= _CERTAIN:
+        if chance >= CERTAIN:
             return GoalPush(PlanStatus.ARRIVED, chance)
-        if goal.chance(goal.pose, covariance) < _CERTAIN:
+        if goal.chance(goal.pose, covariance) < CERTAIN:
             return GoalPush(PlanStatus.UNSURE, chance)
         if len(self._strokes) == 0:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         library = self._library_of(belief)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        ranked = _ranked(library, wanted)
+        further = _FurtherPushes(library, goal)
+        ranked = _ranked(library, further, wanted)
         own = library.strokes
         candidates: list[tuple[Strokes, int, float]] = []
         motions: list[Float64Array] = []
@@ -155,7 +154,7 @@ class GoalPlanner:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
                 if self._is_possible(plan, pose, better.motion, obstacles, failed):
                     candidates.append((better.stroke, 0, better.length))
-        return self._best(belief, library, candidates, pose, covariance, goal)
+        return self._best(belief, further, candidates, pose, covariance, goal)
 
     def _is_possible(
         self,
@@ -176,14 +175,14 @@ class GoalPlanner:
             return False
         try:
             check_push(plan, outline, self._settings, obstacles)
-        except PlanningError as error:
-            return error.code not in (PushCode.LIMIT, PushCode.UNREACHABLE)
+        except PlanningError:
+            return False
         return True
 
     def _best(
         self,
         belief: Belief,
-        library: Library,
+        further: _FurtherPushes,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
         covariance: Float64Array,
@@ -204,9 +203,11 @@ class GoalPlanner:
         ends = compose(start[:, None], motion)
         wanted = compose(inverse(ends), goal.pose)
         there = _softly(goal.relative_error(ends))
-        after = _further_pushes(library, wanted.reshape(-1, 3), goal).reshape(there.shape)
-        value = 1.0 + np.nanmean((1.0 - there) * after, axis=0)
-        best = int(np.argmin(np.where(np.isnan(ends).any(axis=(0, 2)), np.inf, value)))
+        after = further.after(wanted.reshape(-1, 3)).reshape(there.shape)
+        value = 1.0 + np.mean((1.0 - there) * after, axis=0)
+        if not np.any(np.isfinite(value)):
+            return GoalPush(PlanStatus.UNREACHABLE, goal.chance(pose, covariance))
+        best = int(np.nanargmin(value))
         own, number, length = candidates[best]
         return GoalPush(
             PlanStatus.PUSH,
@@ -218,45 +219,45 @@ class GoalPlanner:
         )
 
 
-def _ranked(library: Library, wanted: Goal) -> list[tuple[int, int]]:
+def _ranked(library: Library, further: _FurtherPushes, wanted: Goal) -> list[tuple[int, int]]:
     """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
     mean = library.motion[0]
-    value = _value(library, mean.reshape(1, -1, 3), wanted)
+    value = _value(further, mean.reshape(1, -1, 3), wanted)
     first = np.argsort(np.where(np.isfinite(value), value, np.inf))[:_SCREENED]
     motion = library.motion.reshape(len(library.motion), -1, 3)[:, first]
-    value = _value(library, motion, wanted)
+    value = _value(further, motion, wanted)
     order = np.argsort(np.where(np.isfinite(value), value, np.inf))
     n_lengths = len(library.lengths)
     return [(int(first[k] // n_lengths), int(first[k] % n_lengths)) for k in order if np.isfinite(value[k])]
 
 
-def _value(library: Library, motion: Float64Array, wanted: Goal) -> Float64Array:
+def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal) -> Float64Array:
     """Pushes expected from now on for each motion, shape (n_models, n_motions, 3), that a push may make: shape (n_motions,)."""
     there = _softly(wanted.relative_error(motion))
     left = compose(inverse(motion), wanted.pose)
-    after = _further_pushes(library, left.reshape(-1, 3), wanted).reshape(there.shape)
+    after = further.after(left.reshape(-1, 3)).reshape(there.shape)
     return 1.0 + np.asarray(np.mean((1.0 - there) * after, axis=0))
 
 
-def _further_pushes(library: Library, wanted: Float64Array, goal: Goal) -> Float64Array:
-    """Pushes expected to make each of the motions, shape (n, 3), within the tolerances: shape (n,)."""
-    tree, entries, spread = _tree(library, goal)
-    finite = np.all(np.isfinite(wanted), axis=1)
-    query = np.where(finite[:, None], wanted, 0.0)
-    query[:, 2] = wrap_angle(query[:, 2])
-    distance, index = tree.query(query / goal.tolerance, k=_NEIGHBOURS)
-    error = np.sqrt(distance**2 + spread[entries[index]] ** 2)
-    chance = _softly(error)
-    beyond = np.maximum(distance - 1.0, 0.0) * goal.position / _PUSH_TRAVEL
-    return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
+class _FurtherPushes:
+    """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
+    def __init__(self, library: Library, goal: Goal) -> None:
+        flat = library.motion.reshape(len(library.motion), -1, 3) / goal.tolerance
+        known = np.all(np.isfinite(flat[0]), axis=1)
+        self._goal, self._tree = goal, KDTree(flat[0][known])
+        self._spread = np.sqrt(np.sum(np.nanvar(flat[:, known], axis=0), axis=1))
+        """Of each motion over the models, in units of the tolerances, shape (n_motions,)."""
 
-def _tree(library: Library, goal: Goal) -> tuple[KDTree, np.ndarray, Float64Array]:
-    """Motions of the mean model in units of the tolerances; which they are; and the spread of each over the models in the same units."""
-    flat = library.motion.reshape(len(library.motion), -1, 3)
-    spread = np.sqrt(np.nansum(np.nanvar(flat / goal.tolerance, axis=0), axis=1))
-    entries = np.flatnonzero(np.isfinite(flat[0]).all(axis=1))
-    return KDTree(flat[0][entries] / goal.tolerance), entries, spread
+    def after(self, wanted: Float64Array) -> Float64Array:
+        """Expected number for each of the motions, shape (n, 3): shape (n,); NaN for one that is not known."""
+        finite = np.all(np.isfinite(wanted), axis=1)
+        query = np.where(finite[:, None], wanted, 0.0)
+        query[:, 2] = wrap_angle(query[:, 2])
+        distance, index = self._tree.query(query / self._goal.tolerance, k=_NEIGHBOURS)
+        chance = _softly(np.hypot(distance, self._spread[index]))
+        beyond = np.maximum(distance - 1.0, 0.0) * self._goal.position / _PUSH_TRAVEL
+        return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
 
 
 def _gap(outline: Float64Array, other: Float64Array) -> float:
