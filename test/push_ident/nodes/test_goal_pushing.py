@@ -295,7 +295,7 @@ def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCe
         assert node.stop() == 0, node.output
         wait_for(lambda: len(cell.holds) > n_holds, 2.0)
     held = cell.holds[n_holds][0] - asked
-    print(f"the arm was told to hold {1e3 * held:.0f} ms after Ctrl-C; stalls up to {1e3 * stalls.worst:.0f} ms")
+    print(f"hold command {1e3 * held:.0f} ms after Ctrl-C; stalls up to {1e3 * stalls.worst:.0f} ms")
     # The node looks at the signal every 50 ms.
     assert held < 2 * REACTION + 3 * stalls.worst
 

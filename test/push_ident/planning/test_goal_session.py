@@ -109,7 +109,7 @@ class Cell:
     pushes: list[Push] = field(default_factory=list)
     asked: list[PushPlan2D | int] = field(default_factory=list)
     failed: list[int] = field(default_factory=list)
-    """Number of failed pushes that each plan was told of."""
+    """Number of failed pushes passed to each plan."""
 
     def now(self) -> float:
         return self.time
