@@ -7,7 +7,7 @@ They are immutable, arrays included. Lengths in metres, angles in radians, masse
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -18,6 +18,7 @@ from push_ident.errors import InputError
 
 __all__ = [
     "BoolArray",
+    "CameraAccuracy",
     "CameraIntrinsics",
     "CellGrid",
     "DepthFrame",
@@ -159,6 +160,27 @@ class ObjectShape:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraAccuracy:
+    """Standard deviations of where a camera stands over the table, as far as its plane does not show it.
+
+    All poses that the camera measures have this one error: they are those of the object in the table, displaced and turned together.
+
+    Raises:
+        InputError: One is negative or not finite.
+    """
+
+    position: float = 0.0
+    """Of the place at which the origin of the table frame is seen, along x and y [m]."""
+    heading: float = 0.0
+    """Of the rotation about the normal of the table [rad]."""
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("position", self.position, "m"), ("heading", self.heading, "rad")):
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"The {name} of the camera is known to {value} {unit}, expected a standard deviation of 0 or more.")
+
+
+@dataclass(frozen=True, slots=True)
 class PoseTrack:
     """Observed poses of one object during one push."""
 
@@ -167,7 +189,9 @@ class PoseTrack:
     pose: Float64Array
     """(x, y, yaw) [m, m, rad], shape (n_frames, 3), table frame, yaw unwrapped."""
     covariance: Float64Array
-    """Covariance of (x, y, yaw), shape (n_frames, 3, 3), table frame."""
+    """Covariance of (x, y, yaw), shape (n_frames, 3, 3), table frame; without the error of `camera`."""
+    camera: CameraAccuracy = field(default_factory=CameraAccuracy)
+    """Of the camera that measured them."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

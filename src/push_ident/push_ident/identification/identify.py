@@ -64,7 +64,7 @@ def identify(
 
     Args:
         records: pushes of one object. The two end poses of a push are enough.
-        prior: nominal values and their standard deviations.
+        prior: nominal values and their standard deviations. Its accuracy of the camera is that of the records unless it states one.
         method: name of a solver in `SOLVERS`.
         effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`),
             beside those of `nuisances_of`.
@@ -84,9 +84,10 @@ def identify(
         raise InputError("There is no push to learn from; give at least one push record.")
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
+    prior = (prior or Prior()).seen_by(record.poses.camera for record in records)
     if solver.capabilities.takes_effects:
-        effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape))))
-    prior, options, earlier = prior or Prior(), options or FitOptions(), earlier or Earlier()
+        effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior))))
+    options, earlier = options or FitOptions(), earlier or Earlier()
     options = replace(options, noise=noise_at_rest(records, options.noise))
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)

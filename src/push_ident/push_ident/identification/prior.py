@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.types import Float64Array
+from push_ident.types import CameraAccuracy, Float64Array
 
 __all__ = ["MapPrior", "Prior"]
 
@@ -72,6 +73,10 @@ class Prior:
     """Correlation length of the maps, divided by the diagonal of the object."""
     max_modes: int = 40
     """Largest number of modes of a map."""
+    camera_position_std: float = 0.0
+    """Standard deviation of the place at which the camera sees the origin of the table frame, along x and y [m]; 0: it is exact."""
+    camera_heading_std: float = 0.0
+    """Standard deviation of the rotation of the camera about the normal of the table [rad]; 0: it is exact."""
     feet: int = 0
     """Number of feet of unknown place that bear the load; 0: the whole base does. There is no map of the load then."""
 
@@ -80,12 +85,23 @@ class Prior:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"Prior.{name} is {value}, expected a positive number.")
-        for name in ("total_mass_std", *_MAPS):
+        for name in ("total_mass_std", "camera_position_std", "camera_heading_std", *_MAPS):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
         if self.feet < 0 or self.feet == 1:
             raise InputError(f"Prior.feet is {self.feet}, expected 0 (the whole base bears the load) or at least 2.")
+
+    def seen_by(self, cameras: Iterable[CameraAccuracy]) -> Prior:
+        """The same prior with the accuracy of the least accurate of the cameras that measured the poses, unless it has one itself."""
+        if self.camera_position_std > 0 or self.camera_heading_std > 0:
+            return self
+        stated = list(cameras)
+        return replace(
+            self,
+            camera_position_std=max((camera.position for camera in stated), default=0.0),
+            camera_heading_std=max((camera.heading for camera in stated), default=0.0),
+        )
 
     def at_amplitude(self, amplitude: float) -> Prior:
         """The same prior with the standard deviations of the maps multiplied by `amplitude`."""

@@ -124,7 +124,8 @@ class ModelPosterior:
 
 def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPosterior:
     """The posterior of an object that was never pushed: its prior."""
-    return ModelPosterior.of_prior(Unknowns(shape, prior or Prior(), effects=nuisances_of(shape)))
+    prior = prior or Prior()
+    return ModelPosterior.of_prior(Unknowns(shape, prior, effects=nuisances_of(shape, prior)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,9 +137,21 @@ class Mechanics:
         )
 
 
-def nuisances_of(shape: ObjectShape) -> tuple[str, ...]:
-    """Effects that are unknown of an object by how its shape was measured: pushes show where an outline that a camera traced really is."""
-    return () if shape.outline_std is None else tuple(name for name in CAMERA_ERRORS if EFFECTS[name].moves_outline)
+def nuisances_of(shape: ObjectShape, prior: Prior) -> tuple[str, ...]:
+    """Effects that are unknown by how shape and poses were measured, whatever the object is.
+
+    Pushes show where an outline that a camera traced really is, and where the camera stands with respect to the pusher.
+    """
+    return tuple(name for name in CAMERA_ERRORS if np.any(_measured_std(name, shape, prior) > 0))
+
+
+def _measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
+    """Standard deviations of the parameters of an effect, as far as those who measured state them, shape (n_parameters,); else 0."""
+    effect = EFFECTS[name]
+    if effect.moves_outline:
+        return np.full(len(effect.parameters), shape.outline_error or 0.0)
+    stated = {"m": prior.camera_position_std, "rad": prior.camera_heading_std} if effect.is_camera_error else {}
+    return np.array([stated.get(parameter.unit, 0.0) for parameter in effect.parameters])
 
 
 class Unknowns:
@@ -207,10 +219,9 @@ class Unknowns:
 
     def _effect_std(self) -> Float64Array:
         std = np.array([parameter.scale for parameter in self.effects.parameters], dtype=np.float64)
-        if self.shape.outline_error is not None:
-            for name in self.effects.names:
-                if EFFECTS[name].moves_outline:
-                    std[self.effects.slice_of(name)] = self.shape.outline_error
+        for name in self.effects.names:
+            measured, own = _measured_std(name, self.shape, self.prior), self.effects.slice_of(name)
+            std[own] = np.where(measured > 0, measured, std[own])
         for name, given in self._given_effect_std.items():
             if name in self.effects.names:
                 std[self.effects.slice_of(name)] = given

@@ -11,41 +11,19 @@ The object frame is that of the first detection, so they are zero there, and gro
   both. What they do not show: the frame was defined with the scatter of the first view alone. Each further rest L changes the outline, and
   the frame follows the old one: it moves by the error of the old outline in the pose at L less that of the new one, of the variance
   V / (n - 1) - V / n. The pose at L with the old outline has V + V / (n - 1), hence the frame 1 / n^2 of its covariance.
-- The camera is not where its extrinsics place it. An error t of its place and w of its heading displaces a pose p by t + w x p. The first
-  one is displaced by as much, and takes its displacement along into the object frame, which has turned by R since: what remains is
-  (1 - R) t + w x (p - R p0).
+
+The error of the extrinsics is none of these: it moves all poses alike. It is stated once, of the camera (`CameraAccuracy`), and whoever
+compares poses with the pusher takes it as an unknown.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.types import Float64Array
 
-__all__ = ["CameraAccuracy", "camera_covariance", "displaced_pose", "frame_step", "in_table"]
-
-
-@dataclass(frozen=True, slots=True)
-class CameraAccuracy:
-    """Standard deviations of the extrinsics of a camera, as far as the plane of the table does not show them.
-
-    Raises:
-        InputError: One is negative or not finite.
-    """
-
-    position: float = 0.0
-    """Of its place along x and y of the table frame [m]."""
-    heading: float = 0.0
-    """Of its rotation about the normal of the table [rad]."""
-
-    def __post_init__(self) -> None:
-        for name, value, unit in (("position", self.position, "m"), ("heading", self.heading, "rad")):
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"The {name} of the camera is known to {value} {unit}, expected a standard deviation of 0 or more.")
+__all__ = ["displaced_pose", "frame_step", "in_table"]
 
 
 def displaced_pose(scores: Float64Array, normal: Float64Array, of_frame: Float64Array, yaw: float) -> Float64Array:
@@ -76,14 +54,3 @@ def in_table(covariance: Float64Array, pose: Float64Array) -> Float64Array:
     turn = np.eye(3)
     turn[:2, :2] = rotation(float(pose[2]))
     return np.asarray(turn @ covariance @ turn.T)
-
-
-def camera_covariance(pose: Float64Array, first_pose: Float64Array, accuracy: CameraAccuracy) -> Float64Array:
-    """Covariance of a pose, shape (3, 3), from the error of the extrinsics that it has and the first pose had as well."""
-    turned = rotation(pose[2] - first_pose[2])
-    covariance = np.zeros((3, 3))
-    by_place = accuracy.position * (np.eye(2) - turned)
-    x, y = pose[:2] - turned @ first_pose[:2]
-    by_heading = accuracy.heading * np.array([-y, x])
-    covariance[:2, :2] = by_place @ by_place.T + np.outer(by_heading, by_heading)
-    return covariance

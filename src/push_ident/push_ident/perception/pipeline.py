@@ -296,12 +296,12 @@ class Perception:
     def fit(self, object_id: str, frame: DepthFrame, robot: Sequence[RobotPart] = ()) -> PoseFit:
         """Pose of a known object in another frame near its latest pose, for frames taken before the object was registered."""
         known = self._tracked[object_id]
-        scene = Scene(frame, self._camera, robot, self.settings.mask_margin, (), self.settings.camera_accuracy)
+        scene = Scene(frame, self._camera, robot, self.settings.mask_margin)
         return fit_pose(known.template, scene, known.pose)
 
     def _scene(self, name: str, frame: DepthFrame, robot: Sequence[RobotPart]) -> Scene:
         """A frame in which one object is looked for."""
-        return Scene(frame, self._camera, robot, self.settings.mask_margin, self._others(name), self.settings.camera_accuracy)
+        return Scene(frame, self._camera, robot, self.settings.mask_margin, self._others(name))
 
     def _track(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> dict[str, PoseFit]:
         """Fit all known objects near their predicted poses."""

@@ -69,8 +69,12 @@ def observe_offline(
                 tracks[known.object_id].append((observation.stamp, known.pose, known.covariance))
         why = observation.why_no_pose()
     shapes |= perception.finish()
-    long = {name: zip(*track, strict=True) for name, track in tracks.items() if len(track) >= 2}
-    result = {name: (shapes[name], PoseTrack(*(np.array(column) for column in columns))) for name, columns in long.items()}
+    accuracy = perception.settings.camera_accuracy
+    result = {}
+    for name, track in tracks.items():
+        if len(track) >= 2:
+            time, pose, covariance = (np.array(column) for column in zip(*track, strict=True))
+            result[name] = shapes[name], PoseTrack(time, pose, covariance, accuracy)
     if not result:
         raise PerceptionError(
             f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from push_ident.errors import InputError
-from push_ident.perception.lasting import CameraAccuracy
+from push_ident.types import CameraAccuracy
 
 __all__ = ["PerceptionSettings"]
 
@@ -44,7 +44,7 @@ class PerceptionSettings:
     """Time between two searches for new or lost objects once an object is known [s]; until then every frame is searched."""
 
     camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
-    """Of the extrinsics: what they lack, poses have as an error that lasts."""
+    """Of the extrinsics. Perception does not use it; it is stated with the poses, which all have this error."""
 
     def __post_init__(self) -> None:
         if not (self.workspace_low[0] < self.workspace_high[0] and self.workspace_low[1] < self.workspace_high[1]):

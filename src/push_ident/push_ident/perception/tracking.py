@@ -35,7 +35,7 @@ from push_ident.perception.kernels import (
     scores_of_squares,
 )
 from push_ident.perception.labels import RobotPart, in_robot
-from push_ident.perception.lasting import CameraAccuracy, camera_covariance, displaced_pose, in_table
+from push_ident.perception.lasting import displaced_pose, in_table
 from push_ident.perception.shape import TracedObject, unmeasured_areas
 from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, DepthFrame, Float64Array
@@ -216,8 +216,6 @@ class Scene:
     """Added to the radius of the robot's parts [m]."""
     others: Sequence[tuple[Template, Float64Array]] = ()
     """Templates and poses of other objects; their pixels are left out."""
-    camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
-    """Of `camera_in_table`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,7 +437,7 @@ def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, norm
 
 def _lasting(template: Template, scene: Scene, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
     """Covariance of the errors that every frame at this pose has, shape (3, 3)."""
-    covariance = camera_covariance(pose, template.first_pose, scene.camera_accuracy) + in_table(template.frame_covariance, pose)
+    covariance = in_table(template.frame_covariance, pose)
     if template.seen_from is None or template.displaced_std == 0.0:
         return covariance
     moved = template.displaced_std * _displaced_by_camera(template, scene, lines, pose, normal)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from push_ident.perception.lasting import CameraAccuracy
-from push_ident.types import CameraIntrinsics
+from push_ident.types import CameraAccuracy, CameraIntrinsics, Float64Array
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthImage, DepthNoise, FloatArray, Placed, View
 from push_ident_sim.cell.sensors import PLAIN, SENSORS, SensorModel, check_name
 from push_ident_sim.objects import SimObject
@@ -75,6 +74,18 @@ class Sensor:
         # A rotation about an axis in the table displaces what lies in the middle of it by the distance.
         position = float(np.hypot(self._model.translation_std, self._model.rotation_std * distance))
         return CameraAccuracy(position, self._model.rotation_std)
+
+    def table_as_seen(self, camera_in_table: Float64Array, reported: FloatArray) -> Float64Array:
+        """The true table frame in that of perception (x, y, yaw), shape (3,): the error of the extrinsics that is left.
+
+        Args:
+            camera_in_table: pose of the camera as perception has it, after it found the plane of the table, shape (4, 4).
+            reported: the pose that this unit publishes, shape (4, 4).
+        """
+        if not self._model:
+            return np.zeros(3)
+        motion = camera_in_table @ np.linalg.inv(reported @ self._model.extrinsics_error(self._seed))
+        return np.array([*motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])])
 
     def camera(self, thing: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None) -> DepthCamera:
         """Camera with the true lens and the true pose of this unit.

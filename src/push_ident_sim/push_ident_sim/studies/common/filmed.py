@@ -13,14 +13,13 @@ from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.identification.next_push import PlannedPush, candidate_pushes
 from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking import TrackStatus
 from push_ident.pushing.push import PushSettings
 from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord
 from push_ident_sim.cell.camera import DepthImage, View
 from push_ident_sim.cell.robot import PUSHER_RADIUS
 from push_ident_sim.cell.sensor_unit import Sensor
-from push_ident_sim.cell.sensors import PLAIN, SENSORS, suitable_pose
+from push_ident_sim.cell.sensors import PLAIN, suitable_pose
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import SimObject
@@ -73,7 +72,8 @@ class FilmedObject:
         reported = suitable_pose(sensor)
         self._unit = Sensor(sensor, unit)
         self._camera = self._unit.camera(thing, reported)
-        self._perception = Perception(reported, PerceptionSettings(camera_accuracy=self._unit.accuracy(reported)))
+        self._perception = Perception(reported)
+        self._accuracy = self._unit.accuracy(reported)
         self._clock = 0.0
         self._seen: tuple[Float64Array, View | DepthImage] | None = None
         self.exact: list[PushRecord] = []
@@ -86,20 +86,13 @@ class FilmedObject:
         else:
             raise PerceptionError(f"The {thing.name} was not found within {_PATIENCE} frames.")
         self.pose = found["o1"][0]
-        self._camera_error = self._error_of_camera(sensor, unit, reported)
+        self._table = self._unit.table_as_seen(self._perception.camera_in_table, reported)
         self.offset = compose(inverse(self.as_reported(self.true_pose)), self._perception.first_pose("o1"))
         """Object frame of perception in the true one."""
 
     def as_reported(self, true_pose: Float64Array) -> Float64Array:
         """A true pose in the table frame of this camera, which has the error of its extrinsics."""
-        return compose(self._camera_error, true_pose)
-
-    def _error_of_camera(self, sensor: str, unit: int, reported: Float64Array) -> Float64Array:
-        """The true table frame in that of perception (x, y, yaw), shape (3,)."""
-        if sensor == PLAIN:
-            return np.zeros(3)
-        motion = self._perception.camera_in_table @ np.linalg.inv(reported @ SENSORS[sensor].extrinsics_error(unit))
-        return np.array([*motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])])
+        return compose(self._table, true_pose)
 
     def execute(self, push: PlannedPush) -> PushRecord:
         """Make a push planned from `pose`, or from `true_pose`; an object near the edge is put back afterwards."""
@@ -121,8 +114,8 @@ class FilmedObject:
         time, pose, covariance = (np.array(column) for column in zip(*poses, strict=True))
         rest = np.array([begin - self._rest / RATE, *(begin + motion.time), begin + motion.time[-1] + self._rest / RATE])
         reported = motion.reported[np.r_[0, 0 : len(motion.time), len(motion.time) - 1]]
-        record = PushRecord("o1", self.shape, PoseTrack(time, pose, covariance), PusherPath(rest, reported, PUSHER_RADIUS))
-        self.exact.append(replace(record, poses=_exact_track(time, np.array(exact))))
+        record = PushRecord("o1", self.shape, PoseTrack(time, pose, covariance, self._accuracy), PusherPath(rest, reported, PUSHER_RADIUS))
+        self.exact.append(replace(record, poses=self._exact_track(time, np.array(exact))))
         self.pose = pose[-1]
         if np.hypot(*self.true_pose[:2]) > _NEAR_EDGE:
             self._put_back()
@@ -159,7 +152,11 @@ class FilmedObject:
 
     def _true_record(self, motion: TrueMotion) -> PushRecord:
         pose = np.array([compose(self.as_reported(p), self.offset) for p in motion.pose])
-        return PushRecord("o1", self.shape, _exact_track(motion.time, pose), PusherPath(motion.time, motion.reported, PUSHER_RADIUS))
+        return PushRecord("o1", self.shape, self._exact_track(motion.time, pose), PusherPath(motion.time, motion.reported, PUSHER_RADIUS))
+
+    def _exact_track(self, time: Float64Array, pose: Float64Array) -> PoseTrack:
+        """Without an error of their own."""
+        return PoseTrack(time, pose, np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]) ** 2, (len(pose), 3, 3)), self._accuracy)
 
     def _look(self, true_pose: Float64Array, tool: Float64Array | None) -> dict[str, tuple[Float64Array, Float64Array]]:
         """One frame; pose and covariance of the objects that perception finds."""
@@ -198,10 +195,6 @@ class FilmedObject:
 
     def _somewhere(self) -> Float64Array:
         return np.array([*self._places.uniform(-0.04, 0.04, size=2), self._places.uniform(-np.pi, np.pi)])
-
-
-def _exact_track(time: Float64Array, pose: Float64Array) -> PoseTrack:
-    return PoseTrack(time, pose, np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]) ** 2, (len(pose), 3, 3)))
 
 
 def _driven(path: PusherPath) -> PusherPath:

@@ -17,7 +17,6 @@ from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Observation, Perception
-from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.topdown import OCCUPIED, TopDownGrid
 from push_ident.perception.tracking import TrackStatus
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
@@ -144,7 +143,8 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
             shadow that which covers it casts.
         with_arm: The arm that pushes is in the picture; perception gets its true posture.
         sensor: Model of the camera, at a pose that suits it. Each case is another unit, and perception gets the pose and the intrinsics
-            that the unit publishes, and how well units of that model are calibrated.
+            that the unit publishes. Errors are those in the table frame that the camera sees: it has the error of the extrinsics, which
+            is `table_m` where the object first lies.
 
     Returns:
         Of the outline from one view `outline_m` (root mean square), `placed_m` (the same, placed as well as a rigid motion can),
@@ -164,7 +164,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
     unit, reported = Sensor(sensor, unit_of(object_name, seed)), suitable_pose(sensor)
     camera = unit.camera(thing, reported)
     empty = camera.render((5.0, 5.0, 0.0), {})
-    perception = Perception(reported, PerceptionSettings(camera_accuracy=unit.accuracy(reported)))
+    perception = Perception(reported)
     kinds: dict[str, Json] = {k: {"position_m": [], "yaw": [], "squared": [], "hidden": [], "not_tracked": 0} for k in ("rest", "moving")}
     shape: ObjectShape | None = None
     refined: ObjectShape | None = None
@@ -183,18 +183,21 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
             occupancy = observed.occupancy or occupancy
             if observed.new_shapes:
                 shape, at_first = observed.new_shapes["o1"], view.pose
-                offset = compose(inverse(view.pose), perception.first_pose("o1"))
+                table = unit.table_as_seen(perception.camera_in_table, reported)
+                offset = compose(inverse(compose(table, view.pose)), perception.first_pose("o1"))
             continue
         refined = observed.refined.get("o1", refined)
         kind = kinds["moving" if view.moving else "rest"]
         on_object = depth < empty - _RAISED
         kind["hidden"].append(round(float(np.mean(covered[on_object] < depth[on_object] - _RAISED)), 4))
-        _note(kind, observed, compose(view.pose, offset))
+        _note(kind, observed, compose(compose(table, view.pose), offset))
     if shape is None or occupancy is None:
         raise PerceptionError(f"{object_name} {seed} was not found: {observed.why_no_pose()}.")
     truth = transform_points(inverse(offset), thing.outline)
     last = outline_errors((refined or shape).outline, truth)
-    scores = _scores(shape, occupancy, truth, transform_points(at_first, thing.outline))
+    in_table = transform_points(compose(table, at_first), thing.outline)
+    extrinsics = float(np.linalg.norm(compose(table, at_first)[:2] - at_first[:2]))
+    scores = _scores(shape, occupancy, truth, in_table) | {"table_m": round(extrinsics, 6)}
     return scores | {"refined_m": last["outline_m"], "refined_placed_m": last["placed_m"], "kinds": kinds}
 
 

@@ -14,8 +14,8 @@ from push_ident.identification.identify import identify
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import CHI2_90, held_out_errors, predict
 from push_ident.identification.result import ModelPosterior
-from push_ident.identification.unknowns import nuisances_of
 from push_ident.perception.fusion import with_edges_moved
+from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 from push_ident_sim.cell.sensors import SENSORS
@@ -99,7 +99,9 @@ def _touched(posterior: ModelPosterior) -> Float64Array:
     """Where the pushes show the surface: the outline moved by the identified offset [m], shape (n, 2)."""
     shape, effects = posterior.model.shape, posterior.effects
     outline = shape.outline
-    for name in nuisances_of(shape):
+    for name in effects.names:
+        if not EFFECTS[name].moves_outline:
+            continue
         outline = with_edges_moved(outline, np.full(len(outline), effects.values[effects.slice_of(name)][0]))
     return outline
 
