@@ -108,7 +108,10 @@ def set_outliers_aside(state: DiagnosisState) -> DiagnosisState:
 
 
 def _camera_noise(noise: NoiseModel, policy: CameraPolicy) -> NoiseModel:
-    """Errors of a perceived pose depend on place and view, so that no mean over frames removes them."""
+    """Errors of a perceived pose depend on place and view, so that no mean over frames removes them.
+
+    These numbers hold the errors of the outline push by push as well; that of the whole outline is an effect of the base model.
+    """
     return replace(
         noise,
         floor_position=max(noise.floor_position, policy.floor_position),
@@ -116,4 +119,5 @@ def _camera_noise(noise: NoiseModel, policy: CameraPolicy) -> NoiseModel:
         fit_discrepancy_position=max(noise.fit_discrepancy_position, policy.fit_discrepancy_position),
         fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, policy.fit_discrepancy_yaw),
         max_moving_frames=min(noise.max_moving_frames, policy.max_moving_frames),
+        outline_errors=False,
     )

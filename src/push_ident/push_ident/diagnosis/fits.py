@@ -110,7 +110,7 @@ def without_pushes(fit: Fit, pushes: Sequence[int]) -> Fit:
         pushes: numbers of the pushes in its problem.
     """
     problem = fit.problem.without(pushes)
-    x0 = np.r_[_HELD_OUT_START * fit.z, np.delete(fit.problem.first_pose_unknowns(fit.x), pushes, axis=0).ravel()]
+    x0 = np.r_[_HELD_OUT_START * fit.z, np.delete(fit.problem.push_unknowns(fit.x), pushes, axis=0).ravel()]
     return Fit(problem, *minimise(problem, x0, _MAX_ITERATIONS, tolerance=_COARSE_TOLERANCE), fit.amplitude)
 
 

@@ -192,7 +192,7 @@ def correlation_in_motion(fit: Fit, policy: ResidualPolicy) -> float:
     problem = fit.problem
     over_one, over_two, strides = [], [], []
     for push, (record, observation, motion) in enumerate(zip(problem.records, problem.observations, problem.simulate(fit.x), strict=True)):
-        residual = problem.residual(motion, push)[1:-1]
+        residual = problem.residual(fit.x, motion, push)[1:-1]
         if len(residual) > 2:
             over_one.append(np.diff(residual, axis=0))
             over_two.append(residual[2:] - residual[:-2])

@@ -7,6 +7,10 @@ model of pushing is exact; the frames of one push share this discrepancy.
 The frames at rest show how much better a mean is than a frame. Where they scatter as their covariance states, the error averages out.
 Where they scatter far less, as those of a tracker do, the covariance describes an error that they share. Errors that are correlated from
 frame to frame (`NoiseModel.correlation`) average out more slowly, and neighbouring frames of the motion carry less information.
+
+An outline that a camera traced is wrong by as much as its deviations say, elsewhere by another amount. Where a push touches it, all frames
+of that push are displaced with respect to the pusher (`Observation.surface_std`), and the surface is also inclined otherwise than it looks,
+which turns the motion (`NoiseModel.with_outline_of`).
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.outline import signed_distance
-from push_ident.types import BoolArray, Float64Array, PushRecord
+from push_ident.types import BoolArray, Float64Array, ObjectShape, PushRecord
 
 __all__ = ["UNCHECKED", "NoiseModel", "Observation", "noise_at_rest", "noise_correlation", "observe_push", "pusher_gaps"]
 
@@ -26,6 +30,8 @@ UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
 _SHARING = 10
 """Number of frames of one motion for which `NoiseModel.fit_discrepancy` holds; where there are more, each counts less."""
+_SHARED = 4.0
+"""Discrepancy of a frame in a fit over that of a prediction, as of the defaults of `NoiseModel` [-]."""
 _ENOUGH = 12
 """Degrees of freedom from which the scatter of frames at rest is used."""
 _ENOUGH_PAIRS = 40
@@ -69,6 +75,30 @@ class NoiseModel:
     """Largest number of frames of the motion that are kept."""
     correlation: float = 0.0
     """Of the errors of neighbouring frames [-]; see `noise_correlation`."""
+    outline_errors: bool = True
+    """Whether the errors of a traced outline come on top, push by push."""
+
+    def with_outline_of(self, shape: ObjectShape) -> NoiseModel:
+        """The noise of pushes of an object: a traced outline makes the model less exact.
+
+        Deviations of s over an object of size r incline its surface by about s / r, and motion turns by as much: s / r of the travel across
+        it, and s / r^2 in yaw. `r` is the root mean square distance of the cells from their middle.
+        """
+        if shape.outline_error is None or not self.outline_errors:
+            return self
+        size = float(np.sqrt(np.mean(np.sum((shape.cells.centres - shape.cells.centres.mean(axis=0)) ** 2, axis=1))))
+        slope = shape.outline_error / size
+        return replace(
+            self,
+            fit_discrepancy_position=float(np.hypot(self.fit_discrepancy_position, _SHARED * slope)),
+            fit_discrepancy_yaw=float(np.hypot(self.fit_discrepancy_yaw, _SHARED * slope / size)),
+            model_discrepancy_position=float(np.hypot(self.model_discrepancy_position, slope)),
+            model_discrepancy_yaw=float(np.hypot(self.model_discrepancy_yaw, slope / size)),
+        )
+
+    def surface_std(self, shape: ObjectShape) -> float:
+        """Standard deviation of the place where a push touches an object, along each axis [m]."""
+        return shape.outline_error if shape.outline_error is not None and self.outline_errors else 0.0
 
     @property
     def floor(self) -> Float64Array:
@@ -107,13 +137,16 @@ class Observation:
     (n_frames, 3)."""
     correlation: float = 0.0
     """Of the errors of neighbouring frames of the motion [-]; `whitening` assumes larger independent errors instead."""
+    surface_std: float = 0.0
+    """Standard deviation of a displacement of all frames alike, along each axis of the table: the surface lies elsewhere than its outline
+    [m]; 0 for an exact outline."""
     is_unchecked: bool = False
     """Whether both rests have one frame only, so that nothing but pushes shows how large the errors of poses are."""
 
 
 def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
     """Condense one push record."""
-    noise = noise or NoiseModel()
+    noise = (noise or NoiseModel()).with_outline_of(record.shape)
     poses = record.poses
     before, after, touched = _rests(record)
     moving = np.arange(before[-1] + 1, after[0])
@@ -146,7 +179,8 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     discrepancy = travel[:, None] * noise.model_discrepancy
     unchecked = len(before) == len(after) == 1
-    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, unchecked)
+    surface_std = noise.surface_std(record.shape)
+    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, surface_std, unchecked)
 
 
 def noise_at_rest(records: Sequence[PushRecord], noise: NoiseModel | None = None) -> NoiseModel:

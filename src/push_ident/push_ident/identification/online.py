@@ -12,7 +12,7 @@ from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import Earlier, identify
 from push_ident.identification.observation import NoiseModel, noise_at_rest
 from push_ident.identification.prior import Prior
-from push_ident.identification.problem import without_first_pose
+from push_ident.identification.problem import unknowns_of_push, without_first_push
 from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.result import Identification, ModelPosterior, WarmStart, prior_posterior
 from push_ident.identification.solver import FrameTask
@@ -125,7 +125,8 @@ class OnlineIdentifier:
         options = self._options
         while len(records) >= self._window:
             oldest = summarise(records[0], state.posterior, noise_at_rest(records, options.noise), options.numerics)
-            starts = tuple(replace(start, x=without_first_pose(start.x, len(records))) for start in starts)
+            n_own = unknowns_of_push(state.shape, options.noise)
+            starts = tuple(replace(start, x=without_first_push(start.x, len(records), n_own)) for start in starts)
             records, past = records[1:], oldest if past is None else past + oldest
         # An object has one shape, and its unknowns stay the same from push to push: what is summed up counts in them.
         return self._solve((*records, replace(record, shape=state.shape)), past, starts)

@@ -10,6 +10,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.identification.observation import NoiseModel, observe_push
+from push_ident.identification.problem import unknowns_of_push
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import EffectsLike, true_pose
@@ -67,15 +68,15 @@ def predict(
         posterior: of the object.
         scenario: the push; its pose is the first pose as it is observed.
         first_covariance: of the first pose, shape (3, 3); by default of 0.5 mm and 0.3 degrees.
-        noise: its model discrepancy, which grows with travel, is added.
+        noise: its model discrepancy, which grows with travel, is added, and the errors of a traced outline are.
         settings: numerics of the simulation.
         n_samples: number of models drawn from the posterior, each with a first pose.
 
     Returns:
         The prediction: the motion of the mean model, with the covariance of the motions of the drawn models. Look at its `status`.
     """
-    noise = noise or NoiseModel()
     unknowns = posterior.unknowns
+    noise = (noise or NoiseModel()).with_outline_of(unknowns.shape)
     first = scenario.pose_object_in_table
     if first_covariance is None:
         first_covariance = np.diag([5e-4, 5e-4, 5e-3]) ** 2
@@ -83,15 +84,19 @@ def predict(
     # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
     # two pushes can be compared.
     settings = _settings_of(posterior, scenario, first_covariance, noise, settings)
-    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + 3))
+    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + unknowns_of_push(unknowns.shape, noise)))
     z_root, first_root = _root(posterior.covariance), _root(first_covariance)
+    surface_std = noise.surface_std(unknowns.shape)
     poses = []
     for draw in draws:
         drawn = unknowns.mechanics(posterior.z + z_root @ draw[: unknowns.size])
-        start = true_pose(drawn.effects, first + first_root @ draw[unknowns.size :])
+        own = draw[unknowns.size :]
+        moved = np.zeros(3)
+        moved[: len(own) - 3] = surface_std * own[3:]
+        start = true_pose(drawn.effects, first + first_root @ own[:3] - moved)
         motion = drawn.simulate(replace(scenario, pose_object_in_table=start), settings=settings)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
-            poses.append(motion.pose)
+            poses.append(motion.pose + moved)
     mean = unknowns.mechanics(posterior.z)
     centre = mean.simulate(replace(scenario, pose_object_in_table=true_pose(mean.effects, first)), settings=settings)
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:

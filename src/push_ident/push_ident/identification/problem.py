@@ -1,10 +1,11 @@
 """The fit as one problem: residuals of all pushes and their Jacobian, with the simulations counted.
 
-Unknowns x = (z, first pose of push 1, first pose of push 2, ...). The first pose of a push is a nuisance parameter: it is uncertain, so
-it is fitted together with the maps, from the mean of the frames at rest; its prior is the first frame itself. All unknowns are in units
-of their prior standard deviation, so that the cost is
+Unknowns x = (z, those of push 1, those of push 2, ...). The first pose of a push is a nuisance parameter: it is uncertain, so it is
+fitted together with the maps, from the mean of the frames at rest; its prior is the first frame itself. With an outline that a camera
+traced, a push has two more, d: its frames are displaced alike, as the surface that it touches is not where the outline has it. All unknowns
+are in units of their prior standard deviation, so that the cost is
 
-    sum_frames (n + 3)/2 log(1 + |W (y - f(x))|^2 / n) + 1/2 |z|^2 + past(z),      n = `TAILS`
+    sum_frames (n + 3)/2 log(1 + |W (y - f(x) - s d)|^2 / n) + 1/2 |z|^2 + 1/2 |d|^2 + past(z),      n = `TAILS`
 
 where the quadratic `past` replaces pushes that are no longer simulated. Frozen unknowns have a quadratic of their own.
 
@@ -33,14 +34,15 @@ from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_ste
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings
-from push_ident.types import Float64Array, PushRecord, SolveStatus
+from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
-__all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms", "without_first_pose"]
+__all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms", "unknowns_of_push", "without_first_push"]
 
 TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
-_FIRST_POSES = "first_poses"
-"""Block of the nuisance parameters: three for each push."""
+_PUSHES = "pushes"
+"""Block of the nuisance parameters: first pose and displacement of each push."""
+_POSE, _PLANE = 3, 2
 _UNSTABLE = 1e6
 """Derivative of a pose by the first pose [1, m/rad, rad/m] beyond which a motion is unstable, as of a pusher within the object; short
 steps would follow the instability."""
@@ -66,13 +68,13 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True)
 class PushTerms:
-    """Contribution of one push to the cost, by the unknowns of the object and its own first pose."""
+    """Contribution of one push to the cost, by the unknowns of the object and its own."""
 
     cost: float
     gradient: Float64Array
-    """Shape (unknowns.size + 3,)."""
+    """Shape (unknowns.size + unknowns_of_push,)."""
     hessian: Float64Array
-    """Gauss-Newton approximation, shape (unknowns.size + 3, unknowns.size + 3)."""
+    """Gauss-Newton approximation, shape (unknowns.size + unknowns_of_push, unknowns.size + unknowns_of_push)."""
     residual: Float64Array
     """Whitened, shape (n_frames, 3)."""
 
@@ -125,6 +127,8 @@ class FitProblem:
         self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
         """Time steps of each push; None until it is simulated."""
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
+        self.unknowns_of_push = unknowns_of_push(unknowns.shape, noise)
+        """Number of unknowns that each push has of its own."""
 
     def of(self, unknowns: Unknowns, *, meter: Meter | None = None, past: Quadratic | None = None) -> FitProblem:
         """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others."""
@@ -143,13 +147,13 @@ class FitProblem:
 
     @property
     def layout(self) -> Layout:
-        """Blocks of the unknowns of the object, then `first_poses`."""
-        return Layout((*self.unknowns.blocks, Block.of(_FIRST_POSES, np.ones(3 * len(self.records)))))
+        """Blocks of the unknowns of the object, then `pushes`."""
+        return Layout((*self.unknowns.blocks, Block.of(_PUSHES, np.ones(self.unknowns_of_push * len(self.records)))))
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return self.unknowns.size + 3 * len(self.records)
+        return self.unknowns.size + self.unknowns_of_push * len(self.records)
 
     def object_unknowns(self, x: Float64Array) -> Float64Array:
         """The unknowns `z` of the object within `x`, shape (unknowns.size,)."""
@@ -157,16 +161,30 @@ class FitProblem:
 
     def slice_of_first_pose(self, push: int) -> slice:
         """Place of the first pose of a push in `x`."""
-        return _slice_of_first_pose(self.unknowns, push)
+        start = self.slice_of_push(push).start
+        return slice(start, start + _POSE)
 
-    def first_pose_unknowns(self, x: Float64Array) -> Float64Array:
-        """The unknowns of the first poses within `x`, one row per push, shape (n_pushes, 3)."""
-        return x[self.unknowns.size :].reshape(-1, 3)
+    def slice_of_push(self, push: int) -> slice:
+        """Place of all unknowns of a push in `x`: its first pose, then its displacement."""
+        start = self.unknowns.size + self.unknowns_of_push * push
+        return slice(start, start + self.unknowns_of_push)
+
+    def push_unknowns(self, x: Float64Array) -> Float64Array:
+        """The unknowns of the pushes within `x`, one row per push, shape (n_pushes, unknowns_of_push)."""
+        return x[self.unknowns.size :].reshape(-1, self.unknowns_of_push)
+
+    def displacement(self, x: Float64Array, push: int) -> Float64Array:
+        """By which all frames of a push are displaced (x, y, yaw), shape (3,): the yaw is 0."""
+        moved = np.zeros(3)
+        own = x[self.slice_of_push(push)][_POSE:]
+        moved[: len(own)] = self.observations[push].surface_std * own
+        return moved
 
     @property
     def unit_prior(self) -> Float64Array:
-        """Precision of the unit normal prior, shape (size,): 1 for unknowns of the object, 0 for first poses (their prior is a frame)."""
-        return np.r_[np.ones(self.unknowns.size), np.zeros(3 * len(self.records))]
+        """Precision of the unit normal prior, shape (size,): 1 for unknowns of the object, 0 for those of pushes, whose prior counts as
+        a measurement of theirs."""
+        return np.r_[np.ones(self.unknowns.size), np.zeros(self.size - self.unknowns.size)]
 
     def continued(self, x0: Float64Array, earlier: Float64Array) -> Float64Array:
         """The start `x0` with the values of an earlier result for the first of these pushes; as it is where that has another size."""
@@ -244,10 +262,10 @@ class FitProblem:
             ]
         )
 
-    def residual(self, motion: Motion, push: int) -> Float64Array:
-        """Whitened difference between the simulated and the observed push, shape (n_frames, 3)."""
+    def residual(self, x: Float64Array, motion: Motion, push: int) -> Float64Array:
+        """Whitened difference between a push simulated at `x` and the observed one, shape (n_frames, 3)."""
         observed = self.observations[push]
-        return np.einsum("fij,fj->fi", observed.whitening, motion.pose - observed.pose)
+        return np.einsum("fij,fj->fi", observed.whitening, motion.pose + self.displacement(x, push) - observed.pose)
 
     def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
         """Robust cost of whitened residuals, and the weight of each frame's square in it, shape (n_frames,)."""
@@ -262,8 +280,8 @@ class FitProblem:
         """Cost of motions simulated at `x`."""
         if motions[-1].status is SolveStatus.SIMULATION_FAILED:
             return np.inf
-        of_pushes = sum(self.weigh(self.residual(motion, push))[0] for push, motion in enumerate(motions))
-        return self._prior_cost(self.object_unknowns(x)) + of_pushes
+        of_pushes = sum(self.weigh(self.residual(x, motion, push))[0] for push, motion in enumerate(motions))
+        return self._prior_cost(self.object_unknowns(x)) + of_pushes + 0.5 * float(np.sum(self.push_unknowns(x)[:, _POSE:] ** 2))
 
     def _prior_cost(self, z: Float64Array) -> float:
         """Cost of the unknowns of the object by their prior and by earlier pushes."""
@@ -289,7 +307,7 @@ class FitProblem:
             terms = self._push_terms(mechanics, x, push)
             if terms is None:
                 return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
-            columns = np.r_[0:n_z, self.slice_of_first_pose(push)]
+            columns = np.r_[0:n_z, self.slice_of_push(push)]
             cost += terms.cost
             gradient[columns] += terms.gradient
             hessian[np.ix_(columns, columns)] += terms.hessian
@@ -311,7 +329,7 @@ class FitProblem:
             own = self._whitened_jacobian(mechanics, motion, push)
             rows = np.zeros((len(own), self.size))
             rows[:, :n_z] = own[:, :n_z]
-            rows[:, self.slice_of_first_pose(push)] = own[:, n_z:]
+            rows[:, self.slice_of_push(push)] = own[:, n_z:]
             parts.append(rows)
         return np.concatenate(parts)
 
@@ -323,26 +341,35 @@ class FitProblem:
         motion = self._simulate_push(mechanics, x, push, jacobian=True)
         if motion.status is SolveStatus.SIMULATION_FAILED:
             return None
-        residual = self.residual(motion, push)
+        residual = self.residual(x, motion, push)
         cost, weight = self.weigh(residual)
         jacobian = self._whitened_jacobian(mechanics, motion, push)
         weighted = jacobian * np.repeat(weight, 3)[:, None]
-        return PushTerms(cost, weighted.T @ residual.ravel(), weighted.T @ jacobian, residual)
+        gradient, hessian = weighted.T @ residual.ravel(), weighted.T @ jacobian
+        displaced = np.arange(self.unknowns.size + _POSE, len(gradient))
+        own = x[self.slice_of_push(push)][_POSE:]
+        gradient[displaced] += own
+        hessian[displaced, displaced] += 1.0
+        return PushTerms(cost + 0.5 * float(own @ own), gradient, hessian, residual)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
-        """Derivative of the residuals of one push by the unknowns of the object and its first pose, (3 n_frames, unknowns.size + 3)."""
+        """Derivative of the residuals of one push by the unknowns of the object and its own, shape (3 n_frames, unknowns.size +
+        unknowns_of_push)."""
         whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
-        own = whitened[:, :, :3] @ self.first_scale[push]
+        observed = self.observations[push]
+        first = whitened[:, :, :_POSE] @ self.first_scale[push]
+        moved = observed.surface_std * observed.whitening[:, :, : self.unknowns_of_push - _POSE]
         shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
-        return np.concatenate([shared, own], axis=2).reshape(3 * len(whitened), -1)
+        return np.concatenate([shared, first, moved], axis=2).reshape(3 * len(whitened), -1)
 
 
-def without_first_pose(x: Float64Array, n_pushes: int) -> Float64Array:
-    """The vector of a `FitProblem` of `n_pushes` pushes, without the first pose of the first one; as it is where it has another size."""
-    start = len(x) - 3 * n_pushes
-    return np.delete(x, slice(start, start + 3)) if start >= 0 else x
+def unknowns_of_push(shape: ObjectShape, noise: NoiseModel | None = None) -> int:
+    """Number of unknowns that each push of an object has of its own: first pose, and displacement where a camera traced the outline."""
+    return _POSE + (_PLANE if (noise or NoiseModel()).surface_std(shape) > 0 else 0)
 
 
-def _slice_of_first_pose(unknowns: Unknowns, push: int) -> slice:
-    start = unknowns.size + 3 * push
-    return slice(start, start + 3)
+def without_first_push(x: Float64Array, n_pushes: int, n_own: int) -> Float64Array:
+    """The vector of a `FitProblem` of `n_pushes` pushes with `n_own` unknowns each, without those of the first push; as it is where it has
+    another size."""
+    start = len(x) - n_own * n_pushes
+    return np.delete(x, slice(start, start + n_own)) if start >= 0 else x

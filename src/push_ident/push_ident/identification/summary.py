@@ -4,7 +4,7 @@ Around the point x* where a fit ended, the cost of a push is nearly
 
     1/2 (z - z*)' H (z - z*) + g' (z - z*)
 
-with its own first pose minimised over (Schur complement). Such quadratics add up, so that old pushes cost nothing however many they are:
+with its own unknowns minimised over (Schur complement). Such quadratics add up, so that old pushes cost nothing however many they are:
 the square-root filter of smoothing and mapping (Kaess et al., iSAM, IEEE Trans. Robotics 2008), with Hessians in place of roots.
 """
 
@@ -24,8 +24,8 @@ from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["Summary", "summarise"]
 
-_POSE_STEPS = 2
-"""Newton steps to the best first pose of a push."""
+_PUSH_STEPS = 2
+"""Newton steps to the best unknowns of the push itself."""
 _FORCES = 200
 """Number of the latest measured forces that are kept: enough for their median, and memory must not grow with the pushes."""
 
@@ -59,8 +59,8 @@ def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel |
     unknowns = posterior.unknowns
     problem = FitProblem([record], unknowns, noise=noise, settings=settings)
     n_z, modes, feet = unknowns.size, unknowns.modes, unknowns.prior.feet
-    x = np.r_[posterior.z, np.zeros(3)]
-    for _ in range(_POSE_STEPS):
+    x = np.r_[posterior.z, np.zeros(problem.unknowns_of_push)]
+    for _ in range(_PUSH_STEPS):
         terms = problem.evaluate_push(x, 0)
         if terms is None:
             return Summary(1, modes, Quadratic.zero(n_z), feet, np.array([]))

@@ -71,8 +71,11 @@ def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, 
     )
     problem.meter.count(len(problem.records))
     cost = 0.5 * z @ z
-    for poses, observed in zip(motion.poses, problem.observations, strict=True):
-        residual = torch.einsum("fij,fj->fi", torch.as_tensor(observed.whitening), poses - torch.as_tensor(observed.pose))
+    for push, (poses, observed) in enumerate(zip(motion.poses, problem.observations, strict=True)):
+        own = unknowns[problem.slice_of_push(push)][3:]
+        seen = poses + torch.nn.functional.pad(observed.surface_std * own, (0, 3 - len(own)))
+        cost = cost + 0.5 * own @ own
+        residual = torch.einsum("fij,fj->fi", torch.as_tensor(observed.whitening), seen - torch.as_tensor(observed.pose))
         cost = cost + 0.5 * (TAILS + 3) * torch.log1p((residual**2).sum(dim=1) / TAILS).sum()
     return unknowns, torch.nan_to_num(cost, nan=torch.inf)
 

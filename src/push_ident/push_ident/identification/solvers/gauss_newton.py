@@ -97,7 +97,7 @@ class GaussNewton(Solver):
         problem = FitProblem([task.partial], before.unknowns, noise=options.noise, settings=options.numerics, past=past)
         if not problem.observations[0].touched:
             return None
-        start = np.r_[before.z, np.zeros(3)] if task.latest is None else task.latest
+        start = np.r_[before.z, np.zeros(problem.unknowns_of_push)] if task.latest is None else task.latest
         fit = Fit(problem, *minimise(problem, start, _FRAME_ITERATIONS, refine=False))
         return FrameFit(fit.x, replace(before, z=fit.z, covariance=fit.covariance), fit.status)
 

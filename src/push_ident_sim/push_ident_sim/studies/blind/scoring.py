@@ -271,7 +271,7 @@ def _oracle(found: Diagnosis, base: Fit, wanted: Mapping[str, FloatArray]) -> Js
 
 def _separation(a: Fit, b: Fit) -> float:
     """Noncentrality between two fits of the same pushes: squared distance of their standardized residuals in all frames."""
-    residuals = [[fit.problem.residual(m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
+    residuals = [[fit.problem.residual(fit.x, m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
     return float(sum(np.sum((one - other) ** 2) for one, other in zip(*residuals, strict=True)))
 
 
