@@ -10,10 +10,10 @@ from push_ident.errors import InputError
 from push_ident.identification.fit import Fit
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem, without_first_pose
+from push_ident.identification.problem import FitProblem, without_first_push
 from push_ident.identification.unknowns import Block, Layout, Unknowns, nuisances_of
 from push_ident.physics.effects import EFFECTS
-from push_ident.types import ObjectShape, SolveStatus
+from push_ident.types import CameraAccuracy, ObjectShape, SolveStatus
 
 SHAPE = hammer(1).shape
 PRIOR = Prior(max_modes=4)
@@ -94,18 +94,28 @@ def test_accuracy_of_a_sensor_replaces_the_prior_of_the_catalogue_and_survives_o
 
 
 def test_an_outline_that_a_camera_traced_is_an_unknown_as_uncertain_as_it_says() -> None:
-    assert nuisances_of(SHAPE) == ()
+    assert nuisances_of(SHAPE, PRIOR) == ()
     square = ObjectShape(
         SHAPE.cells, np.array([(-0.1, -0.05), (0.1, -0.05), (0.1, 0.05), (-0.1, 0.05)]), np.array([1e-3, 2e-3, 1e-3, 2e-3])
     )
     assert square.outline_error == pytest.approx(np.sqrt((2 * 1e-6 + 4e-6) / 3))  # the long edges count twice
-    unknowns = Unknowns(square, PRIOR, effects=nuisances_of(square))
+    unknowns = Unknowns(square, PRIOR, effects=nuisances_of(square, PRIOR))
     assert unknowns.effect_std == pytest.approx([square.outline_error])
     assert Unknowns(square, PRIOR, effects=("outline_error",), effect_std={"outline_error": (4e-4,)}).effect_std == pytest.approx([4e-4])
     clockwise = ObjectShape(SHAPE.cells, square.outline[::-1], np.array([1e-3, 2e-3, 3e-3, 4e-3]))  # top, left, bottom, right
     assert clockwise.outline == pytest.approx(square.outline) and clockwise.outline_std == pytest.approx([3e-3, 2e-3, 1e-3, 4e-3])
     with pytest.raises(InputError, match="positive"):
         ObjectShape(SHAPE.cells, square.outline, np.zeros(4))
+
+
+def test_the_accuracy_of_a_camera_makes_its_place_and_heading_unknowns() -> None:
+    stated = PRIOR.seen_by([CameraAccuracy(), CameraAccuracy(2e-3, 5e-3)])
+    assert (stated.camera_position_std, stated.camera_heading_std) == (2e-3, 5e-3)
+    assert stated.seen_by([CameraAccuracy(1.0, 1.0)]) == stated  # what somebody states counts
+    unknowns = Unknowns(SHAPE, stated, effects=nuisances_of(SHAPE, stated))
+    stds = {name: unknowns.effect_std[unknowns.effects.slice_of(name)].tolist() for name in unknowns.effects.names}
+    assert stds == {"camera_translation": [2e-3, 2e-3], "camera_rotation": [5e-3]}
+    assert nuisances_of(SHAPE, PRIOR.seen_by([CameraAccuracy(position=1e-3)])) == ("camera_translation",)
 
 
 @pytest.mark.parametrize("prior", [PRIOR, PRESSURE])
@@ -140,14 +150,14 @@ def test_another_layout_takes_over_the_blocks_that_it_shares() -> None:
     assert one.moved(np.array([1.0, 2.0, 3.0, 4.0]), other).tolist() == [4.0, 1.0, 2.0, 0.0, 0.0, 0.0]
 
 
-def test_first_poses_are_a_block_of_the_problem() -> None:
+def test_unknowns_of_the_pushes_are_a_block_of_the_problem() -> None:
     problem = FitProblem(random_records(hammer(1), 3, 1), Unknowns(SHAPE, PRIOR))
     x = np.arange(float(problem.size))
-    assert problem.layout.blocks[-1].name == "first_poses"
+    assert problem.layout.blocks[-1].name == "pushes"
     assert problem.layout.size == problem.size
-    assert x[problem.slice_of_first_pose(1)].tolist() == problem.first_pose_unknowns(x)[1].tolist()
-    shorter = without_first_pose(x, 3)
-    assert problem.without([0]).first_pose_unknowns(shorter).tolist() == problem.first_pose_unknowns(x)[1:].tolist()
+    assert x[problem.slice_of_first_pose(1)].tolist() == problem.push_unknowns(x)[1].tolist()
+    shorter = without_first_push(x, 3, 3)
+    assert problem.without([0]).push_unknowns(shorter).tolist() == problem.push_unknowns(x)[1:].tolist()
     assert problem.continued(np.zeros(problem.size), x[:-3])[:-3].tolist() == x[:-3].tolist()
 
 

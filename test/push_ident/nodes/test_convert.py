@@ -10,6 +10,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.nodes.convert import (
+    camera_accuracy_from_msg,
+    camera_accuracy_to_msg,
     cylinder_radius_from_msg,
     cylinder_to_msg,
     depth_frame_from_msgs,
@@ -27,7 +29,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.types import CameraIntrinsics, DepthFrame, ObjectShape
+from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, ObjectShape
 
 STAMP = Time(sec=12, nanosec=345678901)
 COVARIANCE = np.array([[2e-6, 3e-7, -1e-7], [3e-7, 1e-6, 2e-7], [-1e-7, 2e-7, 4e-6]])
@@ -85,6 +87,19 @@ def test_positions_forces_and_pusher_come_back():
         box = cylinder_to_msg(0.018, 0.1)
         box.type = box.BOX
         cylinder_radius_from_msg(box)
+
+
+def test_accuracy_of_the_camera_comes_back_and_one_that_is_none_is_refused():
+    msg = camera_accuracy_to_msg(CameraAccuracy(2e-3, 5e-3), STAMP)
+    found = camera_accuracy_from_msg(msg)
+    assert (found.position, found.heading) == pytest.approx((2e-3, 5e-3))
+    for value in (-1e-6, float("nan"), 1e9):
+        msg.pose.covariance[7] = value
+        with pytest.raises(InputError, match="Accuracy of the camera"):
+            camera_accuracy_from_msg(msg)
+    msg.header.frame_id = "map"
+    with pytest.raises(InputError, match="map"):
+        camera_accuracy_from_msg(msg)
 
 
 def test_deviations_of_an_outline_come_back_and_those_of_another_outline_are_left_out():

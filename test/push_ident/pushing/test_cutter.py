@@ -214,6 +214,7 @@ class Cell:
             wrench=Samples(np.array(self.wrench), np.array([position_at(-t) for t in self.wrench])) if self.wrench else None,
             push_intervals=tuple(self.records),
             camera_in_table=None,
+            camera_accuracy=None,
             n_depth=0,
             topics={},
         )

@@ -27,6 +27,7 @@ class Role(Enum):
 
     DEPTH = _Entry("depth/image_rect", "sensor_msgs/msg/Image")
     CAMERA_INFO = _Entry("depth/camera_info", "sensor_msgs/msg/CameraInfo")
+    CAMERA_ACCURACY = _Entry("depth/camera_accuracy", "geometry_msgs/msg/PoseWithCovarianceStamped")
     POSE = _Entry("objects/{id}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
     CELLS = _Entry("objects/{id}/cells", "nav_msgs/msg/OccupancyGrid")
     OUTLINE = _Entry("objects/{id}/outline", "geometry_msgs/msg/PolygonStamped")

@@ -11,10 +11,11 @@ from push_ident.geometry.outline import outline_of_cells, polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
 from push_ident.limits import LIMITS, check_coordinates
 from push_ident.perception.depth import check_intrinsics, depth_from_buffer
-from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array
+from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
 __all__ = [
     "DEFAULT_COVARIANCE",
+    "camera_accuracy_of",
     "cells_of",
     "covariance_of",
     "cylinder_radius_of",
@@ -90,6 +91,18 @@ def cells_of(grid: Any) -> tuple[CellGrid, float]:
     centres = transform_points(origin, np.column_stack([columns + 0.5, rows + 0.5]) * size)
     check_coordinates(centres, "occupancy grid", error=BagError)
     return CellGrid(centres, size), float(origin[2])
+
+
+def camera_accuracy_of(message: Any) -> CameraAccuracy | None:
+    """Of a geometry_msgs/PoseWithCovarianceStamped: its covariance is that of the table frame that the camera sees; None where it is none.
+
+    The larger one of x and y counts for both.
+    """
+    x, y, yaw = np.diag(np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6))[list(_PLANAR)]
+    most = LIMITS.COORDINATE.value**2
+    if not all(0 <= variance < most for variance in (x, y, yaw)):
+        return None
+    return CameraAccuracy(float(np.sqrt(max(x, y))), float(np.sqrt(yaw)))
 
 
 def outline_std_of(message: Any, n_edges: int) -> Float64Array | None:

@@ -12,7 +12,7 @@ from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
-from push_ident.types import PushRecord
+from push_ident.types import CameraAccuracy, PushRecord
 
 __all__ = ["pushes_by_object", "split_pushes"]
 
@@ -66,6 +66,7 @@ def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> 
     cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
     cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > gap)) == 0
     cutter.set_radius(contents.pusher_radius or 0.0)
+    cutter.set_camera(contents.camera_accuracy or CameraAccuracy())
     for interval in contents.push_intervals:
         cutter.add_record(interval)
     for time, position in zip(contents.pusher.time.tolist(), contents.pusher.value, strict=True):

@@ -18,14 +18,14 @@ from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushInterval
-from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["BagContents", "DepthRecording", "ObjectTrack", "Samples", "read_bag", "read_depth"]
 
 _MAX_JUMP_BACK: Final = 1_000_000_000
 """Stamps may run backwards by less than this [ns] (late delivery); a larger jump means that a clock was reset."""
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
-_LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE})
+_LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.CAMERA_ACCURACY})
 """Latched topics: a newer message replaces the previous one."""
 _DEPTH: Final = frozenset({Role.DEPTH, Role.CAMERA_INFO})
 
@@ -77,6 +77,8 @@ class BagContents:
     """In order of time; empty where the bag has no push records."""
     camera_in_table: Float64Array | None
     """Pose of the optical frame in `table`, homogeneous, shape (4, 4), where the bag has it."""
+    camera_accuracy: CameraAccuracy | None
+    """How well that pose is known, where the bag has it."""
     n_depth: int
     """Depth images in the bag."""
     topics: dict[str, int]
@@ -185,6 +187,7 @@ def _contents(
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
         camera_in_table=_camera_in_table(recorded, notes),
+        camera_accuracy=_camera_accuracy(recorded, notes),
         n_depth=n_depth,
         topics=topics,
         notes=notes,
@@ -364,6 +367,16 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> 
         notes.append(f"static transforms lead from {CAMERA_FRAME} to {frame}, not to {TABLE_FRAME}; extrinsics are unknown.")
         return None
     return camera_in_frame
+
+
+def _camera_accuracy(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> CameraAccuracy | None:
+    messages = recorded.get(TopicRole(Role.CAMERA_ACCURACY), _Recorded()).messages
+    if not messages:
+        return None
+    accuracy = decode.camera_accuracy_of(messages[-1])
+    if accuracy is None:
+        notes.append(f"`{Role.CAMERA_ACCURACY.value.name}` has no covariance of x, y and yaw; the camera counts as exact.")
+    return accuracy
 
 
 def _depth_frames(bag: OpenBag, origin: int, notes: list[str]) -> Iterator[DepthFrame]:

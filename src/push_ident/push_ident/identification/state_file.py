@@ -19,7 +19,7 @@ from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.result import WarmStart
 from push_ident.identification.scoring import PushScore, RunningRecord
 from push_ident.identification.summary import Summary
-from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
+from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
 
 __all__ = ["KeptState", "load_state", "save_state"]
 
@@ -38,6 +38,7 @@ class _Push(_Part):
     pose_time: list[float]
     pose: list[tuple[float, float, float]]
     pose_covariance: list[list[list[float]]]
+    camera: tuple[float, float] = (0.0, 0.0)
     pusher_time: list[float]
     pusher: list[tuple[float, float]]
     radius: float
@@ -185,6 +186,7 @@ def _push(record: PushRecord) -> _Push:
         pose_time=poses.time.tolist(),
         pose=poses.pose.tolist(),
         pose_covariance=poses.covariance.tolist(),
+        camera=(poses.camera.position, poses.camera.heading),
         pusher_time=pusher.time.tolist(),
         pusher=pusher.position.tolist(),
         radius=pusher.radius,
@@ -204,7 +206,7 @@ def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
     return PushRecord(
         object_id=object_id,
         shape=shape,
-        poses=PoseTrack(np.array(push.pose_time), np.array(push.pose), np.array(push.pose_covariance)),
+        poses=PoseTrack(np.array(push.pose_time), np.array(push.pose), np.array(push.pose_covariance), CameraAccuracy(*push.camera)),
         pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw),
         wrench=None if push.wrench_time is None else WrenchTrack(np.array(push.wrench_time), np.array(push.force)),
         source=push.source,

@@ -29,7 +29,7 @@ __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A subscriber that also keeps all holds the player back until it has room: nothing is lost, however fast the bag is played.
 _RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-_LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC})
+_LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.CAMERA_ACCURACY})
 _OBSERVED: Final = frozenset({Role.POSE, Role.DEPTH})
 _PUSHES: Final = frozenset({Role.PUSHER, Role.WRENCH, Role.PUSH_RECORD})
 _CLOCK_PERIOD_NS: Final = 10_000_000

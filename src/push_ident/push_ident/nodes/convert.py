@@ -18,6 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from push_ident.bags.decode import camera_accuracy_of
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.outline import outline_of_cells
@@ -27,10 +28,12 @@ from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.depth import check_intrinsics, depth_from_buffer
 from push_ident.pushing.cutter import PushInterval
-from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord
 
 __all__ = [
+    "camera_accuracy_from_msg",
+    "camera_accuracy_to_msg",
     "TABLE_FRAME",
     "cylinder_radius_from_msg",
     "cylinder_to_msg",
@@ -222,6 +225,29 @@ def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
     if not (math.isfinite(height) and 0 <= height < 10):
         raise InputError(f"Pusher height is {height}, expected 0 to 10 m.")
     return check_pusher_radius(float(msg.dimensions[SolidPrimitive.CYLINDER_RADIUS]))
+
+
+def camera_accuracy_to_msg(accuracy: CameraAccuracy, stamp: Time) -> PoseWithCovarianceStamped:
+    """The table frame that the camera sees in the true one: the identity, with its covariance."""
+    msg = PoseWithCovarianceStamped()
+    msg.header.stamp, msg.header.frame_id = stamp, TABLE_FRAME
+    msg.pose.pose.orientation.w = 1.0
+    variance = np.array([accuracy.position**2, accuracy.position**2, 0.0, 0.0, 0.0, accuracy.heading**2])
+    msg.pose.covariance = np.diag(variance).ravel()
+    return msg
+
+
+def camera_accuracy_from_msg(msg: PoseWithCovarianceStamped) -> CameraAccuracy:
+    """As `camera_accuracy_to_msg`; the larger one of x and y counts for both.
+
+    Raises:
+        InputError: Another frame, or a covariance that is none.
+    """
+    _check_frame(msg.header.frame_id, TABLE_FRAME)
+    accuracy = camera_accuracy_of(msg)
+    if accuracy is None:
+        raise InputError("Accuracy of the camera has variances that are negative, not finite or too large; expected those of x, y and yaw.")
+    return accuracy
 
 
 def outline_std_to_msg(shape: ObjectShape) -> Float32MultiArray:

@@ -17,7 +17,8 @@ from push_ident.nodes.network import COMMAND_LINE
 
 __all__ = ["listen_to_contract"]
 
-_RARE = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.PUSHER, Role.PUSH_RECORD})
+_LATCHED = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.CAMERA_ACCURACY})
+_RARE = _LATCHED | {Role.PUSHER, Role.PUSH_RECORD}
 """Roles that may be silent for a while."""
 
 

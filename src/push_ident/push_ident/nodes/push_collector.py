@@ -17,11 +17,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray
 
+from push_ident.bags.contract import Role
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.arrivals import Arrivals
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert import (
+    camera_accuracy_from_msg,
     cylinder_radius_from_msg,
     force_from_msg,
     planar_pose_from_msg,
@@ -100,6 +102,7 @@ class PushCollector:
         self._arrivals: dict[str, Arrivals] = {}
         self._subscribe(PoseStamped, "pusher/pose", self._on_pusher)
         node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
+        node.create_subscription(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, self._on_camera_accuracy, _LATCHED)
         self._subscribe(WrenchStamped, "pusher/wrench", self._on_wrench)
         self._subscribe(PushRecordMsg, "push_record", self._on_push_record)
         # On the wall clock: it must run when simulated time stands still.
@@ -233,6 +236,10 @@ class PushCollector:
         with self._taking("pusher shapes", "pusher/shape"):
             self.radius = cylinder_radius_from_msg(msg)
             self._cutter.set_radius(self.radius)
+
+    def _on_camera_accuracy(self, msg: PoseWithCovarianceStamped) -> None:
+        with self._taking("camera accuracies", Role.CAMERA_ACCURACY.value.name):
+            self._cutter.set_camera(camera_accuracy_from_msg(msg))
 
     def _on_wrench(self, msg: WrenchStamped) -> None:
         with self._taking("wrenches", "pusher/wrench"):

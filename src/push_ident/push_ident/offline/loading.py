@@ -15,6 +15,7 @@ from push_ident.errors import BagError
 from push_ident.identification.observation import observe_push, pusher_gaps
 from push_ident.perception.labels import Cylinder
 from push_ident.perception.recording import observe_offline
+from push_ident.perception.settings import PerceptionSettings
 from push_ident.physics.effect import OnContact
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
@@ -115,14 +116,16 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
         x, y = (float(np.interp(stamp, pusher.time, pusher.value[:, axis])) for axis in (0, 1))
         return [Cylinder(x=x, y=y, radius=radius)]
 
-    tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at)
+    settings = PerceptionSettings()
+    accuracy = contents.camera_accuracy or settings.camera_accuracy
+    tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at, settings=replace(settings, camera_accuracy=accuracy))
     objects = {
         object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
         for object_id, (shape, track) in tracked.items()
     }
     if not objects:
         raise BagError(f"{contents.path}: no object was found in its {contents.n_depth} depth images; check the pose of the camera.")
-    return replace(contents, objects=objects)
+    return replace(contents, objects=objects, camera_accuracy=accuracy)
 
 
 def most_pushed(contents: BagContents) -> str:

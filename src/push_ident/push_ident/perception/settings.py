@@ -43,8 +43,9 @@ class PerceptionSettings:
     search_period: float = 0.25
     """Time between two searches for new or lost objects once an object is known [s]; until then every frame is searched."""
 
-    camera_accuracy: CameraAccuracy = field(default_factory=CameraAccuracy)
-    """Of the extrinsics. Perception does not use it; it is stated with the poses, which all have this error."""
+    camera_accuracy: CameraAccuracy = field(default_factory=lambda: CameraAccuracy(position=2e-3, heading=5e-3))
+    """Of the extrinsics: by default that of a calibration by hand, with a mark or a board. Perception does not use it; it is stated with
+    the poses, which all have this error."""
 
     def __post_init__(self) -> None:
         if not (self.workspace_low[0] < self.workspace_high[0] and self.workspace_low[1] < self.workspace_high[1]):

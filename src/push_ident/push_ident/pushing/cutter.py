@@ -26,7 +26,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.limits import LIMITS
-from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
 __all__ = ["LIVE_CAPACITY", "UNRECORDED", "CutPush", "PushCutter", "PushInterval"]
 
@@ -154,6 +154,7 @@ class PushCutter:
         self._capacity = capacity
         self._find_runs = find_runs
         self._radius = 0.0
+        self._camera = CameraAccuracy()
         self._shapes: dict[str, ObjectShape] = {}
         self._poses: dict[str, _Samples] = {}
         self._pusher = _Samples(capacity)
@@ -185,6 +186,10 @@ class PushCutter:
     def set_radius(self, radius: float) -> None:
         """Radius of the pusher [m]."""
         self._radius = radius
+
+    def set_camera(self, accuracy: CameraAccuracy) -> None:
+        """How well the camera that measures the poses knows where it stands."""
+        self._camera = accuracy
 
     def set_shape(self, object_id: str, shape: ObjectShape) -> None:
         """Cells and outline of an object."""
@@ -396,7 +401,9 @@ class PushCutter:
         return PushRecord(
             object_id=object_id,
             shape=self._shapes[object_id],
-            poses=PoseTrack(stamps, np.array([pose for pose, _ in observed]), np.array([covariance for _, covariance in observed])),
+            poses=PoseTrack(
+                stamps, np.array([pose for pose, _ in observed]), np.array([covariance for _, covariance in observed]), self._camera
+            ),
             pusher=PusherPath(time, np.array(positions), self._radius),
             wrench=WrenchTrack(wrench_time, np.array(forces)) if len(wrench_time) else None,
             source=f"push at {time[0]:.2f} s",

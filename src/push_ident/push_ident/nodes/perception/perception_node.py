@@ -24,12 +24,14 @@ from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
+from push_ident.bags.contract import Role
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
+    camera_accuracy_to_msg,
     cylinder_radius_from_msg,
     joints_from_msg,
     occupancy_to_msg,
@@ -112,6 +114,7 @@ class _Perception(Component):
 
         self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
         self._camera_publisher = self._node.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
+        self._accuracy_publisher = self._node.create_publisher(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, _LATCHED)
         self._camera_published: Float64Array | None = None
         self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
         self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", _LATCHED)
@@ -349,6 +352,7 @@ class _Perception(Component):
         if self._perception is not None and self._camera_published is not self._perception.camera_in_table:
             self._camera_published = self._perception.camera_in_table
             self._camera_publisher.publish(transform_to_msg(stamp, self._camera_published))
+            self._accuracy_publisher.publish(camera_accuracy_to_msg(self._perception.settings.camera_accuracy, stamp))
         if observation.occupancy is not None:
             grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))

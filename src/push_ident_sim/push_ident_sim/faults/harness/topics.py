@@ -49,6 +49,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "/diagnostics": Topic(DiagnosticArray),
     "depth/image_rect": Topic(Image, best_effort=True),
     "depth/camera_info": Topic(CameraInfo, best_effort=True),
+    "depth/camera_accuracy": Topic(PoseWithCovarianceStamped, latched=True),
     "workspace/occupancy": Topic(OccupancyGrid, latched=True),
     "workspace/refused": Topic(MarkerArray, latched=True),
     f"objects/{OBJECT}/pose": Topic(PoseWithCovarianceStamped),
