@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
 from push_ident.geometry.se2 import quaternion_of_yaw
-from push_ident.types import CameraIntrinsics, CellGrid, ObjectShape, PushRecord
+from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, ObjectShape, PushRecord
 
 
 @pytest.mark.parametrize("prefix", ["", "/", "/cell1/", "/lab/cell_2/"])
@@ -184,3 +185,26 @@ def test_contract_sample_of_another_maker_is_read() -> None:
     assert polygon_area(shape.outline) == pytest.approx(70 * 0.011**2, rel=1e-5)
     assert polygon_area(outline_of_cells(shape.cells.centres, 0.011)) == pytest.approx(70 * 0.011**2)
     np.testing.assert_allclose(np.sqrt(np.diag(pushes[0].poses.covariance[0])), [1e-3, 1e-3, np.radians(0.5)])
+
+
+def test_accuracy_of_the_camera_is_that_of_every_push(tmp_path: Path) -> None:
+    accuracy = CameraAccuracy(position=2e-3, heading=5e-3)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_shape("7", L_SHAPE, 1.0)
+        writer.write_camera_accuracy(1.0, accuracy)
+        write_push(writer, 2.0)
+    contents = read_bag(tmp_path / "bag")
+    assert contents.camera_accuracy is not None
+    assert (contents.camera_accuracy.position, contents.camera_accuracy.heading) == pytest.approx((2e-3, 5e-3))
+    (record,) = split_pushes(contents, "7")
+    assert record.poses.camera == contents.camera_accuracy
+
+
+def test_a_camera_accuracy_that_is_none_is_noted_and_left_out(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_shape("7", L_SHAPE, 1.0)
+        writer.write_camera_accuracy(1.0, SimpleNamespace(position=1e6, heading=0.0))
+        write_push(writer, 2.0)
+    contents = read_bag(tmp_path / "bag")
+    assert contents.camera_accuracy is None
+    assert any("depth/camera_accuracy" in note for note in contents.notes)
