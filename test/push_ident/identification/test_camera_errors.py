@@ -23,6 +23,7 @@ from push_ident.types import CameraAccuracy, ObjectShape, PushRecord
 ACCURACY = CameraAccuracy(position=4e-3, heading=1e-2)
 WRONG = np.array([4e-3, -3e-3, 8e-3])
 """The true table frame in that of the camera."""
+ASIDE = np.array([3e-3, 0.0, 0.0])
 RECORDS = random_records(hammer(1), 10, 5)
 
 
@@ -77,7 +78,7 @@ def test_gradient_with_a_traced_outline_and_a_camera_equals_central_differences(
 
 def test_a_push_that_touches_a_displaced_surface_moves_the_maps_less() -> None:
     """Where the outline is exact, a push displaced by 3 mm is explained by the object; where it is traced, by its outline."""
-    records = [*RECORDS[:3], replace(RECORDS[3], poses=replace(RECORDS[3].poses, pose=RECORDS[3].poses.pose + [3e-3, 0.0, 0.0]))]
+    records = [*RECORDS[:3], replace(RECORDS[3], poses=replace(RECORDS[3].poses, pose=RECORDS[3].poses.pose + ASIDE))]
     moved = {}
     for name, shape in (("exact", RECORDS[0].shape), ("traced", traced(RECORDS[0].shape, 3e-3))):
         with_push, without = (identify([replace(r, shape=shape) for r in part]).posterior.model for part in (records, RECORDS[:4]))

@@ -63,3 +63,18 @@ def test_nothing_to_simulate_and_different_pushers_are_refused() -> None:
     other = BatchPush(PusherPath(one[0].pusher.time, one[0].pusher.position, 0.01), *one[0][1:])
     with pytest.raises(InputError, match="differ in their pusher"):
         rollouts(model.shape, whole, [*one, other], step=1 / 80)
+
+
+def test_a_surface_beside_its_outline_is_that_of_the_effect() -> None:
+    model, pushes = models()[0], pushes_of(np.random.default_rng(2), 12)
+    body, numerics = body_of_cells(model.shape, model.mass, model.friction), SimulationSettings(step=1 / 480, resolve_events=True)
+    found = rollouts(model.shape, [BatchModel(body, model.pusher_friction, 1.5e-3)], pushes, step=1 / 480)[0]
+    left = []
+    for pose, push in zip(found, pushes, strict=True):
+        scenario = PushScenario(push.pusher, push.pose_object_in_table, push.time)
+        exact = simulate_body(model.shape, body, model.pusher_friction, scenario, settings=numerics, effects={"outline_error": [1.5e-3]})
+        plain = simulate_body(model.shape, body, model.pusher_friction, scenario, settings=numerics)
+        moved = np.linalg.norm(plain.pose[-1, :2] - exact.pose[-1, :2])
+        left.append(np.linalg.norm(pose[-1, :2] - exact.pose[-1, :2]) / moved)
+    # The lever of the friction differs by the offset.
+    assert np.median(left) < 0.1 and max(left) < 0.35

@@ -9,6 +9,7 @@ import pytest
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, inverse, transform_points
+from push_ident.identification.prior import Prior
 from push_ident.identification.result import prior_posterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -147,3 +148,24 @@ def test_chance_agrees_with_the_distribution() -> None:
     assert goal.chance(np.array([0.002, 0.0, np.pi + 0.01]), covariance) == pytest.approx(
         np.mean(goal.relative_error(drawn) <= 1.0), abs=0.03
     )
+
+
+def test_a_camera_elsewhere_changes_no_push_of_the_arm() -> None:
+    camera, pose, goal = np.array([4e-3, -3e-3, 0.02]), np.array([0.02, -0.05, 1.0]), Goal(np.array([0.05, 0.03, 0.4]), 0.01, 0.05)
+    sure = 1e-8 * np.eye(3)
+    plain = PLANNER.plan(Belief.certain(MODEL), pose, sure, goal)
+    displaced = replace(Belief.certain(MODEL), camera=camera)
+    seen = PLANNER.plan(displaced, compose(camera, pose), sure, replace(goal, pose=compose(camera, goal.pose)))
+    assert plain.plan is not None and seen.plan is not None
+    np.testing.assert_allclose(seen.plan.contact_point, plain.plan.contact_point, atol=1e-6)
+    np.testing.assert_allclose(seen.end, compose(camera, plain.end), atol=1e-6)
+
+
+def test_what_pushes_show_of_the_camera_is_part_of_the_belief() -> None:
+    prior = Prior(camera_position_std=2e-3, camera_heading_std=5e-3)
+    posterior = prior_posterior(MODEL.shape, prior)
+    z = posterior.z.copy()
+    z[posterior.unknowns.slice_of("effects")] = 1.0
+    belief = Belief.of(replace(posterior, z=z))
+    assert np.linalg.norm(belief.camera[:2]) == pytest.approx(np.hypot(2e-3, 2e-3)) and belief.camera[2] == pytest.approx(5e-3)
+    assert belief.mean.effects.names == ()

@@ -52,7 +52,7 @@ def parameter_text(survey: Survey, source: str) -> str:
     lines = [
         *(f"# {line}" for line in pose),
         *pose_lines(survey.camera_in_table),
-        "# Standard deviations of that pose along x and y [m] and about z [rad]. No image shows them: state them as calibrated. 0: exact.",
+        "# Standard deviations of that pose along x and y [m] and about z [rad]. No image shows them: state those of your calibration.",
         f"{POSITION_STD}: {defaults.camera_accuracy.position}",
         f"{HEADING_STD}: {defaults.camera_accuracy.heading}",
         "# The box around 99 % of the points of the table.",

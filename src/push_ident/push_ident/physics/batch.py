@@ -1,7 +1,8 @@
 """Many pushes of many models in one compiled call, on all cores.
 
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
-between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives and without effects.
+between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives and without effects but that of
+a surface beside its outline.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ class BatchModel(NamedTuple):
 
     body: BodyParameters
     pusher_friction: float
+    surface: float = 0.0
+    """How far the surface lies outside the outline [m]: the same as a pusher of so much larger a radius."""
 
 
 class BatchPush(NamedTuple):
@@ -57,6 +60,8 @@ class _Models(NamedTuple):
     inertia: Float64Array
     """(n_models, 3)"""
     mu: Float64Array
+    """(n_models,)"""
+    surface: Float64Array
     """(n_models,)"""
 
 
@@ -94,8 +99,8 @@ def _roll_range(
         m, p = task // n_pushes, task % n_pushes
         n = pushes.n_steps[p]
         push = Push(
-            pushes.pose[p], pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
-            models.centre[m], models.inertia[m], models.mu[m],
+            pushes.pose[p], pushes.path[p, : n + 1], shape.corners, max(shape.radius + models.surface[m], 0.0), shape.outline,
+            models.arms[m], models.limit[m], models.centre[m], models.inertia[m], models.mu[m],
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
@@ -160,6 +165,7 @@ def _models(shape: ObjectShape, models: Sequence[BatchModel]) -> _Models:
         centre=np.array([body.centre for body in bodies]),
         inertia=np.array([[body.mass, body.mass, body.inertia] for body in bodies]),
         mu=np.array([model.pusher_friction for model in models], dtype=np.float64),
+        surface=np.array([model.surface for model in models], dtype=np.float64),
     )
 
 

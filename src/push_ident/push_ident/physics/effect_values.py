@@ -71,6 +71,13 @@ class EffectValues:
             start = stop
         raise InputError(f"The effect {name!r} is not active, expected one of {', '.join(self.names) or 'none'}.")
 
+    @property
+    def of_motion(self) -> EffectValues:
+        """Those that change how things move; the others change how poses are reported."""
+        own = [effect for effect in self.effects if not isinstance(effect.acts, OnPoses)]
+        values = [self.values[self.slice_of(effect.name)] for effect in own]
+        return EffectValues(tuple(effect.name for effect in own), np.concatenate([np.zeros(0), *values]))
+
     def with_values(self, values: ArrayLike) -> EffectValues:
         """The same effects with other values.
 

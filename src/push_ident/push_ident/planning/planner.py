@@ -15,7 +15,7 @@ by the exact derivative, and what is expected of it is taken from more models an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
@@ -24,7 +24,7 @@ from scipy.spatial import KDTree
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.outline import signed_distance
-from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import CERTAIN, Goal
@@ -123,6 +123,21 @@ class GoalPlanner:
             obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
             failed: pushes from this pose that did not move the object, or could not be made.
         """
+        found = self._plan(belief, *_seen_by_the_arm(belief.camera, pose, covariance, goal, obstacles), failed)
+        if found.plan is None:
+            return found
+        return replace(found, end=compose(belief.camera, found.end), ends=compose(belief.camera, found.ends))
+
+    def _plan(
+        self,
+        belief: Belief,
+        pose: Float64Array,
+        covariance: Float64Array,
+        goal: Goal,
+        obstacles: Sequence[Float64Array],
+        failed: Sequence[PushPlan2D],
+    ) -> GoalPush:
+        """As `plan`, all of it in the table frame of the arm."""
         chance = goal.chance(pose, covariance)
         if chance >= CERTAIN:
             return GoalPush(PlanStatus.ARRIVED, chance)
@@ -217,6 +232,17 @@ class GoalPlanner:
             ends[:, best],
             float(value[best]),
         )
+
+
+def _seen_by_the_arm(
+    camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal, obstacles: Sequence[Float64Array]
+) -> tuple[Float64Array, Float64Array, Goal, list[Float64Array]]:
+    """What the camera sees, in the table frame of the arm: pose, covariance, goal, outlines."""
+    away = inverse(camera)
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(float(away[2]))
+    there = Goal(compose(away, goal.pose), goal.position, goal.yaw)
+    return compose(away, pose), turn @ covariance @ turn.T, there, [transform_points(away, outline) for outline in obstacles]
 
 
 def _ranked(library: Library, further: _FurtherPushes, wanted: Goal) -> list[tuple[int, int]]:

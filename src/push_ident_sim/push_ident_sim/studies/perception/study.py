@@ -40,8 +40,9 @@ _OUTLINES: Final = {
     "placed_m": "the same, placed",
     "refined_m": "after the pushes",
     "refined_placed_m": "the same, placed",
+    "table_m": "place of the object by the extrinsics, RMS [mm]",
 }
-"""Errors of outlines, and how the table calls them."""
+"""Errors of outlines, and of the table frame that the camera sees, and how the table calls them."""
 _PICTURE_WIDTH: Final = 800
 _FOUND: Final = 0.5
 """Overlap from which the shape of an object counts as right."""
@@ -287,7 +288,8 @@ STUDY = Experiment(
         "its joint positions, without error. The outline is compared with the true one, where it is and placed as well as a rigid "
         "motion can, its cells as the overlap of the areas (IoU). Position errors count both axes together; the object frame is that of "
         "the first detection. With each model of a sensor, the same in full view: the camera stands where the sensor sees the "
-        "workspace, each case has another unit, and perception gets the pose and intrinsics that the unit publishes, not its own. The "
+        "workspace, each case has another unit, and perception gets the pose and intrinsics that the unit publishes, not its own. "
+        "Errors are then those in the table frame that the camera sees; by how much the extrinsics displace an object is a column. The "
         "recorded scenes come from a Kinect, with labels by others; an object counts as found from an IoU of 0.5 with its best segment, "
         "both in the view from above. Delays are measured between processes, the node on one core."
     ),
