@@ -11,12 +11,13 @@ import pytest
 from helpers.objects import hammer, random_records, square
 from push_ident.geometry.se2 import compose
 from push_ident.identification.identify import identify
+from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.prediction import held_out_errors, predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem, unknowns_of_push
-from push_ident.identification.unknowns import Unknowns, nuisances_of
+from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import CameraAccuracy, ObjectShape, PushRecord
 

@@ -9,9 +9,10 @@ from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification.fit import Fit
 from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem, without_first_push
-from push_ident.identification.unknowns import Block, Layout, Unknowns, nuisances_of
+from push_ident.identification.unknowns import Block, Layout, Unknowns
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import CameraAccuracy, ObjectShape, SolveStatus
 

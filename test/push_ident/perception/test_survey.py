@@ -211,7 +211,7 @@ def test_parameter_file_holds_what_was_found_and_is_read_as_parameters(survey):
     values = yaml.safe_load(text)["/**/perception_node"]["ros__parameters"]
     stds = {"camera_position_std", "camera_heading_std"}
     assert set(values) == {"extrinsics", "camera_position", "camera_quaternion", "workspace_low", "workspace_high"} | stds
-    assert all(values[name] == 0.0 for name in stds)
+    assert {name: values[name] for name in stds} == {"camera_position_std": 2e-3, "camera_heading_std": 5e-3}
     np.testing.assert_allclose(values["camera_position"], survey.camera_in_table[:3, 3], atol=1e-6)
     np.testing.assert_allclose(values["camera_quaternion"], quaternion_of_pose(survey.camera_in_table), atol=1e-7)
     np.testing.assert_allclose(values["workspace_high"], survey.settings.workspace_high, atol=1e-3)

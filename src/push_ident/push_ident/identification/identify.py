@@ -14,6 +14,7 @@ from push_ident.identification.evidence import explain
 from push_ident.identification.explanation import Explanation
 from push_ident.identification.fit import Fit, FitOptions
 from push_ident.identification.levenberg_marquardt import minimise_roughly
+from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.observation import noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
@@ -22,7 +23,7 @@ from push_ident.identification.solver import FitTask, MapFit
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_measured_forces
-from push_ident.identification.unknowns import Unknowns, nuisances_of
+from push_ident.identification.unknowns import Unknowns
 from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["Earlier", "identify", "uniform_model"]
@@ -85,8 +86,7 @@ def identify(
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
     prior = (prior or Prior()).seen_by(record.poses.camera for record in records)
-    if solver.capabilities.takes_effects:
-        effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior))))
+    effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options, earlier = options or FitOptions(), earlier or Earlier()
     options = replace(options, noise=noise_at_rest(records, options.noise))
     meter = Meter(budget, on_progress)

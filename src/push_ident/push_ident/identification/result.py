@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from push_ident.identification.explanation import Explanation
+from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.prior import MapPrior, Prior
-from push_ident.identification.unknowns import Unknowns, nuisances_of
+from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus
 

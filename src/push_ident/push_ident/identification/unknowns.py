@@ -33,16 +33,16 @@ from push_ident.errors import InputError
 from push_ident.identification.feet import Feet, FeetDerivative, FeetLoad, feet_load, feet_load_derivative
 from push_ident.identification.load import balanced_load, balanced_load_derivative
 from push_ident.identification.map_modes import leading_modes, map_covariance, relative_distances
+from push_ident.identification.nuisances import measured_std
 from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
-from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape
 
-__all__ = ["Block", "Layout", "Mechanics", "Unknowns", "nuisances_of"]
+__all__ = ["Block", "Layout", "Mechanics", "Unknowns"]
 
 _ROUNDING: Final = 1e-12
 """Added to the covariance of the modes, which are independent with a variance of 1 at the own length [-]."""
@@ -137,23 +137,6 @@ class Mechanics:
         )
 
 
-def nuisances_of(shape: ObjectShape, prior: Prior) -> tuple[str, ...]:
-    """Effects that are unknown by how shape and poses were measured, whatever the object is.
-
-    Pushes show where an outline that a camera traced really is, and where the camera stands with respect to the pusher.
-    """
-    return tuple(name for name in CAMERA_ERRORS if np.any(_measured_std(name, shape, prior) > 0))
-
-
-def _measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
-    """Standard deviations of the parameters of an effect, as far as those who measured state them, shape (n_parameters,); else 0."""
-    effect = EFFECTS[name]
-    if effect.moves_outline:
-        return np.full(len(effect.parameters), shape.outline_error or 0.0)
-    stated = {"m": prior.camera_position_std, "rad": prior.camera_heading_std} if effect.is_camera_error else {}
-    return np.array([stated.get(parameter.unit, 0.0) for parameter in effect.parameters])
-
-
 class Unknowns:
     """The unknowns `z` of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_places`, `foot_width`,
     `foot_preferences`, `effects`, `friction_scale` and `pusher_friction`. There is no
@@ -220,7 +203,7 @@ class Unknowns:
     def _effect_std(self) -> Float64Array:
         std = np.array([parameter.scale for parameter in self.effects.parameters], dtype=np.float64)
         for name in self.effects.names:
-            measured, own = _measured_std(name, self.shape, self.prior), self.effects.slice_of(name)
+            measured, own = measured_std(name, self.shape, self.prior), self.effects.slice_of(name)
             std[own] = np.where(measured > 0, measured, std[own])
         for name, given in self._given_effect_std.items():
             if name in self.effects.names:

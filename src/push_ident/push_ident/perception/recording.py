@@ -13,7 +13,7 @@ from push_ident.perception.labels import RobotPart
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking import TrackStatus
-from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack
+from push_ident.types import CameraAccuracy, DepthFrame, Float64Array, ObjectShape, PoseTrack
 
 __all__ = ["observe_offline"]
 
@@ -70,13 +70,14 @@ def observe_offline(
         why = observation.why_no_pose()
     shapes |= perception.finish()
     accuracy = perception.settings.camera_accuracy
-    result = {}
-    for name, track in tracks.items():
-        if len(track) >= 2:
-            time, pose, covariance = (np.array(column) for column in zip(*track, strict=True))
-            result[name] = shapes[name], PoseTrack(time, pose, covariance, accuracy)
+    result = {name: (shapes[name], _pose_track(track, accuracy)) for name, track in tracks.items() if len(track) >= 2}
     if not result:
         raise PerceptionError(
             f"No object was found in {n_frames} depth frames: {given_up or why or 'each has a pose in fewer than two frames'}."
         )
     return result
+
+
+def _pose_track(track: Sequence[tuple[float, Float64Array, Float64Array]], accuracy: CameraAccuracy) -> PoseTrack:
+    time, pose, covariance = (np.array(column) for column in zip(*track, strict=True))
+    return PoseTrack(time, pose, covariance, accuracy)

@@ -143,8 +143,7 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
             shadow that which covers it casts.
         with_arm: The arm that pushes is in the picture; perception gets its true posture.
         sensor: Model of the camera, at a pose that suits it. Each case is another unit, and perception gets the pose and the intrinsics
-            that the unit publishes. Errors are those in the table frame that the camera sees: it has the error of the extrinsics, which
-            is `table_m` where the object first lies.
+            that the unit publishes. Errors are those in the table frame that the camera sees; the object first lies `table_m` off.
 
     Returns:
         Of the outline from one view `outline_m` (root mean square), `placed_m` (the same, placed as well as a rigid motion can),
@@ -162,13 +161,12 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
     thing = make_object(object_name, seed)
     rng = np.random.default_rng([seed, len(object_name), int(100 * hidden)])
     unit, reported = Sensor(sensor, unit_of(object_name, seed)), suitable_pose(sensor)
-    camera = unit.camera(thing, reported)
+    camera, perception = unit.camera(thing, reported), Perception(reported)
     empty = camera.render((5.0, 5.0, 0.0), {})
-    perception = Perception(reported)
     kinds: dict[str, Json] = {k: {"position_m": [], "yaw": [], "squared": [], "hidden": [], "not_tracked": 0} for k in ("rest", "moving")}
     shape: ObjectShape | None = None
     refined: ObjectShape | None = None
-    at_first, occupancy = np.zeros(3), None
+    occupancy = None
     arm = ArmInView() if with_arm else None
     views, postures = _pushes_of_arm(arm, thing.outline, rng) if arm else (views_of_pushes(rng), [])
     for i, (view, seen) in enumerate(_looked_at(unit, camera, views)):
@@ -177,27 +175,24 @@ def see_pushes(object_name: str, seed: int, hidden: float = 0.0, *, with_arm: bo
             seen = cover(depth, empty, hidden, rng)
         elif arm:
             seen, parts = unit.look(camera, view.pose, arm.link_poses(postures[i])), arm.parts(postures[i])
-        covered = _depth(seen)
         observed = perception.observe(DepthFrame(view.stamp, unit.read(seen, rng), unit.intrinsics), parts)
         if shape is None:
             occupancy = observed.occupancy or occupancy
             if observed.new_shapes:
-                shape, at_first = observed.new_shapes["o1"], view.pose
-                table = unit.table_as_seen(perception.camera_in_table, reported)
-                offset = compose(inverse(compose(table, view.pose)), perception.first_pose("o1"))
+                shape, table = observed.new_shapes["o1"], unit.table_as_seen(perception.camera_in_table, reported)
+                at_first = compose(table, view.pose)
+                off, offset = at_first - view.pose, compose(inverse(at_first), perception.first_pose("o1"))
             continue
         refined = observed.refined.get("o1", refined)
         kind = kinds["moving" if view.moving else "rest"]
         on_object = depth < empty - _RAISED
-        kind["hidden"].append(round(float(np.mean(covered[on_object] < depth[on_object] - _RAISED)), 4))
+        kind["hidden"].append(round(float(np.mean(_depth(seen)[on_object] < depth[on_object] - _RAISED)), 4))
         _note(kind, observed, compose(compose(table, view.pose), offset))
     if shape is None or occupancy is None:
         raise PerceptionError(f"{object_name} {seed} was not found: {observed.why_no_pose()}.")
     truth = transform_points(inverse(offset), thing.outline)
     last = outline_errors((refined or shape).outline, truth)
-    in_table = transform_points(compose(table, at_first), thing.outline)
-    extrinsics = float(np.linalg.norm(compose(table, at_first)[:2] - at_first[:2]))
-    scores = _scores(shape, occupancy, truth, in_table) | {"table_m": round(extrinsics, 6)}
+    scores = _scores(shape, occupancy, truth, transform_points(at_first, thing.outline)) | {"table_m": round(float(np.hypot(*off[:2])), 6)}
     return scores | {"refined_m": last["outline_m"], "refined_placed_m": last["placed_m"], "kinds": kinds}
 
 
