@@ -23,6 +23,9 @@ _NEAR: Final = 4
 _SHADOW: Final = 0.05
 """Width up to which unmeasured pixels may surround an object [m]: the shadow that the projector or the second imager of a depth camera
 leaves is baseline * height / (distance - height), 5 cm for an object of 0.4 m seen from 1 m at a baseline of 75 mm."""
+_OWN_SHADOW: Final = 1.0 / 3.0
+"""Width of the shadow that a step of an object leaves on the object itself over the height of the step [-]: a baseline of a third of the
+distance, that of a structured-light scanner near its object; other depth cameras have a tenth or less."""
 _UNMEASURED: Final = 0.15
 """Largest fraction of the surrounding pixels beside which nothing is measured for further than that: half of one of four sides."""
 _ON_ANOTHER: Final = 0.6
@@ -72,7 +75,9 @@ def find_segments(
     on_object = labels == OBJECT
     region = _region(on_object)
     surfaces = np.zeros(labels.shape, dtype=np.int32)
-    surfaces[region] = _surfaces(frame.depth[region], on_object[region], frame.intrinsics.fx, settings.min_step)
+    shadowed, depth = _bridged(frame.depth[region], labels[region], frame.intrinsics.fx, settings.min_step)
+    surfaces[region] = _surfaces(depth, on_object[region] | shadowed, frame.intrinsics.fx, settings.min_step)
+    surfaces[region][shadowed] = 0
     counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
     segments = []
     for index, box in enumerate(_boxes(surfaces, region), start=1):
@@ -140,6 +145,24 @@ def _beside_unmeasured(frame: DepthFrame, labels: NDArray[np.int8], box: tuple[s
     areas = cv2.morphologyEx(others.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     to_others = cv2.distanceTransform(1 - areas, cv2.DIST_L2, 3)[inner]
     return bool(np.count_nonzero(around & (to_others * pixel > _SHADOW)) > enough)
+
+
+def _bridged(depth: NDArray[np.float32], labels: NDArray[np.int8], focal: float, step: float) -> tuple[BoolArray, NDArray[np.float32]]:
+    """Unmeasured pixels between object pixels that a step of one object may shadow, and the depth image with the lower surface there.
+
+    An object divided by its own shadow is one patch with them; steps that divide objects still do.
+    """
+    on_object, unmeasured = (labels == OBJECT).astype(np.uint8), labels == UNKNOWN
+    none = np.zeros(labels.shape, dtype=bool)
+    if not unmeasured.any() or not on_object.any():
+        return none, depth
+    width = _OWN_SHADOW * step * focal / float(np.median(depth[on_object > 0]))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(np.ceil(width / 2)) + 1,) * 2)
+    between = (cv2.morphologyEx(on_object, cv2.MORPH_CLOSE, kernel) > 0) & unmeasured
+    if not between.any():
+        return none, depth
+    behind = cv2.dilate(np.where(on_object > 0, depth, np.float32(0.0)), kernel)
+    return between, np.where(between, behind, depth)
 
 
 def _region(mask: BoolArray) -> tuple[slice, slice]:
