@@ -67,6 +67,22 @@ def test_a_step_lower_than_min_step_is_part_of_one_object(yaw):
     assert counts["segments"] == 1
 
 
+@pytest.mark.parametrize(("head", "n_segments"), [(0.032, 1), (0.06, 2)])
+@pytest.mark.parametrize("shadow", [0.002, 0.005])
+def test_the_shadow_of_a_step_of_an_object_does_not_divide_it(head, n_segments, shadow):
+    """Nothing is measured on the handle beside the head, which a projector on the other side does not light."""
+    frame = render([box(0.0, 0.0, 0.2, 0.03, 0.02), box(0.12, 0.0, 0.04, 0.1, head)], CAMERA, rng=np.random.default_rng(0))
+    points = points_in_table(frame, CAMERA)
+    depth = frame.depth.copy()
+    depth[(points[..., 0] > 0.1 - shadow) & (points[..., 0] < 0.1) & (points[..., 2] > 0.012)] = np.nan
+    shadowed = replace(frame, depth=depth)
+    points = points_in_table(shadowed, CAMERA)
+    segments, counts = find_segments(shadowed, points, label_pixels(points, (), TALL), TALL)
+    assert counts["segments"] == n_segments
+    if n_segments == 1:
+        assert np.ptp(points[segments[0].rows, segments[0].columns][segments[0].mask][:, 0]) > 0.23
+
+
 def test_an_object_behind_another_is_found_but_not_registered():
     prisms = [box(-0.06, 0.0, 0.06, 0.24, 0.11), box(0.06, 0.0, 0.05, 0.1, 0.11)]
     segments, _ = segments_of(prisms, settings=replace(TALL, min_object_height=0.01))
