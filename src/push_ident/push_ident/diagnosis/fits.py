@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["fit_base", "fit_effects", "fit_some_values", "polished", "with_another", "without_pushes"]
+__all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
 
 _MAX_ITERATIONS: Final = 40
 """Of a fit that starts from another one."""
@@ -65,18 +65,6 @@ def fit_effects(
     if start is not None and expected > _SECOND_START_GAIN and fits[0].end.cost > base.end.cost - 1.0:
         fits.append(_refit(base, unknowns, guess + _SECOND_START * (start - guess), needed_cost))
     return max(fits, key=lambda fit: fit.log_evidence)
-
-
-def fit_some_values(base: Fit, names: Sequence[str], start: Float64Array, frozen: Collection[int]) -> Fit:
-    """As `fit_effects` from `start`, with some values of the effects frozen at their nominal value.
-
-    Args:
-        base: an earlier fit, whose maps are the start.
-        names: of all effects of the fit.
-        start: unknowns of the effects to start from, shape (n_values,).
-        frozen: numbers of the frozen values, from the first value of the first effect.
-    """
-    return _refit(base, base.unknowns.with_effects(names, frozen), start)
 
 
 def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:
