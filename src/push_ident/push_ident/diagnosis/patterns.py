@@ -296,7 +296,8 @@ def _bells(path: _Path) -> Float64Array:
 def _friction_by_place(path: _Path, places: Float64Array) -> Float64Array:
     """Friction of the cells within a bell over each place, shape (n_steps, 3, n_places)."""
     response, arms = path.response, path.response.arms
-    steps = np.arange(0, len(response.time), _THIN)
+    sampled = np.arange(0, len(response.time), _THIN)
+    steps = sampled[path.speed[sampled] > 2.0 * _STILL]
     cos, sin = np.cos(response.pose[steps, 2])[:, None], np.sin(response.pose[steps, 2])[:, None]
     x, y = cos * arms[:, 0] - sin * arms[:, 1], sin * arms[:, 0] + cos * arms[:, 1]
     turn = response.twist[steps, 2][:, None]
@@ -304,10 +305,17 @@ def _friction_by_place(path: _Path, places: Float64Array) -> Float64Array:
     size = np.sqrt(vx**2 + vy**2 + _STILL**2)
     fx, fy = -response.limit * vx / size, -response.limit * vy / size
     force = np.stack([fx, fy, x * fy - y * fx], axis=1)
-    at_x, at_y = x + response.pose[steps, 0][:, None], y + response.pose[steps, 1][:, None]
-    # A bell over a place is a product over the two axes.
-    bell = np.exp(-0.5 * ((at_x[..., None] - places[:, 0]) ** 2 + (at_y[..., None] - places[:, 1]) ** 2) / _WIDTH**2)
-    return np.repeat(np.matmul(force, bell), _THIN, axis=0)[: len(response.time)]
+    # A bell over a place is a product over the two axes, on which places of a grid repeat.
+    bell_x, bell_y = (_bells_over(own + response.pose[steps, axis][:, None], places[:, axis]) for axis, own in ((0, x), (1, y)))
+    wrench = np.zeros((len(sampled), 3, len(places)))
+    wrench[path.speed[sampled] > 2.0 * _STILL] = np.matmul(force, bell_x * bell_y)
+    return np.repeat(wrench, _THIN, axis=0)[: len(response.time)]
+
+
+def _bells_over(at: Float64Array, centres: Float64Array) -> Float64Array:
+    """exp(-1/2 (at - centre)^2 / width^2), shape (*at.shape, n_centres)."""
+    different, number = np.unique(centres, return_inverse=True)
+    return np.asarray(np.exp(-0.5 * ((at[..., None] - different) / _WIDTH) ** 2)[..., number])
 
 
 def _field(path: _Path, places: Float64Array) -> Float64Array:
