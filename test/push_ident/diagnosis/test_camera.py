@@ -29,10 +29,10 @@ def test_an_outline_is_as_accurate_as_its_deviations_say() -> None:
 
 
 def test_camera_raises_margins_and_noise_and_lowers_none() -> None:
-    strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(tie_margin=99.0)))
+    strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(discrepancy_rivals=50.0)))
     policy = camera_settings(strict, hammer_shape()).policy
-    assert policy.selection.tie_margin == 99.0
-    assert policy.selection.min_log_bayes_factor == policy.camera.min_log_bayes_factor
+    assert policy.selection.discrepancy_rivals == 50.0
+    assert policy.selection.min_log_bayes_factor == pytest.approx(15.0, abs=0.1)
     assert policy.for_camera() == policy
     assert camera_settings(strict, hammer_shape()).noise.floor_position >= strict.noise.floor_position
 

@@ -12,15 +12,14 @@ from helpers.diagnosis import NOISE, simulated_pushes, traced_by_camera, with_co
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_base
+from push_ident.diagnosis.patterns import VariesWith
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import correlation_in_motion
 from push_ident.diagnosis.result import Diagnosis, Verdict
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.wording import describe_wrench
 from push_ident.errors import InputError
 from push_ident.identification.observation import noise_correlation
-from push_ident.physics.effects import EFFECTS
 from push_ident.types import PoseTrack
 
 TILT = 0.02  # [rad]
@@ -77,18 +76,18 @@ def test_effect_of_the_base_model_is_no_gap() -> None:
 
 
 def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) -> None:
-    """More friction in one half of all headings in the table, and a torque with it: no effect of the catalogue does that."""
-    weights = {"along_cos": 0.06, "along_sin2": 0.06, "torque_cos": 0.04}
-    wrench = [weights.get(p.name, 0.0) for p in EFFECTS["unknown_wrench"].parameters]
-    found = diagnose(simulated_pushes(10, 3, {"unknown_wrench": wrench}))
+    """The table tilts after the fifth of ten pushes: no effect of the catalogue does that."""
+    tilted = simulated_pushes(10, 3, {"table_tilt": [0.03, 0.0]})
+    found = diagnose([*simulated_pushes(10, 3)[:5], *tilted[5:]])
     assert found.verdict is Verdict.UNKNOWN, found.sentence
-    assert found.wrench is not None and not found.effects
-    assert "heading in the table" in describe_wrench(found.wrench, found.policy.unknown)
-    assert found.gap is not None and found.gap.shrink > 0.5
+    assert found.something_else is not None and not found.effects
+    assert found.something_else.best.family.varies_with is VariesWith.FROM_PUSH
+    assert found.gap is not None and found.gap.shrink > 0.3
     content = to_json(found)
-    assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 10.0
+    assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 2.0
+    assert content["probabilities"]["something_else"] > 0.8 and content["something_else"]["where"] == "from push 5 on"
     write_report(tmp_path / "report.html", found, object_id="o1", sources=[])
-    assert "mm with a smooth wrench" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "mm with something else" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_small_error_of_a_traced_outline_joins_the_base_model_and_a_large_one_is_not_trusted() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.diagnosis import simulated_pushes
-from push_ident.diagnosis.fits import fit_base, fit_effects, fit_some_values, without_pushes
+from push_ident.diagnosis.fits import fit_base, without_pushes
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.budget import Meter
 from push_ident.identification.levenberg_marquardt import minimise
@@ -31,15 +31,6 @@ def test_fit_that_cannot_reach_the_target_ends_early() -> None:
     assert early.cost > full.cost
     # A target that the full solve reaches is within reach at every step.
     assert minimise(problem.of(problem.unknowns), np.zeros(problem.size), needed_cost=full.cost + 1.0)[1].cost == full.cost
-
-
-def test_effect_held_at_zero_is_as_if_it_were_not_part_of_the_model() -> None:
-    base = fit_base(simulated_pushes(4, 1), DiagnosisSettings())
-    names = ("table_tilt", "pose_latency")
-    held = fit_some_values(base, names, np.zeros(3), [0, 1, 2])
-    assert np.abs(held.effects.values).max() < 1e-6
-    assert held.log_evidence == pytest.approx(base.log_evidence, abs=0.1)
-    assert fit_effects(base, names).log_evidence != pytest.approx(base.log_evidence, abs=0.1)
 
 
 def test_push_held_out_is_not_part_of_the_fit() -> None:

@@ -27,6 +27,7 @@ def test_page_says_where_why_how_far_and_what_to_do_next(tmp_path: Path) -> None
         "noise of the poses",
         "Where the gap lies",
         "What causes it",
+        "How probable each cause is",
         "How far the gap shrinks",
         "What to do next",
         "spirit level",

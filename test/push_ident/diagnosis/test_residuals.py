@@ -44,7 +44,7 @@ def test_residual_ratio_is_that_of_variances_overall_and_of_single_pushes() -> N
     noise[3] *= 2.0
     residuals = frame_residuals(noise)
     ratio, p_value = residuals.residual_ratio
-    assert ratio == pytest.approx(1.0 + 3.0 / 14.0, abs=0.05) and p_value == 0.0
+    assert ratio == pytest.approx(1.0 + 3.0 / 14.0, abs=0.05) and p_value < 0.003
     assert residuals.residual_ratio_of(residuals.push == 3) == pytest.approx(4.0, rel=0.2)
 
 
@@ -54,7 +54,7 @@ def test_noise_has_no_excess_autocorrelation_and_a_missing_effect_has() -> None:
     excess, p_value = frame_residuals(noise).excess_autocorrelation
     assert abs(excess) < 0.1 and p_value > 0.01
     excess, p_value = frame_residuals(noise + 0.8 * slow).excess_autocorrelation
-    assert excess == pytest.approx(0.8**2 * float(np.mean(slow**2)), abs=0.1) and p_value == 0.0
+    assert excess == pytest.approx(0.8**2 * float(np.mean(slow**2)), abs=0.1) and p_value < 0.003
     # Of two frames a push the second is the rest that ends it.
     assert frame_residuals(noise[:, :2]).excess_autocorrelation == (0.0, 1.0)
 

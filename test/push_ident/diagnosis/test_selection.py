@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,32 +78,36 @@ def test_stages_are_the_fits_between_the_base_model_and_all_that_was_found() -> 
 
 
 def test_approximate_laws_raise_what_the_next_effect_needs_and_exact_ones_do_not() -> None:
-    policy = SelectionPolicy(min_log_bayes_factor=5.0, min_log_bayes_factor_next=12.0, next_share=0.15)
+    policy = replace(POLICY, discrepancy_next=2.0, discrepancy_next_share=0.03)
+    first = policy.detection_log_bayes_factor
+    assert first == pytest.approx(5.0, abs=0.02)
 
     def required(**found: float) -> float:
         steps = tuple(step_of(**{name: value}) for name, value in found.items())
         return required_log_bayes_factor(Selection(stub_fit(), stub_fit(*found), steps), policy)
 
-    assert required() == 5.0
-    assert required(camera_scale=900.0) == 12.0
-    assert required(table_tilt=900.0) == pytest.approx(135.0)
-    assert required(camera_scale=900.0, table_tilt=200.0) == pytest.approx(30.0)
+    assert required() == first
+    assert required(camera_scale=900.0) == pytest.approx(2.0 * first)
+    assert required(table_tilt=900.0) == pytest.approx(27.0 * first)
+    assert required(camera_scale=900.0, table_tilt=200.0) == pytest.approx(6.0 * first)
 
 
 def test_effect_beside_another_is_refitted_only_where_it_promises_something() -> None:
     def chosen(is_first: bool, **expected: float) -> list[str]:
         scores = [EffectScore(name, value, np.zeros(1), np.eye(1), np.inf) for name, value in expected.items()]
-        return [score.name for score in choose_refits(scores, POLICY, is_first=is_first)]
+        return [score.name for score in choose_refits(scores, POLICY, required=5.0 if is_first else 12.0, is_first=is_first)]
 
     assert chosen(True, wear=3.0, restitution=-1.0) == ["wear", "restitution"]
     assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
     assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
     assert chosen(True) == []
+    # Refits bring up to five times what scores promise.
+    assert chosen(True, wear=0.9) == [] and chosen(True, wear=1.1) == ["wear"] and chosen(False, wear=2.3) == []
 
 
 def test_effects_whose_scores_mislead_about_one_another_are_refitted_together() -> None:
     scores = [EffectScore(n, v, np.zeros(1), np.eye(1), np.inf) for n, v in {"pose_latency": 90.0, "wear": 5.0, "pusher_lag": -5.0}.items()]
-    assert [score.name for score in choose_refits(scores, POLICY, is_first=True)] == ["pose_latency", "pusher_lag"]
+    assert [score.name for score in choose_refits(scores, POLICY, required=5.0, is_first=True)] == ["pose_latency", "pusher_lag"]
 
 
 def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None:

@@ -11,6 +11,7 @@ from helpers.diagnosis import account_of_parts, frame_residuals, simulated_pushe
 from push_ident.diagnosis.decide import decide
 from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.result import Gate, Verdict
 from push_ident.diagnosis.select import select
 from push_ident.diagnosis.selection import Selection
@@ -36,6 +37,7 @@ def validation_of(*, cause_is_unknown: bool) -> Validation:
         account_of_parts(gap, 1e-3, 2e-4, 1e-4),
         residuals,
         residuals,
+        Probabilities(0.1, 0.8, {"wear": 0.1}),
         cause_is_unknown=cause_is_unknown,
     )
 
@@ -60,6 +62,6 @@ def test_verdict_follows_from_what_held_out_pushes_confirmed(state: DiagnosisSta
 def test_outcome_names_pushes_that_were_set_aside_and_that_alone_support_an_effect(state: DiagnosisState) -> None:
     validation = replace(validation_of(cause_is_unknown=True), unsupported=UnsupportedEffect("wear", (2,)))
     outcome = explain(decide(replace(state, validation=validation, outliers=("push 7",))), None, print)
-    assert outcome.verdict is Verdict.UNKNOWN and "no smooth force explains it" in outcome.sentence
+    assert outcome.verdict is Verdict.UNKNOWN and "residuals are 1.5 times as large as those of a correct model" in outcome.sentence
     assert "Only push 2 supports wear" in outcome.sentence and "Push 7 disagrees with all others" in outcome.sentence
     assert outcome.next_push is None and outcome.where["push"] and outcome.residual_ratio == pytest.approx(2.25, rel=0.1)

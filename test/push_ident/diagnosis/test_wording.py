@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
 
 from helpers.diagnosis import account_of_parts, frame_residuals, gap_of
-from push_ident.diagnosis.policy import UnknownPolicy
+from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.result import FoundEffect
 from push_ident.diagnosis.wording import (
+    sentence_of_doubt,
     sentence_of_effects,
     sentence_of_negligible,
     sentence_of_nothing,
@@ -90,15 +90,19 @@ def test_unexplained_error_without_a_name_states_how_much_and_where_most() -> No
     assert "most in push 2 (2.0 mm)" in sentence
 
 
-def test_unknown_cause_without_a_wrench_states_what_is_unusual_about_the_residuals() -> None:
+def test_unknown_cause_says_what_acts_where_and_what_to_look_for() -> None:
     where = {"push": [ResidualGroup("3", 20, (1.0, 2.5, 1.0), 1e-3, (0.5, 0.0, 0.5))]}
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=(4, 25, 3))
-    large = sentence_of_unknown(NONE, None, frame_residuals(1.5 * noise), where, UnknownPolicy())
-    assert "1.5 times as large as those of a correct model. Residuals are largest for push 3." in large
-    smooth = np.sqrt(0.5) * (noise + rng.normal(size=(4, 1, 3)))
-    sentence = sentence_of_unknown(NONE, None, frame_residuals(smooth), where, UnknownPolicy())
-    assert re.search(r"[3-6]\d % of the squared residuals continue from frame to frame", sentence)
+    residuals = frame_residuals(1.5 * np.random.default_rng(0).normal(size=(4, 25, 3)))
+    words = PatternWords("a force", "from push 7 on", "what changed before that push")
+    sentence = sentence_of_unknown(NONE, words, 0.93, residuals, where)
+    assert sentence.startswith(
+        "The simulation leaves out something outside the catalogue of effects (probability 0.93), most probably a force, from push 7 on. "
+        "Look for what changed before that push."
+    )
+    large = sentence_of_unknown(NONE, None, 0.93, residuals, where)
+    assert "1.5 times as large as those of a correct model, and largest for push 3." in large
+    doubt = sentence_of_doubt(words, 0.3)
+    assert "may act in its place or beside it (probability 0.30): a force, from push 7 on; look for what changed" in doubt
 
 
 def test_additions_name_pushes_and_effects() -> None:

@@ -290,3 +290,15 @@ def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tm
     assert values["oracle"]["gain"] == pytest.approx(values["effects"][0]["evidence"], abs=0.5)
     assert values["baselines"]["tuned_gap"]["after_m"] > values["gap"]["after_m"]
     write_json(tmp_path / "case.json", values)
+
+
+def test_causes_that_are_said_surely_are_counted_with_their_twins() -> None:
+    null = outcome("null", [], "no_gap", [], [], 0, 0)
+    single = outcome("single", ["tool_offset"], "one_of", ["camera_translation"], ["tool_offset"], 20.0, 50.0)
+    outside = outcome("outside", [], "named", ["wear"], [], 0, 0)
+    null.values["probabilities"] = {"nothing": 0.92, "wear": 0.08, "something_else": 0.03}
+    single.values["probabilities"] = {"nothing": 0.0, "tool_offset": 0.5, "camera_translation": 0.49, "something_else": 0.02}
+    outside.values["probabilities"] = {"nothing": 0.01, "wear": 0.95, "something_else": 0.3}
+    found = figures([judge(case) for case in (null, single, outside, outcome("null", [], "no_gap", [], [], 0, 0))])
+    assert found["said_surely"]["n"] == 3 and found["said_surely"]["share"] == pytest.approx(2 / 3)
+    assert found["said_surely_mean"]["value"] == pytest.approx((0.92 + 0.99 + 0.95) / 3)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.result import FoundEffect, Verdict
 from push_ident.diagnosis.selection import Selection
@@ -27,6 +28,9 @@ def decide(state: DiagnosisState) -> DiagnosisState:
     selection, is_unknown = validation.selection, validation.cause_is_unknown
     effects = found_effects(selection, validation.gap)
     sets = confusion_sets(selection, settings.policy.selection)
+    if effects and validation.probabilities.something_else > settings.policy.selection.max_probability_of_error:
+        last = effects[-1].name
+        sets = {**sets, last: (*sets.get(last, ()), SOMETHING_ELSE)}
     verdict = Verdict.UNKNOWN if is_unknown else verdict_of(effects, sets)
     negligible = () if is_unknown else _negligible_effects(selection, settings.base_effects)
     return replace(state, decision=Decision(verdict, effects, negligible, sets))

@@ -9,9 +9,11 @@ import numpy as np
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
+from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.something_else import SomethingElse
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
@@ -25,7 +27,6 @@ _AXES = ("along", "across", "rotation")
 
 def to_json(diagnosis: Diagnosis) -> Json:
     """The outcome; lengths in metres, angles in radians."""
-    wrench = diagnosis.wrench
     return {
         "verdict": diagnosis.verdict.value,
         "sentence": diagnosis.sentence,
@@ -37,10 +38,54 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "ranking": _ranking(diagnosis.selection),
         "next_push": _next_push(diagnosis.next_push),
         "check": diagnosis.check,
-        "unknown": None
-        if wrench is None
-        else {"evidence": wrench.log_bayes_factor, "acts_on": wrench.acts_on, "varies_with": wrench.varies_with},
+        "unknown": _unknown(diagnosis.something_else),
+        "probabilities": _probabilities(diagnosis.probabilities),
+        "something_else": _something_else(diagnosis),
         "gates": [{"passed": g.passed, "found": g.found, "remedy": g.remedy} for g in diagnosis.gates],
+    }
+
+
+def _probabilities(probabilities: Probabilities | None) -> Json | None:
+    """Of each effect, of something else, of nothing; of effects and something else that they act, alone or beside others."""
+    if probabilities is None:
+        return None
+    return {**probabilities.effects, SOMETHING_ELSE: probabilities.something_else, "nothing": probabilities.nothing}
+
+
+def _unknown(found: SomethingElse | None) -> Json | None:
+    """Shares of what acts and of what it follows, if there is something else."""
+    if found is None:
+        return None
+    acts_on: dict[str, float] = {}
+    varies_with: dict[str, float] = {}
+    for pattern in found.patterns:
+        acts, varies = pattern.family.acts_on.value, pattern.family.varies_with.value
+        acts_on[acts] = acts_on.get(acts, 0.0) + pattern.share
+        varies_with[varies] = varies_with.get(varies, 0.0) + pattern.share
+    return {"evidence": found.log_bayes_factor, "acts_on": acts_on, "varies_with": varies_with}
+
+
+def _something_else(diagnosis: Diagnosis) -> Json | None:
+    found, words, probabilities = diagnosis.something_else, diagnosis.pattern, diagnosis.probabilities
+    if found is None or words is None or probabilities is None:
+        return None
+    return {
+        "probability": probabilities.something_else,
+        "evidence": found.log_bayes_factor,
+        "p_value": found.p_value,
+        "what": words.what,
+        "where": words.where,
+        "look_for": words.look_for,
+        "patterns": [
+            {
+                "acts_on": pattern.family.acts_on.value,
+                "varies_with": pattern.family.varies_with.value,
+                "at": list(pattern.member.key) if isinstance(pattern.member.key, tuple) else pattern.member.key,
+                "evidence": pattern.log_bayes_factor,
+                "share": pattern.share,
+            }
+            for pattern in found.patterns
+        ],
     }
 
 

@@ -13,10 +13,13 @@ from push_ident.diagnosis.next_push import (
     most_informative_push,
     separating_push,
 )  # fmt: skip
+from push_ident.diagnosis.odds import SOMETHING_ELSE
+from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
 from push_ident.diagnosis.residual_groups import group_residuals
 from push_ident.diagnosis.result import Diagnosis, Verdict
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
 from push_ident.diagnosis.wording import (
+    sentence_of_doubt,
     sentence_of_effects,
     sentence_of_negligible,
     sentence_of_nothing,
@@ -48,9 +51,11 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         return _abstention(state)
     on_progress("looking for the next push")
     first_push = _first_push(state, validation, push_settings)
+    found = validation.something_else
+    words = None if found is None else describe_pattern(found.best, [state.source_of(push) for push in range(len(state.records))])
     return Diagnosis(
         verdict=decision.verdict,
-        sentence=_sentence(state, validation, decision, first_push),
+        sentence=_sentence(state, validation, decision, first_push, words),
         gates=state.gates,
         policy=policy,
         effects=decision.effects,
@@ -61,8 +66,10 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         selection=validation.selection,
         where=group_residuals(validation.base_residuals, policy.residuals),
         next_push=_propose(state, validation, push_settings),
-        check=check_without_a_push([*decision.confusion_sets, decision.effects[-1].name]) if decision.effects else "",
-        wrench=validation.wrench,
+        check=_check(validation, decision, words),
+        probabilities=validation.probabilities,
+        something_else=validation.something_else,
+        pattern=words,
         base_residuals=validation.base_residuals,
         residual_ratio=validation.residuals.residual_ratio[0],
         excess_autocorrelation=validation.residuals.excess_autocorrelation[0],
@@ -75,13 +82,24 @@ def _abstention(state: DiagnosisState) -> Diagnosis:
     return Diagnosis(Verdict.NOT_TRUSTWORTHY, sentence, state.gates, state.settings.policy, check=failed.remedy)
 
 
-def _sentence(state: DiagnosisState, validation: Validation, decision: Decision, first_push: PlannedPush | None) -> str:
+def _check(validation: Validation, decision: Decision, words: PatternWords | None) -> str:
+    """What would resolve the cause without a push."""
+    if validation.cause_is_unknown:
+        return "" if words is None else f"Look for {words.look_for}."
+    return check_without_a_push([*decision.confusion_sets, decision.effects[-1].name]) if decision.effects else ""
+
+
+def _sentence(
+    state: DiagnosisState, validation: Validation, decision: Decision, first_push: PlannedPush | None, words: PatternWords | None
+) -> str:
     account = validation.account
     if validation.cause_is_unknown:
         groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
-        sentence = sentence_of_unknown(account, validation.wrench, validation.residuals, groups, state.settings.policy.unknown)
+        sentence = sentence_of_unknown(account, words, validation.probabilities.something_else, validation.residuals, groups)
     elif decision.effects:
         sentence = sentence_of_effects(decision.effects, decision.confusion_sets, account)
+        if any(SOMETHING_ELSE in names for names in decision.confusion_sets.values()) and words is not None:
+            sentence += sentence_of_doubt(words, validation.probabilities.something_else)
     else:
         sentence = sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
     if decision.negligible:

@@ -67,7 +67,7 @@ def without(name: str) -> str:
 
 def check_without_a_push(names: Sequence[str]) -> str:
     """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
-    return next((EFFECTS[name].check for name in names if EFFECTS[name].check), "")
+    return next((EFFECTS[name].check for name in names if name in EFFECTS and EFFECTS[name].check), "")
 
 
 def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dict[str, Fit]:

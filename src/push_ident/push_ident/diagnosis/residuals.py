@@ -57,7 +57,7 @@ class FrameResiduals:
         """Mean squared standardized residual over its expectation under the model, and the p-value of as much or more."""
         expected = np.mean(self.null_draws**2, axis=(1, 2))
         found = float(np.mean(self.standardized**2))
-        return found / float(np.mean(expected)), float(np.mean(expected >= found))
+        return found / float(np.mean(expected)), _p_value(expected, found)
 
     def residual_ratio_of(self, chosen: BoolArray) -> float:
         """The same ratio of some frames, chosen by a mask of shape (n,)."""
@@ -79,7 +79,12 @@ class FrameResiduals:
             return np.asarray(2.0 * np.sum(before * after, axis=(-2, -1)) / np.sum(before**2 + after**2, axis=(-2, -1)))
 
         expected, found = autocorrelation(self.null_draws), float(autocorrelation(self.standardized))
-        return self.residual_ratio[0] * (found - float(np.mean(expected))), float(np.mean(expected >= found))
+        return self.residual_ratio[0] * (found - float(np.mean(expected))), _p_value(expected, found)
+
+
+def _p_value(drawn: Float64Array, found: float) -> float:
+    """Probability of as much or more, above 0 with any number of draws."""
+    return float((1 + np.count_nonzero(drawn >= found)) / (1 + len(drawn)))
 
 
 def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:

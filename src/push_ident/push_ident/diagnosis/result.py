@@ -10,11 +10,13 @@ import numpy as np
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
+from push_ident.diagnosis.odds import Probabilities
+from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
-from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.diagnosis.something_else import SomethingElse
 from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush
 
@@ -80,8 +82,12 @@ class Diagnosis:
     """The push that would resolve what is open; None where no safe push would."""
     check: str = ""
     """What would resolve it without a push."""
-    wrench: SmoothWrench | None = None
-    """The smooth wrench of unknown cause, where one was fitted."""
+    probabilities: Probabilities | None = None
+    """Of everything that may be there; None where the diagnosis abstains."""
+    something_else: SomethingElse | None = None
+    """Structure in the residuals that no effect explains, probable or not."""
+    pattern: PatternWords | None = None
+    """The most probable such structure in words."""
     base_residuals: FrameResiduals | None = None
     """Residuals of the base model in every frame; `where` is this in groups."""
     residual_ratio: float = np.nan

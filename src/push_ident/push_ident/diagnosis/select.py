@@ -19,6 +19,7 @@ from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
+from push_ident.types import SolveStatus
 
 __all__ = ["check_outline", "choose_refits", "required_log_bayes_factor", "select", "select_effects"]
 
@@ -98,15 +99,16 @@ def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> 
     return max(policy.min_log_bayes_factor_next, policy.next_share * sum(approximate))
 
 
-def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, is_first: bool) -> list[EffectScore]:
+def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, required: float, is_first: bool) -> list[EffectScore]:
     """Effects whose scores justify a refit, in the order of the scores.
 
     Args:
         scores: the most promising first.
         policy: margins.
+        required: log Bayes factor that one more effect needs [nat].
         is_first: whether no effect was found yet.
     """
-    if not scores:
+    if not scores or scores[0].expected_log_bayes_factor < policy.min_promised_share * required:
         return []
     promises = {score.name: score.expected_log_bayes_factor for score in scores}
     least = policy.min_promise_first if is_first else policy.min_promise_next
@@ -127,11 +129,14 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
     information = effect_information(fit)
     scores = tuple(score_effects(information, policy))
-    chosen = choose_refits(scores, policy, is_first=fit is selection.base)
+    needed = required_log_bayes_factor(selection, policy)
+    # Refits also free a fit that stopped before its optimum, where scores mean little.
+    least = needed if fit.status is SolveStatus.CONVERGED else -np.inf
+    chosen = choose_refits(scores, policy, required=least, is_first=fit is selection.base)
     if chosen:
         report(f"refitting with {', '.join(score.name for score in chosen)}")
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
-    required = required_log_bayes_factor(selection, policy) - policy.tie_margin if selection.found else -np.inf
+    required = needed - policy.tie_margin if selection.found else -np.inf
     candidates = _ranked(map_in_threads(partial(_refit, fit, required), chosen), policy.tie_margin)
     return Step(fit, information, scores, tuple(candidates))
 

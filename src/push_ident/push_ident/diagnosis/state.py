@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.unknown import SmoothWrench
+from push_ident.diagnosis.something_else import SomethingElse
 from push_ident.identification.fit import Fit
 from push_ident.types import PushRecord
 
@@ -34,16 +35,17 @@ class Validation:
     selection: Selection
     """Effects that held-out pushes support; none where the cause is unknown."""
     gap: Gap
-    """With those effects, or with the wrench."""
+    """With those effects, or with the pattern of something else."""
     account: Account
     """Of that gap."""
     base_residuals: FrameResiduals
     """Of the base model."""
     residuals: FrameResiduals
     """Beside all effects that were named before the cause counted as unknown."""
+    probabilities: Probabilities
     cause_is_unknown: bool = False
-    wrench: SmoothWrench | None = None
-    """The smooth wrench that was fitted; where the cause is unknown, only one that held-out pushes support."""
+    something_else: SomethingElse | None = None
+    """Structure in the residuals; None where it could not be looked for."""
     unsupported: UnsupportedEffect | None = None
 
 

@@ -1,53 +1,85 @@
-"""Fourth stage: what held-out pushes confirm of the effects that were selected, and whether something without a name remains."""
+"""Fourth stage: what held-out pushes confirm of the effects that were selected, and how probable it is that something else acts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from push_ident.diagnosis.account import account_of
 from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.odds import (
+    SOMETHING_ELSE,
+    OutsideEvidence,
+    Probabilities,
+    explanations_of,
+    is_outside,
+    probabilities_of,
+)
 from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.something_else import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
-from push_ident.diagnosis.unknown import SmoothWrench, fit_wrench
 
-__all__ = ["residuals_exceed_noise", "supported_selection", "validate", "wrench_explains_more"]
+__all__ = ["failed_tests", "supported_selection", "validate"]
 
 Progress = Callable[[str], None]
 
 
-def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
-    """The stage: held-out errors, effects that every push supports, and whether the cause is unknown.
+@dataclass(frozen=True, slots=True)
+class _Outside:
+    """What speaks for a cause outside the catalogue."""
 
-    Neither a wrench nor a named effect is accepted where it predicts held-out pushes worse.
-    """
+    residuals: FrameResiduals
+    """Beside all effects."""
+    alone: SomethingElse | None
+    """In place of them."""
+    reported: SomethingElse | None
+    """In place of them or beside them, whichever explains more."""
+    probabilities: Probabilities
+
+
+def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
+    """The stage: held-out errors, effects that every push supports, and how probable a cause outside the catalogue is."""
     if state.abstains or state.selection is None:
         return state
-    on_progress("looking for an unknown cause")
+    on_progress("looking for something else")
     selection, policy = state.selection, state.settings.policy
     base_residuals = standardized_residuals(selection.base, policy.residuals)
-    residuals = base_residuals if selection.fit is selection.base else standardized_residuals(selection.fit, policy.residuals)
-    wrench = fit_wrench(selection, policy.unknown)
-    remains = _remains(state, base_residuals, residuals)
-    if wrench is not None and (gap := _gap_of_wrench(wrench, selection, state, on_progress, remains=remains)) is not None:
-        account = account_of(gap, selection.base.problem, policy.account)
-        validation = Validation(selection.without_effects(), gap, account, base_residuals, residuals, cause_is_unknown=True, wrench=wrench)
-    elif remains:
-        gap = measure_gap(selection.base, selection.base, policy.validation, on_progress)
-        account = account_of(gap, selection.base.problem, policy.account)
-        validation = Validation(selection.without_effects(), gap, account, base_residuals, residuals, cause_is_unknown=True)
-    else:
-        validation = _validate_effects(state, base_residuals, residuals, on_progress)
-        validation = validation if validation.cause_is_unknown else replace(validation, wrench=wrench)
+    outside = _look_outside(state, selection, base_residuals, {})
+    unsupported = None
+    if not is_outside(outside.probabilities, policy.selection):
+        gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages)
+        supported, unsupported = supported_selection(selection, gap, policy.validation)
+        if supported is not selection:
+            rejected = dict.fromkeys(
+                (name for name in selection.found if name not in supported.found), policy.validation.min_log_bayes_factor_without_push
+            )
+            selection, outside = supported, _look_outside(state, supported, base_residuals, rejected)
+            gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages)
+    is_unknown = is_outside(outside.probabilities, policy.selection)
+    if is_unknown:
+        selection = selection.without_effects()
+        gap = _with_patterns(measure_gap(selection.base, selection.base, policy.validation, on_progress), selection, outside.alone)
+    validation = Validation(
+        selection=selection,
+        gap=gap,
+        account=account_of(gap, selection.base.problem, policy.account),
+        base_residuals=base_residuals,
+        residuals=outside.residuals,
+        probabilities=outside.probabilities,
+        cause_is_unknown=is_unknown,
+        something_else=outside.reported,
+        unsupported=unsupported,
+    )
     return replace(state, validation=validation)
 
 
-def residuals_exceed_noise(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, noise_is_known: bool) -> bool:
-    """Whether residuals beside all named effects are larger than noise, or continue from frame to frame as noise does not.
+def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, noise_is_known: bool) -> tuple[float, ...]:
+    """P-values of those tests in which residuals beside all named effects are larger than noise, or continue from frame to frame as noise
+    does not.
 
     Args:
         base: residuals of the base model; what it leaves in excess widens the limits.
@@ -56,24 +88,15 @@ def residuals_exceed_noise(base: FrameResiduals, residuals: FrameResiduals, poli
         noise_is_known: whether the correlation of the pose errors is known; else correlated residuals may be noise.
     """
     excess = max(base.residual_ratio[0] - 1.0, 0.0)
+    failed = []
     ratio, p_value = residuals.residual_ratio
     if ratio > max(policy.max_residual_ratio, 1.0 + policy.residual_ratio_share * excess) and p_value < policy.max_p_value:
-        return True
+        failed.append(p_value)
     autocorrelation, p_value = residuals.excess_autocorrelation
     limit = policy.max_excess_autocorrelation + policy.excess_autocorrelation_share * excess
-    return noise_is_known and autocorrelation > limit and p_value < policy.max_p_value
-
-
-def wrench_explains_more(wrench: SmoothWrench, selection: Selection, policy: UnknownPolicy, tie_margin: float) -> bool:
-    """Whether a smooth wrench explains the pushes better than the effects that were named.
-
-    It has to be better than a single effect by a wide margin: no named law is exactly that of the world, and a wrench of any shape also
-    fits the rest. Several effects easily imitate a cause outside the catalogue, so that they have to be better than the wrench by a tie.
-    """
-    named = selection.fit.log_evidence - selection.base.log_evidence
-    if len(selection.found) > 1:
-        return wrench.log_bayes_factor > named - tie_margin
-    return wrench.log_bayes_factor > max(named + tie_margin, named / policy.named_share)
+    if noise_is_known and autocorrelation > limit and p_value < policy.max_p_value:
+        failed.append(p_value)
+    return tuple(failed)
 
 
 def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy) -> tuple[Selection, UnsupportedEffect | None]:
@@ -97,38 +120,29 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     return selection, None
 
 
-def _remains(state: DiagnosisState, base: FrameResiduals, residuals: FrameResiduals) -> bool:
+def _look_outside(state: DiagnosisState, selection: Selection, base_residuals: FrameResiduals, rejected: Mapping[str, float]) -> _Outside:
+    policy = state.settings.policy
+    alone = find_something_else(selection.base, policy.unknown)
+    beside, residuals = alone, base_residuals
+    if selection.found:
+        beside = find_something_else(selection.fit, policy.unknown)
+        residuals = standardized_residuals(selection.fit, policy.residuals)
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     known = state.rest_noise_known and not state.from_camera
-    return residuals_exceed_noise(base, residuals, state.settings.policy.unknown, noise_is_known=known)
+    failed = failed_tests(base_residuals, residuals, policy.unknown, noise_is_known=known)
+    evidence = OutsideEvidence.of(alone, beside, failed, policy.selection)
+    explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
+    outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
+    most = max(outside, key=lambda explanation: explanation.log_weight)
+    probabilities = probabilities_of(explanations, selection.base.names)
+    return _Outside(residuals, alone, alone if len(most.causes) == 1 else beside, probabilities)
 
 
-def _gap_of_wrench(
-    wrench: SmoothWrench, selection: Selection, state: DiagnosisState, on_progress: Progress, *, remains: bool
-) -> Gap | None:
-    """The gap with the wrench, where it replaces the named effects; None where it does not, or held-out pushes do not support it."""
-    policy = state.settings.policy
-    if not wrench.log_bayes_factor > policy.unknown.min_log_bayes_factor:
-        return None
-    if not remains and not wrench_explains_more(wrench, selection, policy.unknown, policy.selection.tie_margin):
-        return None
-    gap = measure_gap(selection.base, wrench.fit, policy.validation, on_progress)
-    return gap if gap.is_above_noise and not gap.is_worse else None
-
-
-def _validate_effects(
-    state: DiagnosisState, base_residuals: FrameResiduals, residuals: FrameResiduals, on_progress: Progress
-) -> Validation:
-    """The named effects against held-out pushes; where one was rejected, the cause may turn out to be unknown."""
-    assert state.selection is not None
-    selected, policy = state.selection, state.settings.policy
-    gap = measure_gap(selected.base, selected.fit, policy.validation, on_progress, between=selected.stages)
-    selection, unsupported = supported_selection(selected, gap, policy.validation)
-    if selection is selected:
-        return Validation(selection, gap, account_of(gap, selection.base.problem, policy.account), base_residuals, residuals)
-    residuals = standardized_residuals(selection.fit, policy.residuals)
-    is_unknown = unsupported is not None and _remains(state, base_residuals, residuals)
-    selection = selected.without_effects() if is_unknown else selection
-    gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages)
-    account = account_of(gap, selection.base.problem, policy.account)
-    return Validation(selection, gap, account, base_residuals, residuals, cause_is_unknown=is_unknown, unsupported=unsupported)
+def _with_patterns(gap: Gap, selection: Selection, found: SomethingElse | None) -> Gap:
+    """The gap with the patterns that were found, where held-out pushes end nearer to their prediction with it."""
+    if found is None:
+        return gap
+    change = error_with_patterns(selection.base, found, gap.folds)
+    if not float(np.mean(change)) < 0.0:
+        return gap
+    return replace(gap, after=np.maximum(gap.before + change, 0.0), names=(SOMETHING_ELSE,))

@@ -7,17 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from push_ident.diagnosis.account import Account, AccountPart
-from push_ident.diagnosis.policy import UnknownPolicy
+from push_ident.diagnosis.odds import SOMETHING_ELSE
+from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect
-from push_ident.diagnosis.unknown import SmoothWrench
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.effects.unknown_wrench import COMPONENTS
 
 __all__ = [
-    "describe_push", "describe_wrench", "in_mm", "sentence_of_effects", "sentence_of_more_pushes", "sentence_of_negligible",
+    "describe_push", "in_mm", "sentence_of_doubt", "sentence_of_effects", "sentence_of_more_pushes", "sentence_of_negligible",
     "sentence_of_nothing", "sentence_of_outliers", "sentence_of_unknown", "sentence_of_unsupported", "size_of",
 ]  # fmt: skip
 
@@ -61,38 +60,45 @@ def sentence_of_effects(effects: Sequence[FoundEffect], confusion_sets: Mapping[
         account: of the error on held-out pushes, with the effects.
     """
     causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
-    ties = "".join(f" These pushes cannot distinguish {name} from {' or '.join(names)}." for name, names in confusion_sets.items())
+    open_to = {name: [rival for rival in names if rival != SOMETHING_ELSE] for name, names in confusion_sets.items()}
+    ties = "".join(f" These pushes cannot distinguish {name} from {' or '.join(names)}." for name, names in open_to.items() if names)
     return f"The simulation leaves out that {causes}{_share_of_effects(account)}.{ties} {_rest(account)}"
 
 
 def sentence_of_unknown(
     account: Account,
-    wrench: SmoothWrench | None,
+    words: PatternWords | None,
+    probability: float,
     residuals: FrameResiduals,
     where: Mapping[str, Sequence[ResidualGroup]],
-    policy: UnknownPolicy,
 ) -> str:
     """Of a diagnosis whose cause is not in the catalogue.
 
     Args:
-        account: of the error on held-out pushes, with the smooth wrench, where there is one.
-        wrench: in place of the cause; None where none explains it.
+        account: of the error on held-out pushes, with the pattern, where it explains them.
+        words: the most probable pattern; None where patterns could not be looked for.
+        probability: that something outside the catalogue acts.
         residuals: beside all effects that could be named.
         where: residuals of the base model in groups.
-        policy: which parts of the wrench are described.
     """
-    if wrench is not None:
-        what = f"The simulation leaves out something outside the catalogue of effects: it {describe_wrench(wrench, policy)}"
-        return f"{what}{_share_of_effects(account)}. {_rest(account)}"
+    begin = f"The simulation leaves out something outside the catalogue of effects (probability {probability:.2f})"
+    if words is not None:
+        share = _share_of_effects(account) if account.effects else ""
+        found = f"{begin}, most probably {words.what}, {words.where}{share}. Look for {words.look_for}."
+        return f"{found} {_rest(account)}" if share else f"{found} {_found(account)}."
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
-    ratio, (autocorrelation, _) = residuals.residual_ratio[0], residuals.excess_autocorrelation
-    trace = f"residuals are {np.sqrt(ratio):.1f} times as large as those of a correct model"
-    if ratio < 1.0 or autocorrelation > ratio - 1.0:
-        trace = f"{100.0 * autocorrelation / ratio:.0f} % of the squared residuals continue from frame to frame, unlike noise"
+    ratio = residuals.residual_ratio[0]
     return (
-        f"The simulation leaves out something outside the catalogue of effects, and no smooth force explains it: {trace}. Residuals are "
-        f"largest for {by.replace('_', ' ')} {name}. Of the mean error of {in_mm(account.before)} on held-out pushes, "
-        f"{_known_parts(account)}; {_unexplained(account)}."
+        f"{begin}: residuals are {np.sqrt(ratio):.1f} times as large as those of a correct model, and largest for {by.replace('_', ' ')} "
+        f"{name}. {_found(account)}."
+    )
+
+
+def sentence_of_doubt(words: PatternWords, probability: float) -> str:
+    """Added to the sentence where an effect is named, but something else may act in its place or beside it."""
+    return (
+        f" Something outside the catalogue may act in its place or beside it (probability {probability:.2f}): {words.what}, {words.where}; "
+        f"look for {words.look_for}."
     )
 
 
@@ -118,18 +124,6 @@ def sentence_of_outliers(pushes: Sequence[str]) -> str:
     disagree, they = ("disagrees with all others and was", "it") if len(pushes) == 1 else ("disagree with all others and were", "they")
     named = " and ".join(pushes)
     return f" {named[0].upper()}{named[1:]} {disagree} set aside: compare the traced outline with the object where {they} touched it."
-
-
-def describe_wrench(wrench: SmoothWrench, policy: UnknownPolicy) -> str:
-    """What a wrench acts as, and what it varies with, to continue "it"."""
-    on, by = (
-        [name for name, share in sorted(shares.items(), key=lambda item: -item[1]) if share >= policy.min_described_share]
-        or [max(shares, key=lambda n: shares[n])]
-        for shares in (wrench.acts_on, wrench.varies_with)
-    )
-    varying = [name for name in by if name != "even"]
-    acts = f"acts as a {' and a '.join(COMPONENTS[name] for name in on)}"
-    return f"{acts}, and varies with the {' and the '.join(varying)}" if varying else acts
 
 
 def size_of(effect: FoundEffect) -> str:

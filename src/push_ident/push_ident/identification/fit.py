@@ -165,6 +165,8 @@ class AmplitudePolicy:
     chained: bool = True
     """Each fit starts where the one before expects its minimum, and the search ends when an amplitude has negligible evidence or the budget
     is spent. False: all fits start at one point and know nothing of each other."""
+    relative: bool = False
+    """Whether fits that creep may end earlier where the pushes are explained badly, as in `minimise`."""
     warm_starts: Sequence[Float64Array] = ()
     """Results of an earlier chained search for the first of the same pushes, one per amplitude."""
     run_all: Callable[[Callable[[float], Fit], Iterable[float]], Iterable[Fit]] = map
@@ -185,7 +187,7 @@ def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Arra
 
     def fit(amplitude: float) -> Fit:
         problem = problem_at(amplitude)
-        return Fit(problem, *minimise(problem, start, policy.max_iterations), amplitude)
+        return Fit(problem, *minimise(problem, start, policy.max_iterations, relative=policy.relative), amplitude)
 
     if not policy.chained:
         return list(policy.run_all(fit, AMPLITUDES))
@@ -195,7 +197,7 @@ def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Arra
         x0 = fits[-1].minimum_at(amplitude) if fits else start
         if i < len(policy.warm_starts):
             x0 = problem.continued(x0, policy.warm_starts[i])
-        fits.append(Fit(problem, *minimise(problem, x0, policy.max_iterations), amplitude))
+        fits.append(Fit(problem, *minimise(problem, x0, policy.max_iterations, relative=policy.relative), amplitude))
         if fits[-1].log_evidence < max(f.log_evidence for f in fits) - _NEGLIGIBLE or problem.meter.spent:
             break
     return fits

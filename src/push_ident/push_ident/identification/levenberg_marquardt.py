@@ -54,6 +54,7 @@ def minimise(
     start: Evaluation | None = None,
     needed_cost: float = np.inf,
     refine: bool = True,
+    relative: bool = False,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """Minimise the cost of `problem` from `x0`, shape (problem.size,).
 
@@ -65,11 +66,13 @@ def minimise(
         start: evaluation at `x0`, where it is known already.
         refine: look at the time steps at the end, and go on with shorter ones where the noise demands it.
         needed_cost: the result matters only at this cost or below; the solve ends early (`OUT_OF_REACH`) when it cannot get there.
+        relative: whether a solve that creeps may end earlier where the pushes are explained worse than noise would allow.
 
     Returns:
         The best point, its evaluation, and how the solve ended.
     """
-    x, end, status = _descend(problem, np.array(x0, dtype=np.float64), max_iterations, tolerance, start, needed_cost)
+    creep_at = _poorness if relative else _as_it_is
+    x, end, status = _descend(problem, np.array(x0, dtype=np.float64), max_iterations, tolerance, start, needed_cost, creep_at)
     for _ in range(_REFINEMENTS if refine else 0):
         if status not in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.MAX_ITERATIONS) or not problem.refine_steps(x):
             break
@@ -77,7 +80,7 @@ def minimise(
         if not np.isfinite(finer.cost):
             break
         problem.meter.rebase(x, finer.cost)
-        x, end, status = _descend(problem, x, max_iterations, tolerance, finer, needed_cost)
+        x, end, status = _descend(problem, x, max_iterations, tolerance, finer, needed_cost, creep_at)
     return x, end, status
 
 
@@ -93,6 +96,10 @@ def minimise_roughly(
     return _descend(problem, np.array(x0, dtype=np.float64), max_iterations, _ROUGH, start, needed_cost, _poorness)
 
 
+def _as_it_is(end: Evaluation) -> float:
+    return 1.0
+
+
 def _poorness(end: Evaluation) -> float:
     """Cost in units of what noise alone would cost, 1 at least: pushes explained so much worse tell points apart so much less."""
     return max(1.0, end.cost / (_FRAME_COST * len(end.residual)))
@@ -105,7 +112,7 @@ def _descend(
     tolerance: float,
     start: Evaluation | None,
     needed_cost: float,
-    creep_at: Callable[[Evaluation], float] = lambda _: 1.0,
+    creep_at: Callable[[Evaluation], float],
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """As `minimise`, with the time steps as they are."""
     best = problem.evaluate(x) if start is None else start

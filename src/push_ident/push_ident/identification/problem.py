@@ -33,7 +33,7 @@ from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknown
 from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import Motion, SimulationSettings
+from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, simulate_body_with_response
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms", "unknowns_of_push", "without_first_push"]
@@ -222,6 +222,15 @@ class FitProblem:
         record = self.records[push]
         return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order)
 
+    def respond(self, x: Float64Array, push: int) -> tuple[Motion, StepResponse | None]:
+        """One push at `x`, shape (size,), and how its poses change under small forces; None where its simulation fails."""
+        mechanics = self.unknowns.mechanics(self.object_unknowns(x))
+        self.meter.count(1)
+        return simulate_body_with_response(
+            mechanics.shape, mechanics.body, mechanics.pusher_friction, self._scenario(x, push), settings=self.settings_of(push),
+            effects=mechanics.effects,
+        )  # fmt: skip
+
     def _end_pose(self, mechanics: Mechanics, x: Float64Array, push: int, settings: SimulationSettings) -> Float64Array:
         """For the choice of steps. Not counted as a simulation of the fit; its time is."""
         return mechanics.simulate(self._scenario(x, push), settings=settings).pose[-1]
@@ -270,7 +279,12 @@ class FitProblem:
     def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
         """Robust cost of whitened residuals, and the weight of each frame's square in it, shape (n_frames,)."""
         size2 = np.sum(residual**2, axis=1)
-        return 0.5 * (TAILS + 3) * float(np.sum(np.log1p(size2 / TAILS))), (TAILS + 3) / (TAILS + size2)
+        return 0.5 * (TAILS + 3) * float(np.sum(np.log1p(size2 / TAILS))), self.frame_weight(residual)
+
+    @staticmethod
+    def frame_weight(residual: Float64Array) -> Float64Array:
+        """Weight of the square of each frame in the cost, of whitened residuals of shape (..., n_frames, 3)."""
+        return np.asarray((TAILS + 3) / (TAILS + np.sum(residual**2, axis=-1)))
 
     def cost(self, x: Float64Array) -> float:
         """Cost at `x`, without derivative: one simulation per push. Infinite where a simulation failed."""

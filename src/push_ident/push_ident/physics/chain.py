@@ -34,7 +34,7 @@ from push_ident.physics.tape import (
 )
 from push_ident.types import Float64Array
 
-__all__ = ["Chain", "chain_backward", "chain_forward"]
+__all__ = ["Chain", "chain_backward", "chain_forward", "chain_response"]
 
 _CHUNK = 256  # columns of the Jacobian carried at a time, so that they stay in the cache
 
@@ -172,15 +172,21 @@ def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64A
 
 
 @kernel
+def _emit_state(s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_pose: Float64Array) -> None:
+    """Add to `by_pose`, shape (3, n), what the derivative `s` of the state does to the pose of the object frame."""
+    rx, ry = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
+    for p in range(by_pose.shape[1]):
+        by_pose[0, p] += weight * (s[0, p] + ry * s[2, p])
+        by_pose[1, p] += weight * (s[1, p] - rx * s[2, p])
+        by_pose[2, p] += weight * s[2, p]
+
+
+@kernel
 def _emit(
     s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, first: int, last: int, jacobian: Float64Array
 ) -> None:
     """Add `weight` times the derivative of the pose of the object frame, columns `first` to `last`, to that of one frame."""
-    rx, ry = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
-    for p in range(first, last):
-        jacobian[0, p] += weight * (s[0, p - first] + ry * s[2, p - first])
-        jacobian[1, p] += weight * (s[1, p - first] - rx * s[2, p - first])
-        jacobian[2, p] += weight * s[2, p - first]
+    _emit_state(s, cos, sin, centre, weight, jacobian[:, first:last])
     if first == 0:
         jacobian[0, PARAM_CENTRE] -= weight * cos
         jacobian[0, PARAM_CENTRE + 1] += weight * sin
@@ -249,6 +255,44 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
                 s[3:] = 0.0
             for j in range(begin, frame):
                 _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
+
+
+@kernel
+def chain_response(chain: Chain, impulse: Float64Array, nearer: Float64Array, response: Float64Array) -> None:
+    """Change of the poses at the frames by small forces on the object and displacements of the pusher, which no parameter stands for.
+
+    Args:
+        chain: the rollout.
+        impulse: on the object in each step, object axes, about the centre of mass, shape (n_steps, 3, n) [N s, N s, N m s].
+        nearer: displacement of the pusher in each step, table axes, shape (n_steps, 2, n) [m]; the sliding of a contact that this adds is
+            left out.
+        response: filled, shape (n_frames, 3, n).
+    """
+    tape, centre, frame_step, frame_fraction = chain.tape, chain.centre, chain.frames.step, chain.frames.fraction
+    n = response.shape[2]
+    s, du, velocity = np.zeros((6, n)), np.zeros((3, n)), np.zeros((3, n))
+    response[:] = 0.0
+    frame = 0
+    for step in range(tape.event.shape[0]):
+        cos, sin, dt = tape.heading[step, 0], tape.heading[step, 1], chain.dt[step]
+        begin = frame
+        while frame < frame_step.shape[0] and frame_step[frame] == step:
+            _emit_state(s, cos, sin, centre, 1.0 - frame_fraction[frame], response[frame])
+            frame += 1
+        if tape.event[step] != IDLE:
+            block, before = tape.block[step], tape.coasting[step]
+            for i in range(3):
+                for p in range(n):
+                    du[i, p] = -block[i, BLOCK_STATE] * nearer[step, 0, p] - block[i, BLOCK_STATE + 1] * nearer[step, 1, p]
+                    for j in range(3):
+                        du[i, p] += block[i, BLOCK_IMPULSE + j] * impulse[step, j, p]
+            velocity[:] = s[3:]
+            _advance(s, du, block, tape.twist[step], cos, sin, (1.0 - before) * dt)
+            s[:3] += before * dt * velocity
+        if tape.event[step] != MOVED:
+            s[3:] = 0.0
+        for j in range(begin, frame):
+            _emit_state(s, tape.heading[step + 1, 0], tape.heading[step + 1, 1], centre, frame_fraction[j], response[j])
 
 
 @fast_kernel

@@ -14,7 +14,7 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
 from push_ident.physics.body import BodyParameters, body_of_cells, cell_gradient, check_body, owned
-from push_ident.physics.chain import Chain, chain_backward, chain_forward
+from push_ident.physics.chain import Chain, chain_backward, chain_forward, chain_response
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectsLike, EffectValues, changed_friction, driven_path, effect_values
 from push_ident.physics.effects import EFFECTS
@@ -23,12 +23,13 @@ from push_ident.physics.pyramid import FINAL_NU
 from push_ident.physics.rollout import Numerics, Push, new_effect_scratch, rollout
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.support import GRAVITY
-from push_ident.physics.tape import N_BODY_PARAMETERS, PARAM_LIMIT, PARAM_MU, PARAM_POSE, Frames, Tape, new_tape
-from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
+from push_ident.physics.tape import IDLE, N_BODY_PARAMETERS, PARAM_LIMIT, PARAM_MU, PARAM_POSE, Frames, Tape, new_tape
+from push_ident.types import BoolArray, CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = [
-    "DEFAULT_STEP", "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings",
+    "DEFAULT_STEP", "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings", "StepResponse",
     "body_of_cells", "cell_gradient", "compile_kernels", "loss_gradient", "simulate", "simulate_body", "simulate_body_with_pullback",
+    "simulate_body_with_response",
 ]  # fmt: skip
 
 DEFAULT_STEP = 1.0 / 240.0
@@ -258,6 +259,71 @@ def simulate_body_with_pullback(
     acting = effect_values(effects)
     run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, True)
     return run.motion, PullBack(run)
+
+
+@dataclass(frozen=True, slots=True)
+class StepResponse:
+    """A simulated push, ready to say how its poses change under small forces, whatever their law."""
+
+    time: Float64Array
+    """Middle of each step [s], shape (n_steps,)."""
+    pose: Float64Array
+    """Of the centre of mass at the start of each step, table frame, shape (n_steps, 3)."""
+    twist: Float64Array
+    """Velocity of the centre of mass and yaw rate in each step, table axes, shape (n_steps, 3)."""
+    touches: BoolArray
+    """Whether the pusher acts on the object, shape (n_steps,)."""
+    pusher: Float64Array
+    """Position of the pusher at the start of each step, table frame, shape (n_steps, 2)."""
+    arms: Float64Array
+    """Of the cells from the centre of mass, object axes, shape (n_cells, 2)."""
+    limit: Float64Array
+    """Friction limits of the cells without effects [N], shape (n_cells,)."""
+    _run: _Run
+
+    def __call__(self, wrench: Float64Array, displacement: Float64Array | None = None) -> Float64Array:
+        """Change of the reported poses, shape (n_frames, 3, n).
+
+        Args:
+            wrench: on the object in each step, table axes, about the centre of mass, shape (n_steps, 3, n) [N, N, N m].
+            displacement: of the pusher in each step, table axes, shape (n_steps, 2, n) [m]; by default none.
+        """
+        chain, n = self._run.chain, wrench.shape[2]
+        cos, sin = chain.tape.heading[:-1].T[:, :, None]
+        x, y, turn = np.moveaxis(wrench, 1, 0)
+        impulse = np.stack([cos * x + sin * y, -sin * x + cos * y, turn], axis=1) * chain.dt[:, None, None]
+        nearer = np.zeros((len(chain.dt), 2, n)) if displacement is None else displacement
+        response = np.empty((len(chain.frames.step), 3, n))
+        chain_response(chain, owned(impulse), owned(nearer), response)
+        measurement = self._run.measurement
+        return response if measurement is None else np.einsum("fij,fjp->fip", measurement.by_pose, response)
+
+
+def simulate_body_with_response(
+    shape: ObjectShape,
+    body: BodyParameters,
+    pusher_friction: float,
+    scenario: PushScenario,
+    *,
+    settings: SimulationSettings | None = None,
+    effects: EffectsLike | None = None,
+) -> tuple[Motion, StepResponse | None]:
+    """As `simulate_body`; also how the poses change under small forces in any step. None where the simulation failed."""
+    numerics, acting = settings or SimulationSettings(), effect_values(effects)
+    run = _run(shape, body, pusher_friction, scenario, numerics, acting, True)
+    if run.motion.status is SolveStatus.SIMULATION_FAILED:
+        return run.motion, None
+    chain = run.chain
+    cos, sin = chain.tape.heading[:-1].T
+    u, v, omega = chain.tape.twist.T
+    twist = np.column_stack([cos * u - sin * v, sin * u + cos * v, omega]) * (chain.tape.event != IDLE)[:, None]
+    first = owned(scenario.pose_object_in_table)
+    centre = first[:2] + np.array([[cos[0], -sin[0]], [sin[0], cos[0]]]) @ chain.centre
+    start = np.append(centre, first[2])
+    pose = start + np.vstack([np.zeros(3), np.cumsum(twist * chain.dt[:, None], axis=0)[:-1]])
+    pusher = _pusher_on_steps(scenario.pusher, _clock(scenario, numerics))[:-1, :2]
+    touches = np.any(run.motion.force != 0.0, axis=1)
+    return run.motion, StepResponse(run.motion.force_time, pose, twist, touches, pusher, chain.arms.T, body.limit, run)
 
 
 class _Run(NamedTuple):

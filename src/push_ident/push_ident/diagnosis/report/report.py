@@ -11,6 +11,7 @@ import numpy as np
 
 from push_ident import __version__
 from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.report.account_bar import account_bar
 from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
 from push_ident.diagnosis.result import Diagnosis, Verdict
@@ -68,8 +69,7 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     if selection is None or gap is None or frames is None or account is None:
         return {}
     policy = diagnosis.policy.selection
-    is_wrench = diagnosis.verdict is Verdict.UNKNOWN and diagnosis.wrench is not None
-    added = ("a smooth wrench",) if is_wrench else selection.found
+    added = ("something else",) if SOMETHING_ELSE in gap.names else selection.found
     no_rival = "No other effect of the catalogue explains these pushes nearly as well."
     return {
         "account": account_bar(account),
@@ -83,11 +83,46 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
             for e in diagnosis.effects
         ],
         "confusion_sets": diagnosis.confusion_sets,
-        "what": {name: EFFECTS[name].what for name in diagnosis.confusion_set},
+        "what": {name: EFFECTS[name].what if name in EFFECTS else "A cause outside the catalogue." for name in diagnosis.confusion_set},
+        "probabilities": _probable(diagnosis),
+        "pattern": diagnosis.pattern,
+        "patterns": _patterns(diagnosis),
         "special_cases": selection.special_cases(policy.tie_margin),
         "no_rival_text": no_rival if diagnosis.effects else "No effect was found, so that there is nothing to distinguish it from.",
         "next_push": _proposal(diagnosis),
     }
+
+
+_MIN_SHOWN = 0.005
+"""Probability below which a cause is not listed."""
+_N_PATTERNS = 4
+"""Patterns that are listed."""
+
+
+def _probable(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Causes with their probability, the largest first."""
+    found = diagnosis.probabilities
+    if found is None:
+        return []
+    named = {"nothing": ("nothing beyond the base model", ""), SOMETHING_ELSE: ("something else", "A cause outside the catalogue.")}
+    values = {"nothing": found.nothing, SOMETHING_ELSE: found.something_else, **found.effects}
+    return [
+        {"name": named[name][0] if name in named else name, "what": named[name][1] if name in named else EFFECTS[name].what, "value": value}
+        for name, value in sorted(values.items(), key=lambda item: -item[1])
+        if value >= _MIN_SHOWN
+    ]
+
+
+def _patterns(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """The most probable structures outside the catalogue."""
+    found = diagnosis.something_else
+    if found is None:
+        return []
+    shown = found.patterns[:_N_PATTERNS]
+    return [
+        {"acts_on": p.family.acts_on.value, "varies_with": p.family.varies_with.value, "evidence": p.log_bayes_factor, "share": p.share}
+        for p in shown
+    ]
 
 
 def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:

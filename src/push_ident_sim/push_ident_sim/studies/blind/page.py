@@ -34,6 +34,8 @@ _ROWS = (
     ("pairs_one", "two effects: one named", ">= 95 %"),
     ("unknown_flagged", "outside the catalogue, visible: reported as unknown", ">= 80 %"),
     ("unknown_misnamed", "outside the catalogue: named with confidence", "<= 10 %"),
+    ("said_surely", "causes said with a probability of at least 90 %: right", ""),
+    ("said_surely_mean", "mean of these probabilities", "the same"),
     ("outside_invisible", "outside the catalogue: not visible", ""),
     ("shrink", "shrink S, median", ">= 0.85"),
     ("shrink_oracle", "S of the true effect, median", ""),
@@ -83,7 +85,9 @@ def tables(summary: Json) -> str:
         parts.append(f"Set: {sealed['phase']}, {sealed['n_cases']} cases. SHA-256 {hashes}. Intervals hold at 90 %.")
     if found := summary.get("figures"):
         groups = list(found)
-        rows = [[text, target, *(_number(found[group][key]) for group in groups)] for key, text, target in _ROWS]
+        # Summaries of an earlier version lack some figures.
+        known = [row for row in _ROWS if all(row[0] in found[group] for group in groups)]
+        rows = [[text, target, *(_number(found[group][key]) for group in groups)] for key, text, target in known]
         parts.append(markdown_table(["figure", "target", *groups], rows))
         bins = [
             [f">= {row['from']:g}", *(_number(row[key]) for key in ("top1", "in_set", "wrong", "silent"))]

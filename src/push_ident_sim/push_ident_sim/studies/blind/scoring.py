@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.fits import fit_effects
 from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.scores import EffectInformation
@@ -154,9 +155,14 @@ def _outcome(found: Diagnosis) -> Json:
         "misfit": None if found.base_residuals is None else found.base_residuals.residual_ratio,
         "residual_ratio": found.residual_ratio,
         "excess_autocorrelation": found.excess_autocorrelation,
-        "unknown_gain": None if found.wrench is None else found.wrench.log_bayes_factor,
+        "unknown_gain": None if found.something_else is None else found.something_else.log_bayes_factor,
+        "probabilities": None if found.probabilities is None else _probabilities(found.probabilities),
         "failed_gates": [gate.found for gate in found.gates if not gate.passed],
     }
+
+
+def _probabilities(found: Probabilities) -> Json:
+    return {**found.effects, SOMETHING_ELSE: found.something_else, "nothing": found.nothing}
 
 
 def _step(selection: Selection, number: int) -> Json:

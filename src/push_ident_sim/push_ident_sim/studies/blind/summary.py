@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident_sim.cell.sensors import PLAIN
 from push_ident_sim.studies.blind.scoring import twins_of
@@ -33,6 +34,8 @@ _SIZED = (
 _OF_A_UNIT = ("camera_translation", "camera_rotation", "camera_scale")
 """Errors of calibration that every unit of a model of a sensor has."""
 _N_BOOTSTRAP = 2000
+_SURE = 0.9
+"""Probability from which a cause counts as said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +182,7 @@ def figures(cases: Sequence[Judged]) -> Json:
         "pairs_one": _share(both_detectable, lambda c: set(c.truth) & set(c.named)),
         "unknown_flagged": _share(visible, lambda c: c.verdict in ("unknown", "not_trustworthy")),
         "unknown_misnamed": _share(outside, lambda c: c.verdict in ("named", "several")),
+        **_calibration([*nulls, *detected, *both_detectable, *visible]),
         "outside_invisible": interval(len(outside) - len(visible), len(outside)),
         "shrink": _statistic([own for own, _ in shrinks]),
         "shrink_oracle": _statistic([oracle for _, oracle in shrinks]),
@@ -192,6 +196,22 @@ def figures(cases: Sequence[Judged]) -> Json:
         "baseline_largest_residual": _share(detected, lambda c: _baseline(c, "largest_residual") in c.truth),
         "baseline_random": {"share": 1.0 / len(CAUSES), "n": len(detected), "low": None, "high": None},
         "seconds": _statistic([c.values["seconds"] for c in cases]),
+    }
+
+
+def _calibration(cases: Sequence[Judged]) -> Json:
+    """Of causes that are said with a high probability (effects, something else, nothing): the share that is right, and the mean of what was
+    said. Exact twins share theirs. Cases without a verdict, or from before probabilities were published, say nothing."""
+    said: list[tuple[float, bool]] = []
+    for case in cases:
+        true = {"null": {"nothing"}, "outside": {SOMETHING_ELSE}}.get(case.kind, set(case.truth))
+        probabilities: Counter[str] = Counter()
+        for name, value in (case.values.get("probabilities") or {}).items():
+            probabilities[_one_of_twins(name)] += value
+        said += [(min(value, 1.0), name in true) for name, value in probabilities.items() if value >= _SURE]
+    return {
+        "said_surely": interval(sum(right for _, right in said), len(said)),
+        "said_surely_mean": _statistic([value for value, _ in said], np.mean),
     }
 
 

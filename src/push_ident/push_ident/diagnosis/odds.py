@@ -1,0 +1,175 @@
+"""From evidence to probabilities: what is there, if everything that was considered is one of the explanations.
+
+An explanation is a set of effects of the catalogue, with or without something else. Its weight is
+
+    w = prior * exp(sum of B_k / tau_k)
+
+with the log Bayes factors B_k of what it contains, each over what was found before it. tau >= 1 is the discrepancy of evidence: residuals
+of pushing are neither independent nor exactly normal, and laws of friction are not exactly those of the world, so that differences of log
+evidence are larger than what they are worth. Dividing them by tau is a power likelihood (Holmes & Walker, Assigning a value to a power
+likelihood in a general Bayesian model, Biometrika 2017).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from push_ident.diagnosis.policy import SelectionPolicy
+from push_ident.diagnosis.selection import RivalFit, Selection
+from push_ident.diagnosis.something_else import SomethingElse
+from push_ident.physics.effect import Law
+from push_ident.physics.effects import CAUSES, EFFECTS
+
+__all__ = ["SOMETHING_ELSE", "Explanation", "OutsideEvidence", "Probabilities", "explanations_of", "is_outside", "probabilities_of"]
+
+SOMETHING_ELSE = "something_else"
+"""Name of a cause outside the catalogue among those of effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A set of causes, with the logarithm of its weight."""
+
+    causes: frozenset[str]
+    log_weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideEvidence:
+    """Evidence of something else, after its discrepancy [nat]."""
+
+    alone: float
+    """In place of all effects that were found."""
+    beside: float
+    """Beside them."""
+
+    @classmethod
+    def of(
+        cls, alone: SomethingElse | None, beside: SomethingElse | None, residuals: Sequence[float], policy: SelectionPolicy
+    ) -> OutsideEvidence:
+        """From the search for patterns, and from residuals that are too large without one.
+
+        Args:
+            alone: what was found beside the base model; None where it could not be looked for.
+            beside: the same beside all effects that were found.
+            residuals: p-values of tests of the residuals beside all effects that were failed: a structure that follows none of the
+                patterns, one family more. A p-value p is worth at most the Bayes factor -1 / (e p log p) (Sellke, Bayarri & Berger,
+                Calibration of p values, The American Statistician 2001).
+            policy: discrepancy of the evidence.
+        """
+        bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
+
+        def both(found: SomethingElse | None) -> float:
+            if found is None:
+                return bound
+            n = len(found.patterns)
+            own = found.log_bayes_factor / policy.discrepancy_something_else
+            return float(np.logaddexp(own + math.log(n), bound) - math.log(n + 1))
+
+        return cls(both(alone), both(beside))
+
+
+@dataclass(frozen=True, slots=True)
+class Probabilities:
+    """Of everything that may be there beside the base model."""
+
+    nothing: float
+    something_else: float
+    """That a cause outside the catalogue acts, alone or beside effects."""
+    effects: Mapping[str, float]
+    """That an effect acts, alone or beside others; of all effects of the catalogue that the base model does not have."""
+
+
+def explanations_of(
+    selection: Selection, outside: OutsideEvidence, policy: SelectionPolicy, *, rejected: Mapping[str, float] | None = None
+) -> tuple[Explanation, ...]:
+    """All explanations that were considered, with their weights.
+
+    Args:
+        selection: effects that were found step by step, with their rivals.
+        outside: evidence of something else.
+        policy: prior probabilities and discrepancies.
+        rejected: log Bayes factors [nat] of effects in the pushes that do not support them, in place of those in all.
+    """
+    found: list[str] = []
+    weight = 0.0
+    explanations = [Explanation(frozenset(), 0.0)]
+    explanations.append(Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.alone))
+    for name, (_, candidate) in selection.added.items():
+        weight += policy.log_prior_effect + candidate.log_bayes_factor / _discrepancy(found, selection, policy)
+        found.append(name)
+        explanations.append(Explanation(frozenset(found), weight))
+    for rival in selection.rivals:
+        own = frozenset(name for name in found if name != rival.replaces) | {rival.name}
+        explanations.append(Explanation(own, weight - rival.deficit / _rivalry(rival, selection, policy)))
+    explanations += _twins(found, weight, explanations)
+    explanations += _not_added(selection, weight, policy, rejected or {})
+    if found:
+        explanations.append(Explanation(frozenset([*found, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.beside))
+    return tuple(explanations)
+
+
+def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[str, ...]) -> Probabilities:
+    """Probability of each cause: of all explanations together that contain it.
+
+    Args:
+        explanations: all that were considered.
+        base_effects: effects of the base model, which have none.
+    """
+    weights = np.array([e.log_weight for e in explanations])
+    shares = np.exp(weights - logsumexp(weights))
+
+    def of(name: str) -> float:
+        return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if name in e.causes)))
+
+    nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
+    effects = {name: of(name) for name in CAUSES if name not in base_effects}
+    return Probabilities(nothing, of(SOMETHING_ELSE), effects)
+
+
+def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
+    """Whether a cause outside the catalogue is reported: probably it acts, and something does."""
+    return probabilities.something_else > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
+
+
+def _twins(found: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:
+    """Exact twins in place of effects that were found, which no push distinguishes from them."""
+    known = {explanation.causes for explanation in others}
+    twins = [frozenset(twin if n == name else n for n in found) for name in found for twin in EFFECTS[name].exact_twins]
+    return [Explanation(causes, weight) for causes in twins if causes not in known and len(causes) == len(found)]
+
+
+def _discrepancy(found: Sequence[str], selection: Selection, policy: SelectionPolicy) -> float:
+    """Of the evidence of one more effect beside those that were found."""
+    if not found:
+        return policy.discrepancy_first
+    added = selection.added
+    approximate = sum(added[name][1].log_bayes_factor for name in found if EFFECTS[name].law is Law.APPROXIMATE)
+    return max(policy.discrepancy_next, policy.discrepancy_next_share * approximate)
+
+
+def _rivalry(rival: RivalFit, selection: Selection, policy: SelectionPolicy) -> float:
+    """Discrepancy of the difference of evidence between a rival and the effect that was found."""
+    if EFFECTS[rival.name].law is Law.EXACT:
+        return policy.discrepancy_rivals
+    return max(policy.discrepancy_rivals, policy.discrepancy_rivals_share * selection.added[rival.replaces][1].log_bayes_factor)
+
+
+def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rejected: Mapping[str, float]) -> list[Explanation]:
+    """Effects of the last step, none of which was added."""
+    if not selection.steps or selection.steps[-1].before is not selection.fit:
+        return []
+    step, found = selection.steps[-1], list(selection.found)
+    evidence = {score.name: score.expected_log_bayes_factor for score in step.scores}
+    evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates} | dict(rejected)
+    factor = _discrepancy(found, selection, policy)
+    return [
+        Explanation(frozenset([*found, name]), weight + policy.log_prior_effect + value / factor)
+        for name, value in evidence.items()
+        if name not in found
+    ]

@@ -1,0 +1,135 @@
+"""A pattern outside the catalogue in words: what acts, where and when, and what to look for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.diagnosis.patterns import RADIUS, Acts, VariesWith, waves
+from push_ident.diagnosis.something_else import Pattern
+from push_ident.types import Float64Array
+
+__all__ = ["PatternWords", "describe_pattern"]
+
+_LOOK_FOR: Final = {
+    (Acts.FRICTION, VariesWith.SPOT): "another surface, a film or dirt at that place of the table",
+    (Acts.FRICTION, VariesWith.PLACE): "parts of the table with another surface, a film or dirt",
+    (Acts.FORCE, VariesWith.SPOT): "a magnet, a dent or a bump, an air stream or a cable at that place",
+    (Acts.FORCE, VariesWith.PLACE): "slopes and dents of the table, magnets, air streams, cables",
+    (Acts.TOOL, VariesWith.FROM_PUSH): "a tool that came loose or was bent before that push, or an arm that lost its reference",
+    (Acts.TOOL, VariesWith.ONE_PUSH): "a collision, a slipped tool or lost frames in that push; repeat it",
+    (Acts.TOOL, VariesWith.SIDE): "a bump, a seam, a label or a soft part of that side, or a wrong outline there",
+    (Acts.TOOL, VariesWith.TIME): "a vibrating or wobbling tool, play in the arm, or poses that jump",
+}
+"""By what acts and what it follows."""
+_LOOK_FOR_BY_COORDINATE: Final = {
+    VariesWith.FROM_PUSH: "what changed before that push: something spilled, worn, warmed up, moved or switched on",
+    VariesWith.ONE_PUSH: "what touched or hindered the object in that push; repeat it",
+    VariesWith.PUSH: "what differs from push to push: how the object was put down, a cable, loose contents",
+    VariesWith.SINCE_CONTACT: "contents that shift or slosh, a soft contact, or friction that changes after breaking away",
+    VariesWith.WAY: "friction that changes while sliding: a film that is wiped away, a soft or sticky surface",
+    VariesWith.SPEED: "a film of liquid, air under the object, or friction that depends on the speed by another law",
+    VariesWith.HEADING: "a grain, a seam or an edge of the table",
+    VariesWith.OWN_HEADING: "feet, edges, wheels or a grain of the object's base",
+    VariesWith.TIME: "an air stream, a vibration, a cable that drags, or somebody who touches the object",
+}
+"""Of a force, by what it follows."""
+_DECAYED = 3.0
+"""Decay times or lengths after which a pattern has faded to a twentieth [1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternWords:
+    """Parts of sentences."""
+
+    what: str
+    """What acts, with its size, to continue "it is"."""
+    where: str
+    """Where and when it acts, to continue "it acts"."""
+    look_for: str
+    """To continue "look for"."""
+
+
+def describe_pattern(pattern: Pattern, sources: Sequence[str]) -> PatternWords:
+    """Describe a pattern.
+
+    Args:
+        pattern: the most probable one.
+        sources: of the pushes, in their order.
+    """
+    acts, varies = pattern.family.acts_on, pattern.family.varies_with
+    look_for = _LOOK_FOR.get((acts, varies)) or _LOOK_FOR_BY_COORDINATE[varies]
+    return PatternWords(_what(pattern), _where(pattern, sources), look_for)
+
+
+def _what(pattern: Pattern) -> str:
+    acts, amplitude = pattern.family.acts_on, pattern.amplitude
+    size = float(np.max(np.abs(amplitude)))
+    largest = float(amplitude[np.argmax(np.abs(amplitude))])
+    if acts is Acts.FRICTION:
+        return f"friction that is {'higher' if largest > 0 else 'lower'} by up to {100 * min(size, 1.0):.0f} %"
+    if acts is Acts.TOOL:
+        return f"a displacement of the pusher from its reported path by up to {size:.1f} mm"
+    if pattern.family.varies_with is VariesWith.SPOT:
+        return f"a force {'towards' if largest > 0 else 'away from'} one place, up to {100 * size:.1f} % of the friction of the object"
+    return f"a force or a torque of up to {100 * size:.1f} % of the friction of the object"
+
+
+def _where(pattern: Pattern, sources: Sequence[str]) -> str:
+    varies, key = pattern.family.varies_with, pattern.member.key
+    if isinstance(key, tuple):
+        return f"on everything within {100 * RADIUS:.0f} cm of ({key[0]:.2f}, {key[1]:.2f}) m of the table"
+    if varies in (VariesWith.FROM_PUSH, VariesWith.ONE_PUSH):
+        assert key is not None, "these have a push"
+        source = sources[int(key)]
+        return f"from {source} on" if varies is VariesWith.FROM_PUSH else f"in {source} only"
+    if varies is VariesWith.SINCE_CONTACT and key is not None:
+        return f"in the first {_DECAYED * key:.1f} s after contact"
+    if varies is VariesWith.WAY and key is not None:
+        return f"in the first {1e3 * _DECAYED * key:.0f} mm of sliding"
+    return _by_amplitude(pattern)
+
+
+def _by_amplitude(pattern: Pattern) -> str:
+    """Where a function of a coordinate is largest."""
+    family, amplitude = pattern.family, pattern.amplitude
+    varies = family.varies_with
+    if varies is VariesWith.PUSH:
+        return "in each push in another way"
+    if varies in (VariesWith.HEADING, VariesWith.OWN_HEADING):
+        frame = "table" if varies is VariesWith.HEADING else "object"
+        return f"by the direction of motion in the {frame}, most towards {np.degrees(_largest_heading(amplitude)):.0f}°"
+    assert family.at is not None, "the other coordinates have values"
+    at = family.at[np.argmax(np.abs(amplitude))]
+    if varies is VariesWith.SPEED:
+        return f"by the speed, most near {1e3 * at[0]:.0f} mm/s"
+    if varies is VariesWith.SIDE:
+        return f"where the pusher touches the side towards {np.degrees(at[0]):.0f}° of the object's axes"
+    if varies is VariesWith.TIME:
+        return f"in each push in another way, about {_frequency(family.at, amplitude):.1f} times a second"
+    return f"by the place on the table, most near ({at[0]:.2f}, {at[1]:.2f}) m"
+
+
+def _largest_heading(amplitude: Float64Array) -> float:
+    """Angle at which the force of a function of it is largest [rad]; amplitudes of three components for each wave."""
+    angles = np.radians(np.arange(-180.0, 180.0, 5.0))
+    basis = waves(angles)
+    force = basis @ amplitude.reshape(basis.shape[1], -1)
+    return float(angles[np.argmax(np.sum(force**2, axis=1))])
+
+
+def _frequency(at: Float64Array, amplitude: Float64Array) -> float:
+    """Of the strongest oscillation of all pushes together [Hz], from amplitudes at times that are evenly spaced within each push."""
+    candidates = np.arange(0.5, 6.25, 0.25)
+    power = np.zeros(len(candidates))
+    n_components = int(np.count_nonzero(np.all(at == at[0], axis=1)))
+    for push in np.unique(at[:, 0]):
+        own = at[:, 0] == push
+        time = at[own, 1][::n_components]
+        values = amplitude[own].reshape(-1, n_components)
+        wave = np.exp(-2j * np.pi * candidates[:, None] * time)
+        power += np.sum(np.abs(wave @ (values - values.mean(axis=0))) ** 2, axis=1) / len(time)
+    return float(candidates[np.argmax(power)])

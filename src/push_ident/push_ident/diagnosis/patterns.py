@@ -1,0 +1,405 @@
+"""What something outside the catalogue could do: patterns of small forces and displacements, and how they would change the poses.
+
+A pattern is a force on the object, a displacement of the pusher, or a factor of the friction of some cells, that follows one coordinate of
+the motion: the place on the table, a heading, the order of the pushes, the time since contact, the way slid, the speed, the side of the
+object that is touched, or the time within each push. The derivative of the motion by a force in any step is known (`StepResponse`), so
+that the change of all poses by any pattern is a product, whatever law it stands for.
+
+Amplitudes are forces in friction limits of the whole object, torques in that times its radius of gyration, shares of the friction, and
+displacements in millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+
+from push_ident.identification.fit import Fit
+from push_ident.physics.simulation import StepResponse
+from push_ident.types import Float64Array
+
+__all__ = ["FIRST_SECONDS", "RADIUS", "Acts", "Family", "Member", "VariesWith", "pattern_families", "waves"]
+
+_STILL = 1e-3
+"""Speed below which a direction of motion fades [m/s], as of effects."""
+_SPACING = 0.03
+"""Distance of neighbouring places [m]."""
+_WIDTH = 0.03
+"""Standard deviation of the bell over a place [m], about the size of two cells."""
+RADIUS = 2 * _WIDTH
+"""Distance at which a bell over a place has fallen to an eighth [m]: what "within" means."""
+_MAX_PLACES = 120
+"""Largest number of places; where the pushes reach further, places lie further apart."""
+_THIN = 4
+"""Every so many steps the friction of cells by their place is computed (17 ms): less than a cell's size at any speed."""
+_HARMONICS: Final = (1, 2, 3, 4)
+"""Of a heading."""
+FIRST_SECONDS: Final = (0.1, 0.3, 0.9)
+"""Decay times since contact [s]."""
+FIRST_WAYS: Final = (0.005, 0.02, 0.05)
+"""Decay lengths of the way slid [m]."""
+_SPEEDS: Final = (0.01, 0.03, 0.1, 0.3)
+"""Speeds between which a function of the speed is interpolated by their logarithm [m/s]."""
+_SIDES = 12
+"""Directions from the centre of mass to the contact, object axes."""
+_KNOT_SECONDS = 0.08
+"""Distance of the knots of a function of the time within a push [s]: it follows changes up to about 4 Hz."""
+_MAX_KNOTS = 24
+"""Largest number of knots of a push."""
+
+
+_FORCES: Final = (0.01, 0.03, 0.1, 0.3)
+"""Prior standard deviations of a force, in friction limits of the object, and of a torque, in those times the radius of gyration [1]."""
+_FRICTIONS: Final = (0.1, 0.3, 1.0)
+"""Prior standard deviations of a share of the friction [1]."""
+_LENGTHS: Final = (0.3, 1.0, 3.0)
+"""Prior standard deviations of a displacement [mm]."""
+_SHARED: Final = ("friction", "field", "since", "way", "speed", "heading", "own_heading", "side")
+"""Patterns that all pushes share."""
+_SEPARATE: Final = ("order_motion", "order_table", "order_tool", "time", "time_tool")
+"""Patterns that each push has for itself."""
+
+
+class Acts(Enum):
+    """What a pattern acts on."""
+
+    FRICTION = "friction"
+    FORCE = "force"
+    """With a torque, along the axes of the table."""
+    FORCE_ON_MOTION = "force along the motion"
+    """Along and across the motion, with a torque."""
+    TOOL = "pusher"
+
+
+class VariesWith(Enum):
+    """The coordinate that a pattern follows."""
+
+    SPOT = "spot"
+    """One place."""
+    PLACE = "place"
+    FROM_PUSH = "from push"
+    """The same from one push on."""
+    ONE_PUSH = "one push"
+    PUSH = "push"
+    """Each push for itself."""
+    SINCE_CONTACT = "time since contact"
+    WAY = "way slid"
+    SPEED = "speed"
+    HEADING = "heading in the table"
+    OWN_HEADING = "heading in the object"
+    SIDE = "side of the object"
+    TIME = "time"
+    """In each push in its own way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One hypothesis of a family."""
+
+    key: float | tuple[float, float] | None
+    """What distinguishes it: number of the push, decay time [s] or length [m], place [m]; None where the family has only one."""
+    weights: Float64Array
+    """Its patterns as combinations of the columns of the family, shape (n_columns, n)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Patterns that act on one thing and follow one coordinate."""
+
+    acts_on: Acts
+    varies_with: VariesWith
+    columns: Float64Array
+    """Change of the whitened residuals of all frames by a unit amplitude of each column, shape (3 n_frames of all pushes, n_columns)."""
+    members: tuple[Member, ...]
+    scales: tuple[float, ...]
+    """Prior standard deviations of the amplitudes; which of them holds is not known."""
+    at: Float64Array | None = None
+    """What each column stands for, where that is a place [m], a speed [m/s], an angle [rad] or a number of a push and a time [s], shape
+    (n_columns, n); columns of several components of a force repeat it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """A simulated push step by step."""
+
+    response: StepResponse
+    along: Float64Array
+    """Unit vector of the motion, fading at rest, shape (n_steps, 2)."""
+    speed: Float64Array
+    """Of the object, rotation counted [m/s], shape (n_steps,)."""
+    turning: Float64Array
+    """Share of the rotation in it, signed, shape (n_steps,)."""
+    radius: float
+    """Of gyration of the cells [m]."""
+    friction: float
+    """Friction limit of the object [N]."""
+    since: Float64Array
+    """Time since the first contact [s], below 0 before it, shape (n_steps,)."""
+    way: Float64Array
+    """Slid since then [m], shape (n_steps,)."""
+
+    @classmethod
+    def of(cls, response: StepResponse) -> _Path:
+        arms = response.arms
+        radius = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
+        velocity, turn = response.twist[:, :2], radius * response.twist[:, 2]
+        speed = np.sqrt(np.sum(velocity**2, axis=1) + turn**2 + _STILL**2)
+        steps = np.diff(response.time, prepend=2 * response.time[0] - response.time[1])
+        first = response.time[np.argmax(response.touches)] if np.any(response.touches) else np.inf
+        return cls(
+            response, velocity / speed[:, None], speed, turn / speed, radius, float(response.limit.sum()), response.time - first,
+            np.cumsum((speed - _STILL) * steps),
+        )  # fmt: skip
+
+    def motion_wrench(self) -> Float64Array:
+        """Forces along and across the motion, and a torque, each of unit size while the object moves, shape (n_steps, 3, 3)."""
+        x, y = self.along.T
+        moves = np.sqrt(x**2 + y**2 + self.turning**2)
+        wrench = np.zeros((len(x), 3, 3))
+        wrench[:, 0, 0], wrench[:, 1, 0], wrench[:, 2, 0] = -x, -y, -self.radius * self.turning
+        wrench[:, 0, 1], wrench[:, 1, 1] = -y, x
+        wrench[:, 2, 2] = self.radius * moves
+        return self.friction * wrench
+
+    def load_wrench(self) -> Float64Array:
+        """Torques of a centre of friction that moves in the object by a radius of it, along its axes, shape (n_steps, 3, 2)."""
+        x, y, yaw = *self.along.T, self.response.pose[:, 2]
+        own_x, own_y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
+        wrench = np.zeros((len(x), 3, 2))
+        wrench[:, 2, 0], wrench[:, 2, 1] = -own_y, own_x
+        return self.friction * self.radius * wrench
+
+    def table_wrench(self) -> Float64Array:
+        """Forces along the axes of the table and a torque, while the object moves, shape (n_steps, 3, 3)."""
+        moves = np.sqrt(np.sum(self.along**2, axis=1) + self.turning**2)
+        return self.friction * moves[:, None, None] * np.diag([1.0, 1.0, self.radius])
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Patterns of one push: their forces and displacements step by step."""
+
+    wrench: Float64Array
+    """Shape (n_steps, 3, n)."""
+    displacement: Float64Array
+    """Shape (n_steps, 2, n)."""
+
+    @classmethod
+    def forces(cls, wrench: Float64Array) -> _Block:
+        return cls(wrench, np.zeros((len(wrench), 2, wrench.shape[2])))
+
+    @classmethod
+    def tool(cls, displacement: Float64Array) -> _Block:
+        return cls(np.zeros((len(displacement), 3, displacement.shape[2])), displacement)
+
+
+def _times(wrench: Float64Array, functions: Float64Array) -> Float64Array:
+    """Each pattern times each function, shapes (n_steps, 3, n) and (n_steps, m): (n_steps, 3, m n), the patterns of a function together."""
+    return np.asarray(np.einsum("tip,tm->timp", wrench, functions)).reshape(len(wrench), wrench.shape[1], -1)
+
+
+def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
+    """The change of the residuals of a fit by every pattern; None where a push cannot be simulated."""
+    problem = fit.problem
+    simulated = [problem.respond(fit.x, push) for push in range(len(problem.records))]
+    if any(response is None for _, response in simulated):
+        return None
+    paths = [_Path.of(response) for _, response in simulated if response is not None]
+    places = _places(paths)
+    weights = [np.sqrt(problem.weigh(problem.residual(fit.x, motion, push))[1]) for push, (motion, _) in enumerate(simulated)]
+    whitening = [w[:, None, None] * o.whitening for w, o in zip(weights, problem.observations, strict=True)]
+    by_push = [_blocks_of(path, places, record.order) for path, record in zip(paths, problem.records, strict=True)]
+    responses = [_respond(path, blocks, white) for path, blocks, white in zip(paths, by_push, whitening, strict=True)]
+    return tuple(_families(responses, places, [_knot_times(path) for path in paths]))
+
+
+def _respond(path: _Path, blocks: dict[str, _Block], whitening: Float64Array) -> dict[str, Float64Array]:
+    wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
+    displacement = np.concatenate([b.displacement for b in blocks.values()], axis=2)
+    response = np.einsum("fij,fjp->fip", whitening, path.response(wrench, displacement)).reshape(3 * len(whitening), -1)
+    ends = np.cumsum([b.wrench.shape[2] for b in blocks.values()])[:-1]
+    return dict(zip(blocks, np.split(response, ends, axis=1), strict=True))
+
+
+def _places(paths: Sequence[_Path]) -> Float64Array:
+    """Places on the table that an object came over, shape (n, 2)."""
+    centres = np.concatenate([p.response.pose[:: 4 * _THIN, :2] for p in paths])
+    reach = max(float(np.max(np.linalg.norm(p.response.arms, axis=1))) for p in paths)
+    low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+    spacing = _SPACING
+    while True:
+        axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        near = np.min(np.linalg.norm(grid[:, None] - centres, axis=2), axis=1) < reach
+        if np.count_nonzero(near) <= _MAX_PLACES:
+            return grid[near]
+        spacing *= 1.1
+
+
+def _blocks_of(path: _Path, places: Float64Array, order: int) -> dict[str, _Block]:
+    motion, load, table = path.motion_wrench(), path.load_wrench(), path.table_wrench()
+    acting = np.concatenate([motion, load], axis=2)
+    after = np.asarray(path.since > 0.0, dtype=np.float64)
+    heading = np.arctan2(path.along[:, 1], path.along[:, 0])
+    own = heading - path.response.pose[:, 2]
+    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in FIRST_SECONDS])
+    first_ways = np.column_stack([np.exp(-path.way / w) for w in FIRST_WAYS])
+    bells = _bells(path)
+    tool = np.zeros((len(bells), 2, 2)) + 1e-3 * np.eye(2)
+    return {
+        "friction": _Block.forces(_friction_by_place(path, places)),
+        "field": _Block.forces(_field(path, places)),
+        "order_motion": _Block.forces(motion),
+        "order_table": _Block.forces(table),
+        "order_tool": _Block.tool(tool),
+        "since": _Block.forces(_times(acting, first)),
+        "way": _Block.forces(_times(acting, first_ways)),
+        "speed": _Block.forces(_times(acting, _hats(np.log(path.speed), np.log(_SPEEDS)))),
+        "heading": _Block.forces(_times(motion, waves(heading))),
+        "own_heading": _Block.forces(_times(motion, waves(own))),
+        "side": _Block.tool(_sides(path)),
+        "time": _Block.forces(_times(table, bells)),
+        "time_tool": _Block.tool(_times(tool, bells)),
+    }
+
+
+def _hats(at: Float64Array, knots: Float64Array) -> Float64Array:
+    """Hat functions of the knots, constant outside, shape (len(at), n_knots)."""
+    return np.column_stack([np.interp(at, knots, row) for row in np.eye(len(knots))])
+
+
+def waves(angle: Float64Array) -> Float64Array:
+    """Waves of a heading [rad], higher ones weaker, shape (len(angle), n)."""
+    return np.column_stack([wave(k * angle) / k for k in _HARMONICS for wave in (np.cos, np.sin)])
+
+
+def _knot_times(path: _Path) -> Float64Array:
+    """Knots of a function of the time while the pusher acts [s], shape (n,)."""
+    acts = np.flatnonzero(path.response.touches)
+    if not len(acts):
+        return path.response.time[:1]
+    start, end = path.response.time[acts[[0, -1]]]
+    return np.linspace(start, end, int(np.clip(np.ceil((end - start) / _KNOT_SECONDS), 1, _MAX_KNOTS)) + 1)
+
+
+def _bells(path: _Path) -> Float64Array:
+    """Bells over the knots, shape (n_steps, n)."""
+    knots = _knot_times(path)
+    width = max(_KNOT_SECONDS, float(knots[-1] - knots[0]) / max(1, len(knots) - 1))
+    return np.asarray(np.exp(-0.5 * ((path.response.time[:, None] - knots) / width) ** 2))
+
+
+def _friction_by_place(path: _Path, places: Float64Array) -> Float64Array:
+    """Friction of the cells within a bell over each place, shape (n_steps, 3, n_places)."""
+    response, arms = path.response, path.response.arms
+    sampled = np.arange(0, len(response.time), _THIN)
+    steps = sampled[path.speed[sampled] > 2.0 * _STILL]
+    cos, sin = np.cos(response.pose[steps, 2])[:, None], np.sin(response.pose[steps, 2])[:, None]
+    x, y = cos * arms[:, 0] - sin * arms[:, 1], sin * arms[:, 0] + cos * arms[:, 1]
+    turn = response.twist[steps, 2][:, None]
+    vx, vy = response.twist[steps, 0][:, None] - turn * y, response.twist[steps, 1][:, None] + turn * x
+    size = np.sqrt(vx**2 + vy**2 + _STILL**2)
+    fx, fy = -response.limit * vx / size, -response.limit * vy / size
+    force = np.stack([fx, fy, x * fy - y * fx], axis=1)
+    # A bell over a place is a product over the two axes, on which places of a grid repeat.
+    bell_x, bell_y = (_bells_over(own + response.pose[steps, axis][:, None], places[:, axis]) for axis, own in ((0, x), (1, y)))
+    wrench = np.zeros((len(sampled), 3, len(places)))
+    wrench[path.speed[sampled] > 2.0 * _STILL] = np.matmul(force, bell_x * bell_y)
+    return np.repeat(wrench, _THIN, axis=0)[: len(response.time)]
+
+
+def _bells_over(at: Float64Array, centres: Float64Array) -> Float64Array:
+    """exp(-1/2 (at - centre)^2 / width^2), shape (*at.shape, n_centres)."""
+    different, number = np.unique(centres, return_inverse=True)
+    return np.asarray(np.exp(-0.5 * ((at[..., None] - different) / _WIDTH) ** 2)[..., number])
+
+
+def _field(path: _Path, places: Float64Array) -> Float64Array:
+    """Pull of the centre of mass towards each place, largest 4 cm from it, shape (n_steps, 3, n_places)."""
+    away = path.response.pose[:, None, :2] - places
+    width = np.sqrt(2.0) * _WIDTH
+    strength = np.exp(0.5 - 0.5 * np.sum(away**2, axis=2) / width**2)
+    wrench = np.zeros((len(away), 3, len(places)))
+    wrench[:, :2] = np.moveaxis(-away / width * strength[..., None], 2, 1)
+    return path.friction * wrench * np.sqrt(np.sum(path.along**2, axis=1) + path.turning**2)[:, None, None]
+
+
+def _sides(path: _Path) -> Float64Array:
+    """Displacement of the pusher towards the centre of mass by 1 mm, by the direction of the contact in the object, (n_steps, 2, n)."""
+    offset = path.response.pusher - path.response.pose[:, :2]
+    direction = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)[:, None]
+    angle = np.arctan2(offset[:, 1], offset[:, 0]) - path.response.pose[:, 2]
+    at = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    bell = np.exp((np.cos(angle[:, None] - at) - 1.0) / (2.0 * np.pi / _SIDES) ** 2)
+    return np.asarray(-1e-3 * direction[:, :, None] * bell[:, None, :])
+
+
+def _families(responses: Sequence[dict[str, Float64Array]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
+    shared = {name: np.concatenate([r[name] for r in responses]) for name in _SHARED}
+    separate = {name: _block_diagonal([r[name] for r in responses]) for name in _SEPARATE}
+    n, sides = len(responses), 2.0 * np.pi * np.arange(_SIDES)[:, None] / _SIDES
+    times = np.concatenate([np.column_stack([np.full(len(own), push), own]) for push, own in enumerate(knots)])
+    friction, field = shared["friction"], shared["field"]
+    by_motion, by_table, by_tool = (separate[name] for name in ("order_motion", "order_table", "order_tool"))
+    since, way, speed = shared["since"], shared["way"], shared["speed"]
+    n_acting = since.shape[1] // len(FIRST_SECONDS)
+    speeds = np.repeat(_SPEEDS, speed.shape[1] // len(_SPEEDS))[:, None]
+    return [
+        Family(Acts.FRICTION, VariesWith.SPOT, friction, _singles(places), _FRICTIONS, places),
+        Family(Acts.FRICTION, VariesWith.PLACE, friction, _all_of(friction), _FRICTIONS, places),
+        Family(Acts.FORCE, VariesWith.SPOT, field, _singles(places), _FORCES, places),
+        Family(Acts.FORCE, VariesWith.PLACE, field, _all_of(field), _FORCES, places),
+        Family(Acts.FORCE, VariesWith.FROM_PUSH, by_table, _from_push(n, 3), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.FROM_PUSH, by_motion, _from_push(n, 3), _FORCES),
+        Family(Acts.TOOL, VariesWith.FROM_PUSH, by_tool, _from_push(n, 2), _LENGTHS),
+        Family(Acts.FORCE, VariesWith.ONE_PUSH, by_table, _one_push(n, 3), _FORCES),
+        Family(Acts.TOOL, VariesWith.ONE_PUSH, by_tool, _one_push(n, 2), _LENGTHS),
+        Family(Acts.FORCE, VariesWith.PUSH, by_table, _all_of(by_table), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.SINCE_CONTACT, since, _parts(FIRST_SECONDS, n_acting), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.WAY, way, _parts(FIRST_WAYS, n_acting), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.SPEED, speed, _all_of(speed), _FORCES, speeds),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING, shared["heading"], _all_of(shared["heading"]), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.OWN_HEADING, shared["own_heading"], _all_of(shared["own_heading"]), _FORCES),
+        Family(Acts.TOOL, VariesWith.SIDE, shared["side"], _all_of(shared["side"]), _LENGTHS, sides),
+        Family(Acts.FORCE, VariesWith.TIME, separate["time"], _all_of(separate["time"]), _FORCES, np.repeat(times, 3, axis=0)),
+        Family(Acts.TOOL, VariesWith.TIME, separate["time_tool"], _all_of(separate["time_tool"]), _LENGTHS, np.repeat(times, 2, axis=0)),
+    ]
+
+
+def _block_diagonal(parts: Sequence[Float64Array]) -> Float64Array:
+    """Of each push its own columns."""
+    full = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
+    row = column = 0
+    for part in parts:
+        full[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return full
+
+
+def _all_of(columns: Float64Array) -> tuple[Member, ...]:
+    return (Member(None, np.eye(columns.shape[1])),)
+
+
+def _singles(places: Float64Array) -> tuple[Member, ...]:
+    """One place each."""
+    identity = np.eye(len(places))
+    return tuple(Member((float(x), float(y)), identity[:, [k]]) for k, (x, y) in enumerate(places))
+
+
+def _parts(keys: Sequence[float], n_each: int) -> tuple[Member, ...]:
+    """A part of the columns for each key."""
+    identity = np.eye(len(keys) * n_each)
+    return tuple(Member(key, identity[:, k * n_each : (k + 1) * n_each]) for k, key in enumerate(keys))
+
+
+def _from_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
+    """The same in all pushes from one of them on."""
+    return tuple(Member(k, np.kron((np.arange(n_pushes) >= k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(1, n_pushes))
+
+
+def _one_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
+    return tuple(Member(k, np.kron((np.arange(n_pushes) == k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(n_pushes))

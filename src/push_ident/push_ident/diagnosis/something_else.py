@@ -1,0 +1,223 @@
+"""Something else as a hypothesis: structure in the residuals that no law of the catalogue stands for.
+
+With the residuals r of a fit, weighted as in its cost, their derivative J by everything that was fitted and the precision P of the prior,
+patterns Phi (`patterns.py`) whose amplitudes have the prior N(0, s^2) raise the log evidence, in the linear range of the fit, by
+
+    B(s) = 1/2 g' (1/s^2 + A)^-1 g - 1/2 log det(1 + s^2 A),       g = Phi' M r,  A = Phi' M Phi,  M = 1 - J (J'J + P)^-1 J'
+
+M projects out what maps, scales, first poses and named effects could explain. It is the score test of a random effect (Liang, A locally
+most powerful test for homogeneity, Biometrika 1987) with its Bayes factor (Rasmussen & Williams, Gaussian Processes for Machine Learning,
+2006, section 5.4.1). One hypothesis is the mean of exp B over scales, members and families: each counts by its prior probability, which is
+what having looked everywhere costs. The p-value comes from draws of the noise that pass through the same computation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from push_ident.diagnosis.patterns import Family, Member, pattern_families
+from push_ident.diagnosis.policy import UnknownPolicy
+from push_ident.diagnosis.residuals import draw_noise
+from push_ident.identification.fit import Fit
+from push_ident.identification.prediction import cell_displacement
+from push_ident.types import Float64Array
+
+__all__ = ["Pattern", "SomethingElse", "error_with_patterns", "find_something_else"]
+
+
+_PROBABLE = 0.1
+"""Share of a pattern in that of the best one from which it is part of a prediction [1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """The best member of a family, with its amplitudes."""
+
+    family: Family
+    member: Member
+    scale: float
+    """Prior standard deviation of the amplitudes under which the evidence is largest."""
+    log_bayes_factor: float
+    """Of the whole family over the fit [nat]."""
+    share: float
+    """Probability of the family, if there is something else."""
+    amplitude: Float64Array
+    """Of each column of the family, shape (n_columns,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SomethingElse:
+    """What the residuals of a fit show of a cause outside the catalogue."""
+
+    log_bayes_factor: float
+    """Of anything of the kind over the fit, all families counted with their prior probability [nat]."""
+    p_value: float
+    """Probability of as large a log Bayes factor under noise alone."""
+    patterns: tuple[Pattern, ...]
+    """Of each family, the most probable first."""
+
+    @property
+    def best(self) -> Pattern:
+        """Of the most probable family."""
+        return self.patterns[0]
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """A fit in its linear range, rows weighted as in its cost."""
+
+    jacobian: Float64Array
+    """Shape (n_rows, n_unknowns)."""
+    observed: Float64Array
+    """Observed minus simulated, shape (n_rows,)."""
+    weight: Float64Array
+    """Root of the weight of each frame, shape (n_rows,)."""
+    precision: Float64Array
+    """Of the unknowns by the prior, shape (n_unknowns,)."""
+    onto: Float64Array
+    """(J'J + P)^-1 J', shape (n_unknowns, n_rows)."""
+    residual: Float64Array
+    """At the optimum of the quadratic approximation, observed minus simulated, shape (n_rows,)."""
+
+    def without_fitted(self, columns: Float64Array) -> Float64Array:
+        """M times columns, shape (n_rows, n)."""
+        return columns - self.jacobian @ (self.onto @ columns)
+
+
+def find_something_else(fit: Fit, policy: UnknownPolicy) -> SomethingElse | None:
+    """Look for structure in the residuals of a fit.
+
+    Args:
+        fit: converged; what it has fitted is projected out.
+        policy: number of draws.
+
+    Returns:
+        None where a push cannot be simulated.
+    """
+    all_families, linear = pattern_families(fit), _linear(fit)
+    if all_families is None or linear is None:
+        return None
+    residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.draws)])
+    found = [_evaluate(family, linear, residuals) for family in all_families]
+    families = np.array([own[0] for own in found])
+    drawn = np.array([own[1] for own in found])
+    total, under_noise = float(_log_mean(families)), _log_mean(drawn)
+    order = np.argsort(-families)
+    share = np.exp(families - logsumexp(families))
+    patterns = [_pattern(all_families[k], found[k][2], float(families[k]), float(share[k]), linear) for k in order]
+    p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
+    return SomethingElse(total, p_value, tuple(patterns))
+
+
+def error_with_patterns(fit: Fit, found: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
+    """Cell error of held-out pushes with the patterns that were found less that without [m], shape (n_pushes,): below 0 where they help.
+
+    Both are predicted in the linear range of the fit, from all pushes outside a fold and the first poses of those within; with the patterns
+    as a mean over those that are probable, by their shares.
+
+    Args:
+        fit: to all pushes.
+        found: beside it.
+        folds: numbers of the pushes that are held out together.
+    """
+    linear = _linear(fit)
+    assert linear is not None, "patterns were found beside this fit"
+    probable = [pattern for pattern in found.patterns if pattern.share >= _PROBABLE * found.best.share]
+    weights = np.array([pattern.share for pattern in probable])
+    without = _end_residuals(fit, linear, None, folds)
+    own = np.array([_end_residuals(fit, linear, pattern, folds) for pattern in probable])
+    with_them = np.tensordot(weights / weights.sum(), own, axes=1)
+    return np.asarray(np.linalg.norm(with_them, axis=1) - np.linalg.norm(without, axis=1))
+
+
+def _end_residuals(fit: Fit, linear: _Linear, pattern: Pattern | None, folds: Sequence[Sequence[int]]) -> Float64Array:
+    """Displacement of the cells at the end of each push from its prediction without the push [m], shape (n_pushes, 3)."""
+    problem = fit.problem
+    columns, precision, start = linear.jacobian, linear.precision, fit.x
+    if pattern is not None:
+        own = pattern.family.columns @ pattern.member.weights
+        columns = np.hstack([columns, own])
+        precision = np.append(precision, np.full(own.shape[1], pattern.scale**-2))
+        start = np.append(start, np.zeros(own.shape[1]))
+    first = np.concatenate([[0], np.cumsum([3 * len(o.time) for o in problem.observations])])
+    residuals = np.empty((len(problem.records), 3))
+    for fold in folds:
+        known = np.ones(len(columns), dtype=bool)
+        for push in fold:
+            known[first[push] + 3 : first[push + 1]] = False
+        rows = columns[known]
+        step = np.linalg.solve(rows.T @ rows + np.diag(precision), rows.T @ linear.observed[known] - precision * start)
+        for push in fold:
+            ends = slice(first[push + 1] - 3, first[push + 1])
+            observation = problem.observations[push]
+            whitening = linear.weight[ends][:, None] * observation.whitening[-1]
+            in_metres = cell_displacement(problem.records[push].shape.cells, observation.pose[-1, 2]) @ np.linalg.inv(whitening)
+            residuals[push] = in_metres @ (linear.observed[ends] - columns[ends] @ step)
+    return residuals
+
+
+def _linear(fit: Fit) -> _Linear | None:
+    problem = fit.problem
+    jacobian, motions = problem.jacobian(fit.x), problem.simulate(fit.x)
+    if jacobian is None:
+        return None
+    residuals = [problem.residual(fit.x, motion, push) for push, motion in enumerate(motions)]
+    weight = np.concatenate([np.repeat(np.sqrt(problem.frame_weight(residual)), 3) for residual in residuals])
+    weighted = jacobian * weight[:, None]
+    # The residual of a problem is simulated minus observed.
+    observed = -weight * np.concatenate([own.ravel() for own in residuals])
+    hessian = weighted.T @ weighted + np.diag(problem.unit_prior)
+    onto = np.linalg.solve(hessian, weighted.T)
+    step = np.linalg.solve(hessian, weighted.T @ observed - problem.unit_prior * fit.x)
+    return _Linear(weighted, observed, weight, problem.unit_prior, onto, observed - weighted @ step)
+
+
+def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
+    """Draws of what `_Linear.residual` is under noise alone, shape (n_rows, n_draws)."""
+    rng = np.random.default_rng(0)
+    drawn = [draw_noise(observation, rng, n_draws) for observation in fit.problem.observations]
+    # The slope of the cost of a draw, by which it is judged, has the weights of the draw.
+    scores = [(own * fit.problem.frame_weight(own)[..., None]).reshape(n_draws, -1) for own in drawn]
+    noise = np.hstack(scores).T / linear.weight[:, None]
+    return np.asarray(noise - linear.jacobian @ (linear.onto @ noise))
+
+
+_Best = tuple[int, int]
+"""Numbers of the member and of the scale with the largest evidence."""
+
+
+def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple[float, Float64Array, _Best]:
+    """Log Bayes factor of a family [nat], the same under draws of noise, shape (n_draws,), and its best member and scale.
+
+    `residuals`: those of the fit, then the draws, shape (n_rows, 1 + n_draws).
+    """
+    precision = family.columns.T @ linear.without_fitted(family.columns)
+    slope = family.columns.T @ residuals
+    scales2 = np.square(family.scales)
+    values = np.empty((len(family.members), len(scales2), slope.shape[1]))
+    for k, member in enumerate(family.members):
+        own = member.weights.T @ precision @ member.weights
+        size, directions = np.linalg.eigh(own)
+        size, along2 = np.maximum(size, 0.0), (directions.T @ (member.weights.T @ slope)) ** 2
+        for j, s2 in enumerate(scales2):
+            values[k, j] = 0.5 * (1.0 / (1.0 / s2 + size)) @ along2 - 0.5 * np.sum(np.log1p(s2 * size))
+    both = _log_mean(values.reshape(-1, values.shape[2]))
+    member_number, scale_number = np.unravel_index(np.argmax(values[:, :, 0]), values.shape[:2])
+    return float(both[0]), both[1:], (int(member_number), int(scale_number))
+
+
+def _log_mean(values: Float64Array) -> Float64Array:
+    """Logarithm of the mean of exp(values) over the first axis."""
+    return np.asarray(logsumexp(values, axis=0) - np.log(len(values)))
+
+
+def _pattern(family: Family, best: _Best, log_bayes_factor: float, share: float, linear: _Linear) -> Pattern:
+    member, scale = family.members[best[0]], family.scales[best[1]]
+    own = family.columns @ member.weights
+    precision = own.T @ linear.without_fitted(own) + np.eye(own.shape[1]) / scale**2
+    amplitude = member.weights @ np.linalg.solve(precision, own.T @ linear.residual)
+    return Pattern(family, member, scale, log_bayes_factor, share, amplitude)

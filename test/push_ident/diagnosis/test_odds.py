@@ -1,0 +1,90 @@
+"""From evidence to probabilities: prior odds, costs and discrepancies decide as they are stated."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import stub_fit
+from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabilities, explanations_of, is_outside, probabilities_of
+from push_ident.diagnosis.policy import DecisionPolicy, SelectionPolicy
+from push_ident.diagnosis.scores import EffectScore
+from push_ident.diagnosis.selection import Candidate, Selection, Step
+
+POLICY = SelectionPolicy()
+NO_TRACE = OutsideEvidence(-math.inf, -math.inf)
+
+
+def selection_of(*rounds: dict[str, float], n_found: int) -> Selection:
+    """Rounds of candidates with their log Bayes factors, the first of each found in `n_found` of them."""
+    names = [next(iter(candidates)) for candidates in rounds[:n_found]]
+    fits = [stub_fit(*names[:n]) for n in range(n_found + 1)]
+    steps = [
+        Step(fits[min(number, n_found)], None, (), tuple(Candidate(name, stub_fit(name), value) for name, value in own.items()))
+        for number, own in enumerate(rounds)
+    ]
+    return Selection(fits[0], fits[-1], tuple(steps))
+
+
+def probabilities(selection: Selection, outside: OutsideEvidence = NO_TRACE) -> Probabilities:
+    return probabilities_of(explanations_of(selection, outside, POLICY), ())
+
+
+def test_without_evidence_probabilities_are_the_prior() -> None:
+    scores = tuple(EffectScore(name, 0.0, np.zeros(1), np.eye(1), np.inf) for name in probabilities(selection_of(n_found=0)).effects)
+    base = stub_fit()
+    found = probabilities(Selection(base, base, (Step(base, None, scores, ()),)), OutsideEvidence(0.0, 0.0))
+    assert found.nothing == pytest.approx(POLICY.prior_nothing)
+    assert found.something_else == pytest.approx(POLICY.prior_something_else)
+    assert sum(found.effects.values()) == pytest.approx(POLICY.prior_effects)
+    assert not is_outside(found, POLICY)
+
+
+def test_effect_is_detected_where_silence_would_cost_as_much_as_a_false_alarm() -> None:
+    found = probabilities(selection_of({"wear": POLICY.min_log_bayes_factor}, n_found=1))
+    assert found.effects["wear"] / found.nothing == pytest.approx(POLICY.cost_false_alarm)
+    beside = selection_of({"camera_scale": 500.0}, {"wear": POLICY.min_log_bayes_factor_next}, n_found=2)
+    assert probabilities(beside).effects["wear"] == pytest.approx(POLICY.cost_false_alarm / (1 + POLICY.cost_false_alarm))
+
+
+def test_rival_at_the_margin_of_a_tie_is_as_improbable_as_a_wrong_name_is_expensive() -> None:
+    found = probabilities(selection_of({"pusher_lag": 500.0, "pose_latency": 500.0 - POLICY.tie_margin}, n_found=1))
+    assert found.effects["pusher_lag"] / found.effects["pose_latency"] == pytest.approx(POLICY.cost_wrong_name)
+
+
+def test_exact_twins_are_equally_probable() -> None:
+    found = probabilities(selection_of({"camera_translation": 100.0}, n_found=1))
+    assert found.effects["tool_offset"] == pytest.approx(found.effects["camera_translation"]) == pytest.approx(0.5)
+
+
+def test_something_else_in_place_of_effects_or_beside_them() -> None:
+    named = selection_of({"wear": 30.0}, n_found=1)
+    instead = probabilities(named, OutsideEvidence(alone=60.0, beside=-2.0))
+    assert instead.something_else > 0.99 and instead.effects["wear"] < 0.01 and is_outside(instead, POLICY)
+    beside = probabilities(named, OutsideEvidence(alone=10.0, beside=8.0))
+    assert beside.something_else > 0.99 and beside.effects["wear"] > 0.99 and is_outside(beside, POLICY)
+    neither = probabilities(named, OutsideEvidence(alone=10.0, beside=-2.0))
+    assert neither.something_else < POLICY.max_probability_of_error and neither.effects["wear"] > 0.95
+
+
+def test_effect_that_pushes_do_not_support_counts_with_their_evidence() -> None:
+    nothing_kept = selection_of({"wear": 40.0}, n_found=0)
+    believed = probabilities_of(explanations_of(nothing_kept, NO_TRACE, POLICY), ())
+    rejected = probabilities_of(explanations_of(nothing_kept, NO_TRACE, POLICY, rejected={"wear": -1.0}), ())
+    assert believed.effects["wear"] > 0.99 and rejected.effects["wear"] < 0.05
+
+
+def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None:
+    none = OutsideEvidence.of(None, None, [], POLICY)
+    failed = OutsideEvidence.of(None, None, [0.001], POLICY)
+    assert none == OutsideEvidence(0.0, 0.0)
+    assert failed.alone == failed.beside == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
+
+
+def test_a_camera_makes_evidence_worth_less_and_changes_no_prior() -> None:
+    camera = DecisionPolicy().for_camera().selection
+    assert camera.log_prior_effect == POLICY.log_prior_effect and camera.min_log_bayes_factor > 2.9 * POLICY.min_log_bayes_factor
+    evidence = OutsideEvidence(6.0, 6.0)
+    assert SOMETHING_ELSE in explanations_of(selection_of(n_found=0), evidence, camera)[1].causes

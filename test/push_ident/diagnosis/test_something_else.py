@@ -1,0 +1,71 @@
+"""Structure in the residuals beyond every law of the catalogue: found where it is, with its coordinate, and not where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import TRUTH, simulated_pushes
+from push_ident.diagnosis.fits import fit_base
+from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
+from push_ident.diagnosis.patterns import Acts, VariesWith
+from push_ident.diagnosis.policy import UnknownPolicy
+from push_ident.diagnosis.scores import clipped_start
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.something_else import SomethingElse, error_with_patterns, find_something_else
+from push_ident.identification.fit import Fit
+from push_ident.types import PushRecord
+
+N_PUSHES, FIRST = 8, 4
+"""Number of pushes, and of the first one with an effect."""
+
+
+def found_in(records: list[PushRecord]) -> tuple[Fit, SomethingElse]:
+    fit = fit_base(records, DiagnosisSettings())
+    found = find_something_else(fit, UnknownPolicy(draws=100))
+    assert found is not None
+    return fit, found
+
+
+def words_of(found: SomethingElse) -> PatternWords:
+    return describe_pattern(found.best, [f"push {push}" for push in range(N_PUSHES)])
+
+
+@pytest.fixture(scope="module")
+def plain() -> list[PushRecord]:
+    return simulated_pushes(N_PUSHES, 5)
+
+
+def test_nothing_is_found_in_noise(plain: list[PushRecord]) -> None:
+    _, found = found_in(plain)
+    assert found.log_bayes_factor < 0.0 and found.p_value > 0.02
+    assert sum(pattern.share for pattern in found.patterns) == pytest.approx(1.0)
+
+
+def test_force_that_begins_with_a_push_is_found_with_that_push_and_predicts_the_others(plain: list[PushRecord]) -> None:
+    tilted = simulated_pushes(N_PUSHES, 5, {"table_tilt": [0.03, 0.0]})
+    fit, found = found_in([*plain[:FIRST], *tilted[FIRST:]])
+    assert found.log_bayes_factor > 10.0 and found.p_value < 0.02
+    beginning = [pattern for pattern in found.patterns if pattern.family.varies_with is VariesWith.FROM_PUSH]
+    assert found.best in beginning and found.best.family.acts_on is Acts.FORCE and found.best.member.key == FIRST
+    # A tilt pulls with its sine times the weight; the base model, fitted without it, has absorbed a part.
+    expected = 0.03 * TRUTH.mass.sum() / float(TRUTH.mass @ TRUTH.friction)
+    pull = found.best.amplitude.reshape(N_PUSHES, 3)[FIRST]
+    assert 0.5 * expected < pull[0] < 1.2 * expected and abs(pull[1]) < 0.3 * pull[0]
+    words = words_of(found)
+    assert words.where == f"from push {FIRST} on" and "changed before that push" in words.look_for
+    change = error_with_patterns(fit, found, [[push] for push in range(N_PUSHES)])
+    assert float(np.median(change)) < -1e-4
+
+
+def test_tool_that_slipped_in_one_push_is_found_with_that_push(plain: list[PushRecord]) -> None:
+    slipped = simulated_pushes(N_PUSHES, 5, {"tool_offset": [4e-3, 4e-3]})
+    _, found = found_in([*plain[:FIRST], slipped[FIRST], *plain[FIRST + 1 :]])
+    single = [pattern for pattern in found.patterns if pattern.family.varies_with is VariesWith.ONE_PUSH]
+    assert found.log_bayes_factor > 10.0 and found.best in single and found.best.member.key == FIRST
+    assert words_of(found).where == f"in push {FIRST} only"
+
+
+def test_one_step_estimate_is_clipped_along_its_direction() -> None:
+    np.testing.assert_allclose(clipped_start(np.array([3.0, 4.0]), 2.0), [1.2, 1.6])
+    np.testing.assert_array_equal(clipped_start(np.array([0.3, 0.4]), 2.0), [0.3, 0.4])
