@@ -26,6 +26,7 @@ LazyGroup.places = {
         "replay": "live:replay_command",
         "import": "importing:import_app",
         "up": "live:up_command",
+        "push": "push:push_command",
         "push-to": "push_to:push_to_command",
         "experiment": "experiment:experiment_command",
         "simulate": "simulate:simulate_command",

@@ -45,6 +45,8 @@ _ASK_AGAIN: Final = 0.5
 """Time for an answer before a server is asked again [s]; one that was discovered answers within milliseconds."""
 _CANCEL: Final = 1.0
 """For the answer to a cancellation [s]; the arm holds within 50 ms."""
+_SERVICE: Final = 90.0
+"""For an answer of identification [s]: the first solve of an installation compiles its kernels, some 50 s of one core."""
 _DISCOVERY: Final = 20.0
 """Longest time for a server to discover this node [s], as for the answers to requests."""
 T = TypeVar("T")
@@ -285,7 +287,8 @@ class CellClient:
 
     def _call(self, client: Any, request: Any, name: str) -> Any:
         self.wait(client.service_is_ready, 20.0, f"the service {name} is not served; is identification_node running?")
-        answer = self._answer(lambda: client.call_async(request), 20.0, f"{name} did not answer within 20 s")
+        missing = f"{name} did not answer within {_SERVICE:.0f} s; see the log of identification_node"
+        answer = self._answer(lambda: client.call_async(request), _SERVICE, missing)
         if not answer.success:
             raise PushIdentError(f"{name}: {answer.message}")
         return answer

@@ -6,6 +6,7 @@ from push_ident.bags.importers.cmu_icra16 import import_cmu_icra16
 from push_ident.bags.importers.cmu_mocap import MocapObject, import_cmu_mocap
 from push_ident.bags.importers.mit import MIT_SHAPES, MitOptions, import_mit
 from push_ident.bags.importers.report import ImportReport
+from push_ident.bags.importers.rosbag import RosbagTopics, import_rosbag
 from push_ident.bags.importers.tables import TableFormat
 from push_ident.bags.importers.tracked_poses import TrackedPoses, import_tracked_poses
 
@@ -14,10 +15,12 @@ __all__ = [
     "ImportReport",
     "MitOptions",
     "MocapObject",
+    "RosbagTopics",
     "TableFormat",
     "TrackedPoses",
     "import_cmu_icra16",
     "import_cmu_mocap",
     "import_mit",
+    "import_rosbag",
     "import_tracked_poses",
 ]

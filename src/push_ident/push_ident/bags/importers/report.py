@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings"]
+if TYPE_CHECKING:
+    from push_ident.bags.importers.overlap import Overlap
+
+__all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings", "outline_distance"]
 
 _DEVIATIONS: Final = 3.0
 """Standard deviations of an outline point beyond which a distance is no noise: 3 in 1000 pushes of a right import."""
@@ -47,6 +50,8 @@ class ImportReport:
     """What a user of the bag should know."""
     warnings: tuple[str, ...] = ()
     """What may be wrong with the recording or with the options of the import."""
+    overlap: Overlap | None = None
+    """Pusher and object while the object moves; None where the importer does not compare them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,20 +92,20 @@ def contact_of(
     at = int(np.argmax(moved)) if moved.any() else len(time) - 1
     if at > 0 and time[at] - time[at - 1] > _SPARSE:
         # When it moved between two poses is unknown: the pusher must have come to where the object stood before.
-        nearest = float(_distance(path[:, 1:], np.broadcast_to(first, (len(path), 3)), shape, radius).min())
+        nearest = float(outline_distance(path[:, 1:], np.broadcast_to(first, (len(path), 3)), shape.outline).min()) - radius
         return Contact(bool(moved.any()), np.nan, nearest, np.nan)
     position = np.column_stack([np.interp(time, path[:, 0], path[:, axis]) for axis in (1, 2)])
-    distance = _distance(position, pose, shape, radius)
+    distance = outline_distance(position, pose, shape.outline) - radius
     return Contact(
         bool(moved.any()), float(distance[at]) if moved.any() else np.nan, float(distance[: at + 1].min()), float(distance.min())
     )
 
 
-def _distance(position: Float64Array, pose: Float64Array, shape: ObjectShape, radius: float) -> Float64Array:
-    """Distance of the pusher's surface to the outline [m], shape (n,), for its axis, shape (n, 2), and poses, shape (n, 3), in `table`."""
+def outline_distance(position: Float64Array, pose: Float64Array, outline: Float64Array) -> Float64Array:
+    """Distance of points to an outline [m], negative inside, shape (n,); points, shape (n, 2), and poses, shape (n, 3), in `table`."""
     x, y = (position - pose[:, :2]).T
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    return signed_distance(np.column_stack([cosine * x + sine * y, cosine * y - sine * x]), shape.outline) - radius
+    return signed_distance(np.column_stack([cosine * x + sine * y, cosine * y - sine * x]), outline)
 
 
 def contact_warnings(contacts: Sequence[Contact], tolerance: float) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,20 @@ __all__ = ["Table", "TableFormat", "parse_columns", "read_table"]
 _SEPARATORS: Final = (";", "\t", ",")
 """In the order in which they are looked for in the first line; where none is there, spaces separate."""
 
+_USUAL: Final[Mapping[str, tuple[str, ...]]] = {
+    "time": ("t", "stamp", "timestamp"),
+    "yaw": ("theta", "heading"),
+    **{f"q{axis}": (f"quat_{axis}", f"orientation_{axis}", f"orientation.{axis}", f"rot_{axis}") for axis in "xyzw"},
+    **{axis: (f"pos_{axis}", f"position_{axis}", f"position.{axis}", f"p{axis}", f"t{axis}") for axis in "xyz"},
+}
+"""Other names of a role that are understood without an option, in lower case."""
+_UNITS: Final[Mapping[str, float]] = {
+    **{"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    **{"rad": 1.0, "deg": float(np.pi / 180.0), "°": float(np.pi / 180.0)},
+    **{"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+_UNIT: Final = re.compile(rf"(?P<name>.*?)(?:_| *\[| *\()(?P<unit>{'|'.join(_UNITS)})[\])]?")
+
 
 @dataclass(frozen=True, slots=True)
 class TableFormat:
@@ -28,11 +43,18 @@ class TableFormat:
     columns: Mapping[str, str] = field(default_factory=dict)
     """Role (`time`, `x`, …) -> name in the file; a role that is not there has its own name."""
     length: float = 1.0
-    """[m] per unit of the file."""
+    """[m] per unit of the file, of a column whose name says none."""
     angle: float = 1.0
-    """[rad] per unit of the file."""
+    """[rad] per unit of the file, likewise."""
     time: float = 1.0
-    """[s] per unit of the file."""
+    """[s] per unit of the file, likewise."""
+
+    def factor(self, table: Table, role: str) -> float:
+        """By what the numbers of a column are to be multiplied for metres, radians and seconds."""
+        own = table.unit(role, self.columns)
+        if own is not None:
+            return own
+        return self.time if role == "time" else self.angle if role == "yaw" else self.length if role in ("x", "y", "z") else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,18 +70,23 @@ class Table:
 
     def has(self, role: str, columns: Mapping[str, str]) -> bool:
         """Whether there is a column for this role."""
-        return self._name(role, columns) in self._lower()
+        return self._at(role, columns) is not None
+
+    def unit(self, role: str, columns: Mapping[str, str]) -> float | None:
+        """Unit that the name of the column for this role ends with, as `x_mm`, `x [mm]` or `yaw (deg)` [m, rad or s]; None without."""
+        at = self._at(role, columns)
+        found = None if at is None else _UNIT.fullmatch(self._lower()[at])
+        return _UNITS[found["unit"]] if found else None
 
     def column(self, role: str, columns: Mapping[str, str]) -> Float64Array:
         """Numbers of the column for this role, shape (n_rows,); NaN where a cell is empty or `nan`.
 
         Raises BagError where there is no such column or a cell holds something else.
         """
-        name = self._name(role, columns)
-        if name not in self._lower():
-            got = ", ".join(self.names[:12])
+        at = self._at(role, columns)
+        if at is None:
+            name, got = plain_text(columns.get(role, role)), ", ".join(self.names[:12])
             raise BagError(f"{self.file}: no column `{name}` for {role}; it has {got}. Name it with {role}=NAME in --columns.")
-        at = self._lower().index(name)
         cells = [row[at].strip() or "nan" for row in self.rows]
         if self.decimal_comma:
             cells = [cell.replace(",", ".") for cell in cells]
@@ -67,10 +94,19 @@ class Table:
             return np.array(cells, dtype=np.float64)
         except ValueError:
             line, cell = next((line, cell) for line, cell in zip(self.lines, cells, strict=True) if not _is_number(cell))
-            raise BagError(f"{self.file}, line {line}: `{plain_text(cell)[:40]}` in column `{name}`, expected a number.") from None
+            raise BagError(
+                f"{self.file}, line {line}: `{plain_text(cell)[:40]}` in column `{self.names[at]}`, expected a number."
+            ) from None
 
-    def _name(self, role: str, columns: Mapping[str, str]) -> str:
-        return columns.get(role, role).lower()
+    def _at(self, role: str, columns: Mapping[str, str]) -> int | None:
+        """Number of the column for a role: the name that the user gives, else that of the role, else another usual one."""
+        lower = self._lower()
+        bare = [found["name"] if (found := _UNIT.fullmatch(name)) else name for name in lower]
+        for name in [columns[role].lower()] if role in columns else [role, *_USUAL.get(role, ())]:
+            for names in (lower, bare):
+                if name in names:
+                    return names.index(name)
+        return None
 
     def _lower(self) -> list[str]:
         return [name.lower() for name in self.names]

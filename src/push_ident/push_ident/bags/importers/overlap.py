@@ -1,0 +1,337 @@
+"""Do pusher and object meet while the object moves? By how much they miss, and which one mistake would explain it.
+
+An object on a table moves only while it is pushed: in every frame in which it moves, the pusher's surface lies on its outline. The mistakes
+that imports make are few (units, axes, frames, radius, clocks); each is a hypothesis with at most three unknowns, fitted to these frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from push_ident.bags.importers.report import outline_distance
+from push_ident.types import BoolArray, Float64Array, ObjectShape
+
+__all__ = ["Cause", "Overlap", "Streams", "overlap_of"]
+
+_WINDOW: Final = 0.2
+"""The object moves in a frame if it has moved in the time before and moves on in the time after it, each so long [s]."""
+_GAP: Final = 0.5
+"""Longest time between two frames that shows when the object moved [s]."""
+_ROUNDING: Final = 1e-6
+"""Of stamps in text [s]."""
+_NOISE_FACTOR: Final = 6.0
+"""Standard deviations of the way of an outline point between two frames that count as motion."""
+_LEAST_WAY: Final = 0.5e-3
+"""Least way within `_WINDOW` that counts as motion [m]: 2.5 mm/s, below the speed of any push."""
+_MOST_FRAMES: Final = 400
+"""Frames of a recording that are compared; more add time, no knowledge."""
+_INLIERS: Final = 0.95
+"""Share of the frames within the tolerance from which pusher and object meet: a tolerance of three deviations holds for more [-]."""
+_ALIKE: Final = 2.0
+"""Causes that leave up to so many times the error of the best one are named beside it [-]."""
+_LATEST: Final = 2.0
+"""Largest offset of two clocks that is looked for [s]."""
+_CLOCK_STEP: Final = 0.01
+"""Step in which it is looked for [s]."""
+_STEP: Final = 0.01
+"""Scale of the unknowns of a frame [m or rad]."""
+_EVALUATIONS: Final = 60
+"""Of the distances, for each start of a fit; one that goes to the minimum needs some 20."""
+_TURNS: Final = np.linspace(-0.4, 0.4, 9)
+"""About the turn that the ways of pusher and object suggest, which the turning of the object falsifies [rad]."""
+_PLACES: Final = np.linspace(-1.0, 1.0, 9)
+"""Where the origin of its frame is looked for, about where the path of the pusher comes to the middle of the object, in radii of it [-]."""
+_STARTS: Final = 5
+"""Of these that are fitted; the distance to an outline has several minima."""
+_UNITS: Final = ((1e-3, "mm"), (1e-2, "cm"), (1e3, "m instead of mm"), (1e2, "m instead of cm"), (0.0254, "inches"))
+"""Factors by which lengths are wrong where they were in fact of this unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """A recording on one clock and in one frame."""
+
+    poses: Float64Array
+    """Rows (time, x, y, yaw) of the object [s, m, m, rad], shape (n, 4)."""
+    runs: list[Float64Array]
+    """Samples of the pusher by push or motion, rows (time, x, y, z) [s, m]."""
+    shape: ObjectShape
+    radius: float
+    """Of the pusher [m]."""
+    tolerance: float
+    """Distance between pusher and outline that noise explains [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """One mistake that would explain that pusher and object do not meet."""
+
+    text: str
+    """What is probably wrong, and the option that mends it."""
+    error: float
+    """Root mean square distance of pusher and outline that is left with it [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Overlap:
+    """Pusher and object while the object moves."""
+
+    shape: ObjectShape
+    radius: float
+    """Of the pusher [m]."""
+    tolerance: float
+    """[m]"""
+    push: Float64Array
+    """Number of the push of each frame, from 0, shape (n,)."""
+    time: Float64Array
+    """Since the object began to move in that push [s], shape (n,)."""
+    pose: Float64Array
+    """Of the object in `table`, shape (n, 3)."""
+    pusher: Float64Array
+    """Axis of the pusher in `table` [m], shape (n, 2)."""
+    distance: Float64Array
+    """Of the pusher's surface to the outline [m], negative inside, shape (n,)."""
+    causes: tuple[Cause, ...]
+    """What would explain a miss, the most probable first; empty where they meet, or nothing explains it."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether pusher and object meet as far as noise allows to say; True where no frame shows it."""
+        return _meet(self.distance, self.tolerance)
+
+    @property
+    def miss(self) -> float:
+        """Median distance between pusher and outline while the object moves [m], negative inside; NaN without such frames."""
+        return float(np.median(self.distance)) if len(self.distance) else np.nan
+
+    def remedy(self) -> str:
+        """What to check, the likely cause first."""
+        if not self.causes:
+            return "check frames, units, the pusher's radius and the clocks of both."
+        return "likely: " + "; or: ".join(cause.text for cause in self.causes) + "."
+
+    def explanation(self) -> str:
+        """By how much they miss, and why, in one line."""
+        if not len(self.distance):
+            return "no frame shows the object in motion, so that the cause of a miss cannot be found; record poses during the pushes."
+        miss = self.miss
+        way = f"{1e3 * abs(miss):.1f} mm {'inside' if miss < 0 else 'outside'} the outline"
+        if self.fits:
+            return f"while the object moves the pusher is {way} in the median, which noise explains."
+        if not self.causes:
+            return f"while the object moves the pusher is {way} in the median, and no single mistake explains it; {self.remedy()}"
+        return f"while the object moves the pusher is {way} in the median; {self.remedy()}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Frames:
+    """The frames in which the object moves."""
+
+    push: Float64Array
+    time: Float64Array
+    pose: Float64Array
+    streams: Streams
+
+    def pusher(self, offset: float = 0.0) -> Float64Array:
+        """Axis of the pusher [m], shape (n, 2), with its clock moved by `offset` [s]."""
+        path = np.vstack(self.streams.runs)
+        return np.column_stack([np.interp(self.time - offset, path[:, 0], path[:, axis]) for axis in (1, 2)])
+
+    def distance(self, pusher: Float64Array, *, pose: Float64Array | None = None, outline: Float64Array | None = None) -> Float64Array:
+        """Of the pusher's surface to the outline [m], shape (n,)."""
+        given = self.streams.shape.outline if outline is None else outline
+        return outline_distance(pusher, self.pose if pose is None else pose, given) - self.streams.radius
+
+    @property
+    def n_pushes(self) -> int:
+        return len(np.unique(self.push))
+
+
+def overlap_of(streams: Streams) -> Overlap:
+    """Compare pusher and object in the frames in which the object moves, and look for the cause where they do not meet."""
+    frames = _moving(streams)
+    pusher = frames.pusher() if len(frames.time) else np.zeros((0, 2))
+    distance = frames.distance(pusher) if len(pusher) else np.zeros(0)
+    since = frames.time - np.array([frames.time[frames.push == k].min() for k in frames.push]) if len(pusher) else np.zeros(0)
+    causes = () if _meet(distance, streams.tolerance) else tuple(_causes(frames))
+    return Overlap(
+        streams.shape,
+        streams.radius,
+        streams.tolerance,
+        frames.push,
+        since,
+        frames.pose,
+        pusher,
+        distance,
+        _best(causes, streams.tolerance),
+    )
+
+
+def _meet(distance: Float64Array, tolerance: float) -> bool:
+    return not len(distance) or float(np.mean(np.abs(distance) <= tolerance)) >= _INLIERS
+
+
+def _rms(distance: Float64Array) -> float:
+    return float(np.sqrt(np.mean(distance**2)))
+
+
+def _moving(streams: Streams) -> _Frames:
+    """Frames strictly inside the motions of the object, numbered by the nearest run of the pusher."""
+    poses, time = streams.poses, streams.poses[:, 0]
+    lever = float(np.linalg.norm(streams.shape.outline, axis=1).max())
+    least = max(_LEAST_WAY, _NOISE_FACTOR * float(np.sqrt(2.0)) * _scatter(poses[:, 1:] * [1.0, 1.0, lever]))
+    moving: BoolArray = np.ones(len(time), dtype=np.bool_)
+    before = np.searchsorted(time, time - _WINDOW + _ROUNDING, side="right") - 1
+    after = np.searchsorted(time, time + _WINDOW - _ROUNDING)
+    for other in (before, after):
+        there = other.clip(0, len(time) - 1)
+        way = np.linalg.norm(poses[there, 1:3] - poses[:, 1:3], axis=1) + lever * np.abs(poses[there, 3] - poses[:, 3])
+        # Across a gap nothing shows when the object moved.
+        seen = (there == other) & (np.abs(time[there] - time) <= _GAP)
+        moving &= (way > least) & seen
+    at = np.flatnonzero(moving)
+    at = at[np.unique(np.linspace(0, len(at) - 1, min(len(at), _MOST_FRAMES)).astype(int))] if len(at) else at
+    middle = np.array([0.5 * (run[0, 0] + run[-1, 0]) for run in streams.runs])
+    half = np.array([0.5 * (run[-1, 0] - run[0, 0]) for run in streams.runs])
+    apart = np.abs(time[at, None] - middle) - half
+    near = apart.min(axis=1) < _LATEST if len(middle) and len(at) else np.zeros(len(at), dtype=np.bool_)
+    number = apart.argmin(axis=1) if len(middle) and len(at) else np.zeros(len(at))
+    return _Frames(np.asarray(number[near], dtype=np.float64), time[at][near], poses[at][near, 1:], streams)
+
+
+def _scatter(values: Float64Array) -> float:
+    """Standard deviation of a row of values [m], shape (n, 3), from one frame to the next, in all columns together.
+
+    Errors that last do not count: they do not look like motion.
+    """
+    if len(values) < 3:
+        return 0.0
+    bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
+    # Median of the absolute value and variance of a second difference of independent normal numbers.
+    return float(np.linalg.norm(np.median(np.abs(bend), axis=0) / (0.6745 * np.sqrt(6.0))))
+
+
+def _best(causes: Sequence[Cause], tolerance: float) -> tuple[Cause, ...]:
+    """Those that explain the miss, and leave about as little as the best of them."""
+    ordered = sorted(causes, key=lambda cause: cause.error)
+    least = max(ordered[0].error, tolerance / 3.0) if ordered else 0.0
+    return tuple(cause for cause in ordered if cause.error <= _ALIKE * least)[:3]
+
+
+def _causes(frames: _Frames) -> Iterator[Cause]:
+    """Each mistake that brings pusher and object together; one with more unknowns needs more pushes to be believed."""
+    tolerance = frames.streams.tolerance
+    found = [*_unit_causes(frames), *_axes_causes(frames)]
+    if frames.n_pushes > 1:
+        found += [_radius_cause(frames), _clock_cause(frames)]
+    explained = [(cause, distance) for cause, distance in found if _meet(distance, tolerance)]
+    for hypothesis, n_unknown in ((_outline_cause, 2), (_frame_cause, 3)):
+        # A frame that is fitted explains whatever fewer unknowns explain.
+        if not explained and frames.n_pushes > n_unknown:
+            cause, distance = hypothesis(frames)
+            explained += [(cause, distance)] if _meet(distance, tolerance) else []
+    yield from (cause for cause, _ in explained)
+
+
+_Found = tuple[Cause, Float64Array]
+
+
+def _cause(text: str, distance: Float64Array) -> _Found:
+    return Cause(f"{text} (leaves {1e3 * _rms(distance):.1f} mm)", _rms(distance)), distance
+
+
+def _unit_causes(frames: _Frames) -> Iterator[_Found]:
+    pusher, pose, outline = frames.pusher(), frames.pose, frames.streams.shape.outline
+    for factor, unit in _UNITS:
+        yield _cause(f"the lengths of the pusher are in {unit}: check --pusher-length-unit", frames.distance(factor * pusher))
+        scaled = np.column_stack([factor * pose[:, :2], pose[:, 2]])
+        yield _cause(f"the lengths of the poses are in {unit}: check --length-unit", frames.distance(pusher, pose=scaled))
+        yield _cause(f"the outline is in {unit}: check --outline-length-unit", frames.distance(pusher, outline=factor * outline))
+    for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians")):
+        turned = np.column_stack([pose[:, :2], factor * pose[:, 2]])
+        yield _cause(f"the yaw of the poses is in {unit}: check --angle-unit", frames.distance(pusher, pose=turned))
+    flipped = np.column_stack([pose[:, :2], -pose[:, 2]])
+    yield _cause("the yaw has the other sign: the z axis of the poses points down", frames.distance(pusher, pose=flipped))
+
+
+def _axes_causes(frames: _Frames) -> Iterator[_Found]:
+    pusher = frames.pusher()
+    for swap, sign_x, sign_y in product((False, True), (1.0, -1.0), (1.0, -1.0)):
+        if (swap, sign_x, sign_y) == (False, 1.0, 1.0):
+            continue
+        names = [f"{'-' if sign < 0 else ''}{name}" for sign, name in zip((sign_x, sign_y), ("yx" if swap else "xy"), strict=True)]
+        there = (pusher[:, ::-1] if swap else pusher) * [sign_x, sign_y]
+        # Right-handed axes with z up or, where two are exchanged or one is mirrored, down.
+        up = "z" if (sign_x * sign_y > 0) != swap else "-z"
+        yield _cause(f"the axes of the pusher: --pusher-axes {','.join(names)},{up}", frames.distance(there))
+
+
+def _radius_cause(frames: _Frames) -> _Found:
+    distance = frames.distance(frames.pusher())
+    radius = frames.streams.radius + float(np.median(distance))
+    if radius < 0:
+        return _cause("the outline is too large", distance)
+    text = f"the radius of the pusher is {1e3 * radius:.1f} mm, not {1e3 * frames.streams.radius:.1f} mm, or the outline is too "
+    return _cause(text + ("small" if radius > frames.streams.radius else "large"), distance - float(np.median(distance)))
+
+
+def _clock_cause(frames: _Frames) -> _Found:
+    offsets = np.arange(-_LATEST, _LATEST + _CLOCK_STEP, _CLOCK_STEP)
+    offset = min(offsets, key=lambda value: _rms(frames.distance(frames.pusher(float(value)))))
+    text = f"the clock of the pusher is {abs(offset):.2f} s {'behind' if offset > 0 else 'ahead'}: add {offset:.2f} to --time-offset"
+    return _cause(text, frames.distance(frames.pusher(float(offset))))
+
+
+def _outline_cause(frames: _Frames) -> _Found:
+    pusher, outline = frames.pusher(), frames.streams.shape.outline
+    shift = _fitted(lambda moved: frames.distance(pusher, outline=outline + moved), [np.zeros(2)], frames.streams.tolerance)
+    text = f"the origin of the outline is not that of the poses: add ({shift[0]:.4f}, {shift[1]:.4f}) m to its points"
+    return _cause(text, frames.distance(pusher, outline=outline + shift))
+
+
+def _frame_cause(frames: _Frames) -> _Found:
+    pusher = frames.pusher()
+
+    def moved(pose: Float64Array) -> Float64Array:
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        return pusher @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2]
+
+    def starts() -> Iterator[Float64Array]:
+        about = _turn_of_ways(frames, pusher)
+        extent = float(np.linalg.norm(frames.streams.shape.outline, axis=1).max())
+        for yaw in about + _TURNS:
+            middle = np.median(frames.pose[:, :2] - moved(np.array([0.0, 0.0, yaw])), axis=0)
+            for x, y in product(extent * _PLACES, repeat=2):
+                yield np.array([middle[0] + x, middle[1] + y, yaw])
+
+    best = sorted(starts(), key=lambda start: _rms(frames.distance(moved(start))))[:_STARTS]
+    pose = _fitted(lambda given: frames.distance(moved(given)), best, frames.streams.tolerance)
+    text = f"the pusher has another frame: --pusher-frame {pose[0]:.4f},{pose[1]:.4f},{pose[2]:.4f}"
+    return _cause(text, frames.distance(moved(pose)))
+
+
+def _turn_of_ways(frames: _Frames, pusher: Float64Array) -> float:
+    """By what the way of the pusher is to be turned to point along that of the object, in the mean over the pushes [rad]."""
+    turn = 0.0j
+    for push in np.unique(frames.push):
+        own = np.flatnonzero(frames.push == push)[[0, -1]]
+        (x, y), (u, v) = np.diff(frames.pose[own, :2], axis=0)[0], np.diff(pusher[own], axis=0)[0]
+        turn += complex(x, y) * complex(u, -v)
+    return float(np.angle(turn))
+
+
+def _fitted(residual: Callable[[Float64Array], Float64Array], starts: Sequence[Float64Array], scale: float) -> Float64Array:
+    """The unknowns with the least distances, from the best of several starts; frames beyond `scale` [m] count less."""
+    from scipy.optimize import OptimizeResult, least_squares
+
+    def fit(start: Float64Array, loss: str) -> OptimizeResult:
+        return least_squares(residual, start, loss=loss, f_scale=scale, x_scale=_STEP, max_nfev=_EVALUATIONS)
+
+    # From afar only the sum of squares leads to the minimum; near it, frames beyond the scale must not pull.
+    near = min((fit(start, "linear") for start in starts), key=lambda found: float(found.cost))
+    return np.asarray(fit(near.x, "soft_l1").x)

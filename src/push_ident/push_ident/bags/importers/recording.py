@@ -1,0 +1,315 @@
+"""Tracked poses of an object and a pusher, from whatever file, as a bag of the contract: cut into pushes, written, and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from push_ident.bags.importers.overlap import Overlap, Streams, overlap_of
+from push_ident.bags.importers.report import Contact, ImportReport, contact_of, contact_tolerance, contact_warnings
+from push_ident.bags.importers.shapes import pose_covariance
+from push_ident.bags.writer import BagWriter
+from push_ident.errors import BagError, InputError
+from push_ident.limits import LIMITS, check_object_id
+from push_ident.types import BoolArray, Float64Array, ObjectShape
+
+__all__ = ["OverlapError", "Recording", "RecordingOptions", "import_recording", "moved_by", "without_gaps"]
+
+_PAUSE: Final = 0.5
+"""Shortest pause that separates two pushes [s], as in the bag contract."""
+_STANDSTILL: Final = 0.5e-3
+"""Longest way of a pusher that stands still, within `_PAUSE` [m]: 1 mm/s."""
+_NOISE_FACTOR: Final = 6.0
+"""Standard deviations of the pusher's noise that count as motion."""
+_REST_FRAMES: Final = 10
+"""Least number of frames of a block in which the scatter at rest is measured."""
+_LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
+"""Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
+_FIRST: Final = 1.0
+"""Earliest stamp written [s]; a stamp of zero would mean that there is none."""
+
+
+class OverlapError(BagError):
+    """The pusher never comes near the object. `overlap` shows what was found, for a picture."""
+
+    def __init__(self, text: str, overlap: Overlap) -> None:
+        super().__init__(text)
+        self.overlap = overlap
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOptions:
+    """What a user knows of a recording, and its files do not say."""
+
+    radius: float
+    """Of the pusher [m]."""
+    object_id: str = "1"
+    position_std: float | None = None
+    """Standard deviation of a position of the object [m]; None: from the scatter at rest."""
+    yaw_std: float | None = None
+    """Standard deviation of a yaw of the object [rad]; None: from the scatter at rest."""
+    lifted_above: float | None = None
+    """Height of the tool tip above which it is lifted and pushes nothing [m]."""
+    time_offset: float = 0.0
+    """Added to the times of the pusher and of the force, to bring them to the clock of the poses [s]."""
+    pusher_frame: Float64Array | None = None
+    """Pose (x, y, yaw) of the frame in which the pusher was recorded, in that of the object's poses [m, m, rad]; None: they are one."""
+
+    def check(self) -> None:
+        """Raise InputError for an option that is out of its range."""
+        check_object_id(self.object_id)
+        LIMITS.PUSHER_RADIUS.check(self.radius, "the pusher", remedy="Give --radius in metres.")
+        if self.radius < 0:
+            raise InputError(f"radius of the pusher is {self.radius:g} m, expected a length >= 0.")
+        if not np.isfinite(self.time_offset):
+            raise InputError(f"time offset is {self.time_offset} s, expected a finite number.")
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The streams of one recording, in metres, radians and seconds of their clocks."""
+
+    poses: Float64Array
+    """Rows (time, x, y, yaw) of the object, shape (n, 4), n at least 2, time strictly increasing."""
+    pusher: Float64Array
+    """Rows (time, x, y, z) of the axis of the pusher, shape (m, 4), m at least 2, time strictly increasing."""
+    shape: ObjectShape
+    numbers: Float64Array | None = None
+    """Number of the push of each row of `pusher`, shape (m,), negative or NaN for none; None: pauses separate pushes."""
+    force: Float64Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Rows (time, fx, fy) of the force on the object [s, N, N], shape (l, 3)."""
+    names: tuple[str, str] = ("poses", "pusher")
+    """Of poses and pusher, for messages."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """One push: samples of the pusher, rows (time, x, y, z) [s, m]."""
+
+    pusher: Float64Array
+    contact: Contact
+
+
+def import_recording(recording: Recording, options: RecordingOptions, out_bag: Path) -> ImportReport:
+    """Write a recording as a new contract bag, with a push record for each push, and check that pusher and object meet.
+
+    Pushes are the runs of one number. Without numbers a pause ends a push: the pusher stays within 0.5 mm for more than 0.5 s, has no
+    samples for so long, or is lifted. Motions in which the pusher does not reach the object are left out. Every pose is written. Times are
+    kept; those of a recording that begins before 1 s are moved to begin there.
+
+    Raises:
+        InputError: An option is out of range, or the noise of a pose is neither given nor shown.
+        OverlapError: The pusher never comes near the object; no bag is written.
+        BagError: The streams have no time in common, or times or coordinates that a bag cannot hold.
+    """
+    notes = list(recording.notes)
+    shape, numbers = recording.shape, recording.numbers
+    poses, pusher, force = _on_one_clock(recording, options)
+    runs = _numbered(pusher, numbers) if numbers is not None else _motions(pusher, options.lifted_above)
+    position_std, yaw_std = _noise(poses, runs, recording.names[0], options, notes)
+    covariance = pose_covariance(position_std, yaw_std)
+    tolerance = contact_tolerance(shape, position_std=position_std, yaw_std=yaw_std)
+    streams = Streams(poses, runs, shape, options.radius, tolerance)
+    spans = _pushes(streams)
+    if numbers is None:
+        spans = _with_contact(spans, tolerance, notes)
+    if not spans:
+        overlap = overlap_of(streams)
+        raise OverlapError(
+            f"{recording.names[1]}: no push in it: in none of {len(runs)} motions the pusher comes within {1e3 * tolerance:.1f} mm of the "
+            f"object; {overlap.remedy()}",
+            overlap,
+        )
+    LIMITS.PUSHES.check(len(spans), recording.names[1], error=BagError, remedy="Split the recording.")
+    _write(out_bag, options, streams, force, spans, covariance)
+    contacts = [span.contact for span in spans]
+    warnings = contact_warnings(contacts, tolerance)
+    overlap = overlap_of(Streams(poses, [span.pusher for span in spans], shape, options.radius, tolerance))
+    if warnings or not overlap.fits:
+        warnings = (*warnings, overlap.explanation())
+    return ImportReport(
+        bag=out_bag,
+        n_pushes=len(spans),
+        contact_distance=np.array([contact.distance for contact in contacts]),
+        notes=tuple(notes),
+        warnings=warnings,
+        overlap=overlap,
+    )
+
+
+def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[object], what: str, notes: list[str]) -> Float64Array:
+    """Rows with time [s] first, in order of time, without those that lack a number that is needed or repeat a time.
+
+    Args:
+        rows: shape (n, n_columns).
+        needed: Whether a column must have a number, n_columns of them.
+        places: Where each row stands, for messages, n of them.
+        what: File or topic, for messages.
+        notes: Gets a line for what is left out.
+
+    Raises BagError where fewer than two rows are left, or time goes back.
+    """
+    whole: BoolArray = np.asarray(np.isfinite(rows[:, np.array(needed)]).all(axis=1))
+    if int(whole.sum()) < 2:
+        raise BagError(f"{what}: {int(whole.sum())} rows with all numbers, expected at least 2.")
+    name = what.rsplit("/", 1)[-1]
+    if lost := int(np.sum(~whole)):
+        notes.append(f"{name}: {lost} of {len(rows)} rows lack a number and are left out")
+    left, rows = [place for place, good in zip(places, whole.tolist(), strict=True) if good], rows[whole]
+    step = np.diff(rows[:, 0])
+    if (step < 0).any():
+        at = int(np.argmax(step < 0))
+        raise BagError(f"{what}, {left[at + 1]}: time goes back by {-step[at]:.3g} s; sort the rows, or split the recording.")
+    if repeated := int(np.sum(step == 0)):
+        notes.append(f"{name}: {repeated} rows repeat a time and are left out")
+    return np.asarray(rows[np.append(True, step > 0)])
+
+
+def moved_by(pose: Float64Array | None, vectors: Float64Array, *, turn_only: bool = False) -> Float64Array:
+    """Vectors of another frame, shape (n, 2), in the frame in which that one has `pose` (x, y, yaw); unchanged for None."""
+    if pose is None:
+        return vectors
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    turned = vectors @ np.array([[cosine, sine], [-sine, cosine]])
+    return turned if turn_only else turned + pose[:2]
+
+
+def _on_one_clock(recording: Recording, options: RecordingOptions) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Poses, pusher and force in one frame and on one clock that begins at 1 s or later."""
+    poses, pusher, force = recording.poses.copy(), recording.pusher.copy(), recording.force.copy()
+    pusher[:, 1:3] = moved_by(options.pusher_frame, pusher[:, 1:3])
+    force[:, 1:] = moved_by(options.pusher_frame, force[:, 1:], turn_only=True)
+    for rows, name in ((poses[:, 1:3], recording.names[0]), (pusher[:, 1:], recording.names[1])):
+        largest = float(np.abs(rows).max())
+        LIMITS.COORDINATE.check(largest, name, error=BagError, remedy="Are lengths in millimetres? Then give their unit, as mm.")
+    for rows in (pusher, force):
+        rows[:, 0] += options.time_offset
+    streams = [rows for rows in (poses, pusher, force) if len(rows)]
+    first, last = min(float(rows[0, 0]) for rows in streams), max(float(rows[-1, 0]) for rows in streams)
+    shift = max(0.0, _FIRST - first)
+    LIMITS.STAMP.check(last + shift, recording.names[0], error=BagError, remedy="Is time in milliseconds? Then give --time-unit ms.")
+    if poses[-1, 0] < pusher[0, 0] or pusher[-1, 0] < poses[0, 0]:
+        of_poses, of_pusher = (f"{rows[0, 0]:.10g} to {rows[-1, 0]:.10g} s" for rows in (poses, pusher))
+        raise BagError(
+            f"{recording.names[0]} has times {of_poses}, {recording.names[1]} {of_pusher}, expected one clock; check the units of time. "
+            f"Where both began together, --time-offset {options.time_offset + poses[0, 0] - pusher[0, 0]:.6f} brings them together."
+        )
+    for rows in streams:
+        rows[:, 0] += shift
+    return poses, pusher, force
+
+
+def _numbered(pusher: Float64Array, numbers: Float64Array) -> list[Float64Array]:
+    """Samples of the pusher for each run of one number that is not negative."""
+    label = np.where(np.isfinite(numbers), numbers, -1.0)
+    starts = np.flatnonzero(np.append(True, label[1:] != label[:-1]))
+    return [pusher[a:b] for a, b in zip(starts, np.append(starts[1:], len(label)), strict=True) if label[a] >= 0 and b - a >= 2]
+
+
+def _motions(pusher: Float64Array, lifted_above: float | None) -> list[Float64Array]:
+    """Samples of the pusher for each motion between two pauses."""
+    if lifted_above is not None:
+        pusher = pusher[pusher[:, 3] <= lifted_above]
+    motions = []
+    for run in np.split(pusher, np.flatnonzero(np.diff(pusher[:, 0]) > _PAUSE) + 1):
+        if len(run) < 2:
+            continue
+        time = run[:, 0]
+        least = max(_STANDSTILL, _NOISE_FACTOR * np.sqrt(2.0) * _path_noise(run[:, 1:3]))
+        early, late = np.clip(time - 0.5 * _PAUSE, time[0], time[-1]), np.clip(time + 0.5 * _PAUSE, time[0], time[-1])
+        way = [np.interp(late, time, run[:, axis]) - np.interp(early, time, run[:, axis]) for axis in (1, 2)]
+        moving = np.flatnonzero(np.hypot(*way) > least)
+        if len(moving):
+            motions += [run[part[0] : part[-1] + 1] for part in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1) if len(part) >= 2]
+    return motions
+
+
+def _path_noise(position: Float64Array) -> float:
+    """Standard deviation of the noise of a path [m], shape (n, 2), from its second differences."""
+    if len(position) < 3:
+        return 0.0
+    bend = position[2:] - 2.0 * position[1:-1] + position[:-2]
+    # Median of the absolute value and variance of a second difference of independent normal numbers.
+    return float(np.median(np.abs(bend)) / (0.6745 * np.sqrt(6.0)))
+
+
+def _noise(poses: Float64Array, runs: list[Float64Array], name: str, options: RecordingOptions, notes: list[str]) -> tuple[float, float]:
+    """Standard deviations of position [m] and yaw [rad]: as given, else the median scatter of blocks of frames between the pushes."""
+    if options.position_std is not None and options.yaw_std is not None:
+        return options.position_std, options.yaw_std
+    busy = [(run[0, 0] - 0.5 * _PAUSE, run[-1, 0] + 0.5 * _PAUSE) for run in runs]
+    scatter = []
+    for start, end in _between(busy, float(poses[0, 0]), float(poses[-1, 0])):
+        rest = poses[(poses[:, 0] >= start) & (poses[:, 0] <= end)]
+        for part in np.split(rest, np.flatnonzero(np.diff(rest[:, 0]) > _PAUSE) + 1):
+            # Short blocks: between two pushes the object may be put elsewhere by hand, which the median then leaves out.
+            for block in np.array_split(part, max(1, len(part) // _REST_FRAMES)):
+                if len(block) >= _REST_FRAMES:
+                    scatter.append((np.sqrt(block[:, 1:3].var(axis=0, ddof=1).mean()), block[:, 3].std(ddof=1)))
+    if not scatter:
+        raise InputError(
+            f"{name}: fewer than {_REST_FRAMES} poses at rest between the pushes, so the noise of a pose is unknown; give "
+            "--position-std and --yaw-std."
+        )
+    position, yaw = np.median(np.array(scatter), axis=0)
+    position_std = max(float(position), _LEAST_POSITION_STD) if options.position_std is None else options.position_std
+    yaw_std = max(float(yaw), _LEAST_YAW_STD) if options.yaw_std is None else options.yaw_std
+    notes.append(
+        f"standard deviations of a pose: {1e3 * position_std:.2f} mm, {np.degrees(yaw_std):.3f} degrees; the scatter at rest is "
+        f"{1e3 * position:.3f} mm, {np.degrees(yaw):.4f} degrees"
+    )
+    return position_std, yaw_std
+
+
+def _between(busy: list[tuple[float, float]], start: float, end: float) -> Iterator[tuple[float, float]]:
+    """The times from `start` to `end` outside the busy ones, which are in order."""
+    for first, last in [*busy, (end, end)]:
+        if first > start:
+            yield start, min(first, end)
+        start = max(start, last)
+
+
+def _pushes(streams: Streams) -> list[_Span]:
+    """The runs of the pusher with their contacts."""
+    spans, time = [], streams.poses[:, 0]
+    for run in streams.runs:
+        # As a bag is cut into pushes: the poses around the run, and where there is none at rest the nearest one on that side.
+        start, end = run[0, 0], run[-1, 0]
+        low = min(np.searchsorted(time, start - _PAUSE), max(np.searchsorted(time, start, side="right") - 1, 0))
+        high = max(np.searchsorted(time, end + _PAUSE, side="right"), np.searchsorted(time, end) + 1)
+        part = streams.poses[low:high]
+        contact = contact_of(part[:, 0], part[:, 1:], run[:, :3], shape=streams.shape, radius=streams.radius, tolerance=streams.tolerance)
+        spans.append(_Span(run, contact))
+    return spans
+
+
+def _with_contact(spans: list[_Span], tolerance: float, notes: list[str]) -> list[_Span]:
+    """The motions in which the object moves or the pusher reaches it."""
+    found = [span for span in spans if span.contact.moved or span.contact.nearest <= tolerance]
+    if missed := len(spans) - len(found):
+        notes.append(f"{missed} motions in which the pusher does not reach the object are left out")
+    return found
+
+
+def _write(
+    out_bag: Path, options: RecordingOptions, streams: Streams, force: Float64Array, spans: list[_Span], covariance: Float64Array
+) -> None:
+    poses = streams.poses
+    first = float(min(poses[0, 0], spans[0].pusher[0, 0]))
+    with BagWriter(out_bag) as writer:
+        writer.write_shape(options.object_id, streams.shape, first)
+        writer.write_pusher_shape(first, options.radius)
+        for time, *pose in poses.tolist():
+            writer.write_pose(options.object_id, time, pose, covariance)
+        for number, span in enumerate(spans, 1):
+            for time, x, y, z in span.pusher.tolist():
+                writer.write_pusher(time, (x, y), z=z)
+            start, end = float(span.pusher[0, 0]), float(span.pusher[-1, 0])
+            for time, *newtons in force[(force[:, 0] >= start) & (force[:, 0] <= end)].tolist():
+                writer.write_wrench(time, newtons)
+            writer.write_push_record(number, options.object_id, start, end)

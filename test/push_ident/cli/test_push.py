@@ -1,0 +1,103 @@
+"""What `push-ident push` asks of the executor, and what it refuses before it looks for a cell."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.action import ActionServer
+from rclpy.action.server import ServerGoalHandle
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from helpers.commands import run_here
+from push_ident.cli.push import contact_goal, random_goals
+from push_ident.errors import InputError
+from push_ident_msgs.action import ExecutePush
+
+
+class Executor(Node):
+    """Answers the pushes that it is asked for with the codes that it is given, one after the other."""
+
+    def __init__(self, context: Context, codes: list[int]) -> None:
+        super().__init__("executor", context=context)
+        self._codes = codes
+        self.asked: list[ExecutePush.Goal] = []
+        self._server = ActionServer(self, ExecutePush, "execute_push", self._execute)
+
+    def _execute(self, goal: ServerGoalHandle) -> ExecutePush.Result:
+        self.asked.append(goal.request)
+        goal.publish_feedback(ExecutePush.Feedback(phase=ExecutePush.Feedback.PHASE_PUSH))
+        goal.succeed()
+        return ExecutePush.Result(error_code=self._codes.pop(0), distance=0.05, speed=0.1)
+
+
+@pytest.fixture
+def executor() -> Iterator[Executor]:
+    """One that answers: missed, made, arm silent."""
+    context = Context()
+    rclpy.init(context=context)
+    node = Executor(context, [ExecutePush.Result.NO_CONTACT, ExecutePush.Result.NONE, ExecutePush.Result.ARM_SILENT])
+    spinning = SingleThreadedExecutor(context=context)
+    spinning.add_node(node)
+    thread = threading.Thread(target=spinning.spin, daemon=True)
+    thread.start()
+    yield node
+    spinning.shutdown(timeout_sec=1.0)
+    thread.join(timeout=1.0)
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+def test_random_pushes_are_reproducible_from_the_seed() -> None:
+    seeds = [[goal.seed for goal in random_goals(4, seed)] for seed in (7, 7, 8)]
+    assert seeds[0] == seeds[1] != seeds[2] and len(set(seeds[0])) == 4
+
+
+@pytest.mark.alone
+def test_a_push_that_misses_is_followed_by_the_next_and_a_silent_arm_ends_all(executor: Executor, tmp_path: Path) -> None:
+    done = run_here("push", "--random", 4, "--seed", 2, "--dry-run", "--json", tmp_path / "pushes.json")
+    assert done.returncode == 1 and "1 of 4 pushes could be planned" in done.stderr
+    assert "push 1: NO_CONTACT" in done.stderr and "push 2: touched at" in done.stdout and "push 3: ARM_SILENT" in done.stderr
+    content = json.loads((tmp_path / "pushes.json").read_text())
+    assert [push["code"] for push in content["pushes"]] == ["NO_CONTACT", "NONE", "ARM_SILENT"] and content["n_done"] == 1
+    assert all(goal.dry_run for goal in executor.asked) and [g.seed for g in executor.asked] == [g.seed for g in random_goals(4, 2)][:3]
+
+
+def test_a_push_at_a_point_names_its_frame() -> None:
+    goal = contact_goal(np.array([0.05, -0.02]), 1.5, object_id="o1", in_object=True, distance=0.06)
+    assert (goal.mode, goal.frame_id, goal.contact_point.y) == (ExecutePush.Goal.MODE_CONTACT, "object_o1", -0.02)
+    assert contact_goal(np.zeros(2), 0.0).frame_id == "table"
+    with pytest.raises(InputError, match="not finite"):
+        contact_goal(np.array([np.inf, 0.0]), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ((), "--random N"),
+        (("--random", 2, "--at", "0,0", "--direction", 0), "--random N"),
+        (("--at", "0,0"), "belong together"),
+        (("--direction", 1), "belong together"),
+        (("--at", "0", "--direction", 1), "X,Y in metres"),
+        (("--at", "a,b", "--direction", 1), "X,Y in metres"),
+        (("--at", "0,0", "--direction", "nan"), "not finite"),
+        (("--at", "0,0", "--direction", 1, "--in-object"), "--object ID"),
+        (("--random", 1, "--distance", 0.1), "draw their own"),
+        (("--random", 1, "--object", "a b"), "Object id"),
+    ],
+)
+def test_options_that_make_no_push_are_refused_at_once(options: tuple[object, ...], reason: str) -> None:
+    done = run_here("push", *options)
+    assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_numbers_out_of_range_are_refused_at_once() -> None:
+    for options in (("--random", 0), ("--random", 1, "--seed", -1), ("--at", "0,0", "--direction", 0, "--speed", -1)):
+        assert run_here("push", *options).returncode == 2
