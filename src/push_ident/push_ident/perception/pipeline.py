@@ -43,6 +43,8 @@ _TURNS: Final = 30.0
 a part of a search or of a better outline, an occupancy grid or a check of the plane, each 3 to 15 ms."""
 _MOST_TURNS: Final = 10
 """Largest number of turns in one frame, as of a camera of a few frames a second."""
+_WHOLE_SEARCH: Final = N_PARTS + 2
+"""Turns in which a search begins and ends, though an occupancy grid and a check of the plane are due."""
 _ROUNDING: Final = 1e-3
 """Tolerance of the periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
 
@@ -176,9 +178,9 @@ class Perception:
             occupancy = self._occupancy(frame, robot) if _is_due(frame, self._last_occupancy, self.settings.occupancy_period) else None
             self._check_plane(frame)
             return search, occupancy
-        n_turns = int(np.clip(elapsed * _TURNS, 1, _MOST_TURNS)) - n_taken
+        n_turns = int(np.clip(np.rint(min(elapsed, 1.0) * _TURNS), 1, _MOST_TURNS)) - n_taken
         if not any(known.is_tracked for known in self._tracked.values()):
-            n_turns = max(n_turns, N_PARTS)  # no pose is late
+            n_turns = max(n_turns, _WHOLE_SEARCH)  # no pose is late
         search, occupancy = _Search(), None
         while n_turns > 0:
             n_turns -= 1
@@ -475,4 +477,5 @@ class Perception:
 
 
 def _is_due(frame: DepthFrame, last: float, period: float) -> bool:
-    return frame.stamp - last >= period - _ROUNDING
+    """Whether something that was last done at `last` [s] is to be done in this frame: not twice in one."""
+    return last < frame.stamp and frame.stamp - last >= period - _ROUNDING

@@ -132,7 +132,7 @@ class _Resting:
         if not _is_better(better):
             return None
         yield
-        better = _held(better, template, view)
+        better = yield from _held(better, template, view)
         yield
         better = replace(better, traced=replace(better.traced, shape=_with_cells(better.traced.shape)))
         self.views = [replace(view, pose=pose) for view, pose in zip(self.views, better.poses, strict=True)]
@@ -303,20 +303,23 @@ def _passed(seen: SegmentedView, places: Float64Array) -> NDArray[np.bool_]:
     return passed
 
 
-def _held(better: Refined, before: Template, view: RestView) -> Refined:
+def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]:
     """The better object in the frame in which its pose in the latest view stays what it is: poses have no step where an outline changes.
 
     Raises:
         PerceptionError: The object is not found in the view.
     """
     scene = Scene(view.seen.frame, view.seen.camera_in_table, view.robot)
-    old, new = fit_pose(before, scene, view.pose), fit_pose(Template(better.traced), scene, better.poses[-1])
+    after = Template(better.traced)
+    yield
+    old, new = fit_pose(before, scene, view.pose), fit_pose(after, scene, better.poses[-1])
+    yield
     if old.status is not TrackStatus.TRACKED or new.status is not TrackStatus.TRACKED:
         raise PerceptionError(f"The object is not found with its better outline: {new.status.value}.")
     step = compose(inverse(old.pose), new.pose)
     traced = better.traced
     # The pose keeps the error that it has here by displaced edges, though the new outline has another one.
-    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(Template(traced), scene, new.pose)
+    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(after, scene, new.pose)
     x, y = rotation(old.pose[2]).T @ error[:2]
     rests = traced.seen_from or ()
     traced = replace(
