@@ -40,6 +40,18 @@ def test_work_is_done_in_its_order_and_waits_until_it_is_done() -> None:
     assert queue.n_waiting(Kind.PUSH) == queue.n_waiting(Kind.OUTLINE) == 0
 
 
+def test_only_the_latest_outline_of_an_object_waits_and_pushes_keep_their_place() -> None:
+    queue, done = WorkQueue(), []
+    for name, i in (("o1", 0), ("o1", 1), ("o1", 2), ("o2", 3), ("", 4), ("o2", 5), ("o2", 6)):
+        queue.put(Kind.OUTLINE if name else Kind.PUSH, lambda i=i: done.append(i), instead_of=name)  # type: ignore[misc]
+    assert (queue.n_waiting(Kind.OUTLINE), queue.n_waiting(Kind.PUSH)) == (4, 1)
+    while (work := queue.first()) is not None:
+        work()
+        queue.first_is_done()
+    assert done == [0, 2, 3, 4, 6]  # the first one may have begun
+    assert queue.n_waiting(Kind.OUTLINE) == 0
+
+
 @pytest.mark.alone
 def test_a_better_outline_is_no_push_that_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The fit with it is held up, so that the status of the node is seen meanwhile."""

@@ -19,6 +19,7 @@ from push_ident.perception.depth import rays_in_table
 from push_ident.perception.labels import OBJECT, ROBOT
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import TracedObject
+from push_ident.perception.shape_kernels import highest_in_cells
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
 __all__ = ["Covered", "cover_hollows", "with_hollow"]
@@ -95,13 +96,14 @@ def cover_hollows(
     Returns:
         The frame itself where nothing is hollow.
     """
-    if not (labels == OBJECT).any():
+    on_object = labels == OBJECT
+    if not on_object.any():
         return Covered(frame, points, labels, None)
     lid = np.zeros(labels.shape, dtype=bool)
     depth, place = frame.depth, points
     centre, rays = rays_in_table(frame.intrinsics, camera)
     # A rim of two pixels is torn where the labels are smooth: its pieces are joined, and its points taken whatever their labels.
-    joined = cv2.dilate((labels == OBJECT).astype(np.uint8), _TORN)
+    joined = cv2.dilate(on_object.view(np.uint8), _TORN)
     u, v, width, height = cv2.boundingRect(joined)
     joined = joined[v : v + height, u : u + width]
     n, patches, boxes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
@@ -146,11 +148,10 @@ def _openings(own: NDArray[np.float32], pixel: float, settings: PerceptionSettin
         return
     reach = round(pixel / _CELL)
     gap = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    origin = own[:, :2].min(axis=0).astype(np.float64) - len(gap) * _CELL
-    cell = np.floor((own[:, :2] - origin) / _CELL).astype(np.int64)
-    columns, rows = (int(n) for n in cell.max(axis=0) + len(gap) + 1)
-    heights = np.full((rows, columns), -np.inf, dtype=np.float32)
-    np.maximum.at(heights, (cell[:, 1], cell[:, 0]), own[:, 2])
+    origin, highest_place = (np.array([end(own[:, 0]), end(own[:, 1])], dtype=np.float64) for end in (np.min, np.max))
+    origin -= len(gap) * _CELL
+    columns, rows = (int(n) for n in np.floor((highest_place - origin) / _CELL) + len(gap) + 1)
+    heights = highest_in_cells(own, origin, _CELL, rows, columns)
     known = np.zeros((rows, columns), dtype=bool)
     for level in np.arange(highest - _BELOW_RIM, settings.min_step, -_LEVEL):
         high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap)

@@ -10,18 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError, PerceptionError
-from push_ident.perception.contacts import unexplained_segments
+from push_ident.perception.contacts import Placed, unexplained_segments
 from push_ident.perception.depth import points_in_table, usable_frame
-from push_ident.perception.hollows import cover_hollows
-from push_ident.perception.labels import ROBOT, TABLE, RobotPart, label_pixels
+from push_ident.perception.in_parts import all_at_once
+from push_ident.perception.labels import RobotPart, label_pixels
+from push_ident.perception.looking import N_PARTS, Look, Resting, Seen, look
+from push_ident.perception.observation import KnownObject, Observation, ObservedObject, observed
 from push_ident.perception.parting import Parting, is_part_missing
 from push_ident.perception.parts import parts_seen
-from push_ident.perception.refusals import Reason, Refusal, Removal, summary_of
+from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.registration import NewObject, Registration, refusal_of
 from push_ident.perception.rests import Rests
-from push_ident.perception.segments import Segment, find_segments
+from push_ident.perception.segments import Segment
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import TracedObject
 from push_ident.perception.table import TablePlane, fit_table, plane_now
 from push_ident.perception.topdown import TopDownGrid, top_down
 from push_ident.perception.tracked_object import TrackedObject
@@ -35,79 +36,17 @@ _MAX_JUMP: Final = (0.02, 0.2)
 _SAME_AREA: Final = (0.4, 1.6)
 """Range of the area of a segment that may be a lost object, relative to the area of that object."""
 _DOUBTFUL: Final = 0.02
-"""Where more of the pixels contradict a pose, it is checked in every frame whether a part is missing, else only before a search: whole
-objects have 0.002 of the plain camera."""
-_PARTS: Final = 30.0
-"""Parts of refinements for each second between two frames [1/s]: one part, some milliseconds, for each frame of a usual camera."""
-_MOST_PARTS: Final = 10
-"""Largest number of parts in one frame, as of a camera of a few frames a second."""
+"""Where more of the pixels contradict a pose, it is checked in every frame whether a part is missing, else once in each search period:
+whole objects have 0.002 of the plain camera."""
+_TURNS: Final = 30.0
+"""Turns of the work that poses do not wait for, for each second between two frames [1/s]: one for each frame of a usual camera. A turn is
+a part of a search or of a better outline, an occupancy grid or a check of the plane, each 3 to 15 ms."""
+_MOST_TURNS: Final = 10
+"""Largest number of turns in one frame, as of a camera of a few frames a second."""
+_WHOLE_SEARCH: Final = N_PARTS + 2
+"""Turns in which a search begins and ends, though an occupancy grid and a check of the plane are due."""
 _ROUNDING: Final = 1e-3
 """Tolerance of the periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
-
-
-@dataclass(frozen=True, slots=True)
-class ObservedObject:
-    """One known object in one frame."""
-
-    object_id: str
-    status: TrackStatus
-    pose: Float64Array | None
-    """(x, y, yaw) [m, m, rad], table frame; None unless TRACKED."""
-    covariance: Float64Array | None
-    """Shape (3, 3), table frame; None unless TRACKED."""
-
-
-@dataclass(frozen=True, slots=True)
-class Observation:
-    """Result of one frame."""
-
-    stamp: float
-    """[s]"""
-    objects: tuple[ObservedObject, ...]
-    """All known objects that were tracked, lost or found again."""
-    new_shapes: dict[str, ObjectShape]
-    """Shapes of the objects registered with this frame, or remembered and found again, by id."""
-    counts: dict[str, int]
-    """Counts of each stage: `pixels`, `valid`, `tracked`, `lost`, and of the last search `table`, `robot`, `object_pixels`,
-    `segments`, and refusals by their reason in small letters; `table_hidden` counts the checks of the plane that found too little of
-    it."""
-    refused: tuple[Refusal, ...]
-    """What the last search found on the table that is no object, and why."""
-    occupancy: TopDownGrid | None
-    """None between two occupancy grids; they have a lower rate."""
-    further_views: dict[str, str]
-    """When an object was registered: per further camera the reason why its view was left out; empty where it was used."""
-    restarted: bool = False
-    """Whether time went back, so that everything known was dropped."""
-    refined: dict[str, ObjectShape] = field(default_factory=dict)
-    """Better shapes of known objects, by id: their rests showed their outlines better. The object frame stays."""
-    not_refined: dict[str, str] = field(default_factory=dict)
-    """Why the outline of an object, by id, stays as it is although a rest might have shown it better: what failed."""
-    doubts: dict[str, str] = field(default_factory=dict)
-    """Of objects registered with this frame, by id: why the tool may not touch them where their outlines are."""
-    removed: tuple[Removal, ...] = ()
-    """Objects that were given up with this frame, and why: they came apart. Their ids are not used again."""
-
-    def why_no_pose(self) -> str:
-        """Why no object has a pose; empty when one has."""
-        if any(known.status is TrackStatus.TRACKED for known in self.objects):
-            return ""
-        if self.objects:
-            return "; ".join(f"object {known.object_id}: {known.status.value}" for known in self.objects)
-        if self.refused:
-            return summary_of(self.refused)
-        return f"nothing on the table is higher than min_object_height ({self.counts['table']} pixels show the table)"
-
-
-@dataclass(frozen=True, slots=True)
-class KnownObject:
-    """What is needed to find an object again: how it was traced, and where it was last."""
-
-    traced: TracedObject
-    area: float
-    """Area of its segment [m^2]."""
-    pose: Float64Array
-    """(x, y, yaw) [m, m, rad], table frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +87,9 @@ class Perception:
         self._refused: tuple[Refusal, ...] = ()
         self._search_counts = dict.fromkeys(("table", "robot", "object_pixels", "segments"), 0)
         self._table_hidden = 0
-        self._was_busy = False
-        self._last_stamp = self._last_search = self._last_occupancy = -np.inf
+        self._look: Look | None = None
+        self._is_outline_next = False
+        self._last_stamp = self._last_search = self._last_occupancy = self._last_plane = -np.inf
 
     @property
     def plane(self) -> TablePlane | None:
@@ -203,29 +143,14 @@ class Perception:
         frame = usable_frame(frame)
         elapsed = frame.stamp - self._last_stamp
         restarted, n_valid = self._begin(frame)
-        fits = self._track(frame, robot)
+        fits = self._track(frame, robot, elapsed)
         refined, not_refined = self._adopt_refined(fits, frame, robot)
         self._rests.note(frame, fits, self.settings.rest_frames)
         if on_poses is not None and fits:
-            on_poses(tuple(_observed(name, fit) for name, fit in fits.items()))
-        occupancy_due = frame.stamp - self._last_occupancy >= self.settings.occupancy_period - _ROUNDING
-        search_due = not self._tracked or self._is_search_due(frame)
-        if occupancy_due and self._tracked:
-            search_due = False  # both in one frame would delay the next one
-        search, occupancy = _Search(), None
-        if occupancy_due or search_due:
-            points = points_in_table(frame, self._camera)
-            labels = label_pixels(points, robot, self.limits)
-            if search_due:
-                search = self._search(frame, points, labels, robot)
-                fits = {name: fit for name, fit in (fits | search.fits).items() if name in self._tracked}
-            if occupancy_due:
-                occupancy = top_down(points, labels, self.limits)
-                self._last_occupancy = frame.stamp
-            if occupancy_due or not self._tracked:
-                self._check_plane(frame, points)
-        self._go_on(elapsed, is_busy=occupancy_due or search_due)
-        objects = tuple(_observed(name, fit) for name, fit in fits.items())
+            on_poses(tuple(observed(name, fit) for name, fit in fits.items()))
+        search, occupancy = self._beside(frame, robot, elapsed, n_taken=bool(refined))
+        fits = {name: fit for name, fit in (fits | search.fits).items() if name in self._tracked}
+        objects = tuple(observed(name, fit) for name, fit in fits.items())
         counts = self._counts(frame, n_valid, objects)
         return Observation(
             frame.stamp,
@@ -242,8 +167,43 @@ class Perception:
             search.removed,
         )
 
-    def _is_search_due(self, frame: DepthFrame) -> bool:
-        return frame.stamp - self._last_search >= self.settings.search_period - _ROUNDING
+    def _beside(self, frame: DepthFrame, robot: Sequence[RobotPart], elapsed: float, *, n_taken: int) -> tuple[_Search, TopDownGrid | None]:
+        """Work that poses do not wait for, `elapsed` seconds after the frame before: what a search that ends now found, and the occupancy.
+
+        A frame has a turn or a few (`_TURNS`), of which taking up better outlines took `n_taken`. Which work a frame does follows from
+        stamps and counts alone. As long as no object is known, each frame is searched at once.
+        """
+        if not self._tracked:
+            search = self._find(frame, robot)
+            occupancy = self._occupancy(frame, robot) if _is_due(frame, self._last_occupancy, self.settings.occupancy_period) else None
+            self._check_plane(frame)
+            return search, occupancy
+        n_turns = int(np.clip(np.rint(min(elapsed, 1.0) * _TURNS), 1, _MOST_TURNS)) - n_taken
+        if not any(known.is_tracked for known in self._tracked.values()):
+            n_turns = max(n_turns, _WHOLE_SEARCH)  # no pose is late
+        search, occupancy = _Search(), None
+        while n_turns > 0:
+            n_turns -= 1
+            if self._look is not None:
+                ended = self._look_on(self._look, frame, robot)
+                if ended is not None:
+                    search, n_turns = ended, n_turns + 1  # what the segments are is soon known: that takes no turn
+            elif _is_due(frame, self._last_occupancy, self.settings.occupancy_period):
+                occupancy = self._occupancy(frame, robot)
+            elif _is_due(frame, self._last_plane, self.settings.occupancy_period):
+                self._check_plane(frame)
+            elif _is_due(frame, self._last_search, self.settings.search_period) and not (self._is_outline_next and self.is_refining):
+                self._look = self._begin_look(frame, robot)
+                self._look_on(self._look, frame, robot)
+            else:
+                self._rests.go_on(1)
+                self._is_outline_next = False
+        return search, occupancy
+
+    def _occupancy(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> TopDownGrid:
+        self._last_occupancy = frame.stamp
+        points = points_in_table(frame, self._camera)
+        return top_down(points, label_pixels(points, robot, self.limits), self.limits)
 
     @property
     def _noise(self) -> float:
@@ -303,9 +263,10 @@ class Perception:
         """A frame in which one object is looked for."""
         return Scene(frame, self._camera, robot, self.settings.mask_margin, self._others(name))
 
-    def _track(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> dict[str, PoseFit]:
-        """Fit all known objects near their predicted poses."""
+    def _track(self, frame: DepthFrame, robot: Sequence[RobotPart], elapsed: float) -> dict[str, PoseFit]:
+        """Fit all known objects near their predicted poses, `elapsed` seconds after the frame before."""
         fits = {}
+        to_check = self._to_check(frame, elapsed)
         for name, known in self._tracked.items():
             if not known.announced:
                 continue  # where it was in an earlier run is no place to start from
@@ -315,14 +276,29 @@ class Perception:
             if fit.can_start_next and jumped:
                 # With most of the object behind the arm, a fit may slide to a pose that no visible pixel contradicts.
                 fit = replace(fit, status=TrackStatus.POOR_FIT)
-            fits[name] = self._accept(name, fit, frame, robot)
+            fits[name] = self._accept(name, fit, frame, robot, is_due=name in to_check)
         return fits
 
-    def _accept(self, name: str, fit: PoseFit, frame: DepthFrame, robot: Sequence[RobotPart]) -> PoseFit:
-        """Take the fit of an object, unless a part of it is missing there; the fit with the status that results."""
+    def _to_check(self, frame: DepthFrame, elapsed: float) -> list[str]:
+        """The objects to check in this frame for missing parts: each once in a search period, those not checked for longest first.
+
+        While a search is under way they wait, at most for another period.
+        """
+        period = self.settings.search_period
+        share = elapsed / period if elapsed < period else 1.0
+        wait = period if self._look is None else 2.0 * period
+        due = [name for name, known in self._tracked.items() if _is_due(frame, known.checked, wait)]
+        return sorted(due, key=lambda name: self._tracked[name].checked)[: int(np.ceil(share * len(self._tracked)))]
+
+    def _accept(self, name: str, fit: PoseFit, frame: DepthFrame, robot: Sequence[RobotPart], *, is_due: bool) -> PoseFit:
+        """Take the fit of an object, unless a part of it is missing there; the fit with the status that results.
+
+        `is_due`: whether the object is to be checked for missing parts though nothing speaks for any.
+        """
         known = self._tracked[name]
         doubtful = known.status is not TrackStatus.TRACKED or fit.share_contradicting > _DOUBTFUL
-        if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT) and (doubtful or self._is_search_due(frame)):
+        if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT) and (doubtful or is_due):
+            known.checked = frame.stamp
             seen = parts_seen(known.template, self._scene(name, frame, robot), fit.pose, self._noise)
             if fit.status is TrackStatus.TRACKED and is_part_missing(seen):
                 fit = replace(fit, status=TrackStatus.PART_MISSING)
@@ -337,44 +313,63 @@ class Perception:
         """Other objects near enough to be mistaken for parts of this one."""
         own = self._tracked[name]
         return [
-            (other.template, other.pose)
+            other.placed
             for other_name, other in self._tracked.items()
             if other_name != name
             and other.status is TrackStatus.TRACKED
             and np.linalg.norm(other.pose[:2] - own.pose[:2]) < other.template.radius + own.template.radius + 0.03
         ]
 
-    def _search(self, frame: DepthFrame, points: NDArray[np.float32], labels: NDArray[np.int8], robot: Sequence[RobotPart]) -> _Search:
-        """Look for lost and new objects in the whole image."""
+    def _find(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> _Search:
+        """A whole search in one frame."""
+        started = self._begin_look(frame, robot)
+        return self._explain(started, all_at_once(started.work), frame, robot)
+
+    def _begin_look(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> Look:
+        """Begin a search, with what is known now."""
         assert self._plane is not None
         self._last_search = frame.stamp
-        covered = cover_hollows(frame, points, labels, self._camera, self.limits)
-        points, labels = covered.points, covered.labels
-        segments, counts = find_segments(covered.frame, points, labels, self.limits)
-        self._begin_refinements(segments, points, robot)
-        found: dict[str, PoseFit] = {}
-        unexplained = self._unexplained(segments, points)
+        work = look(frame, self._camera, robot, self.limits)
+        tracked = {name: known.placed for name, known in self._tracked.items() if known.is_tracked}
+        return Look(work, frame.stamp, self._camera, self._plane, tuple(robot), tracked, self._at_rest(), self._rests.frames)
+
+    def _look_on(self, started: Look, frame: DepthFrame, robot: Sequence[RobotPart]) -> _Search | None:
+        """Do the next part of the search; what it found when that was the last one."""
+        self._look = None  # an error ends it
+        try:
+            next(started.work)
+        except StopIteration as end:
+            self._is_outline_next = True
+            return self._explain(started, end.value, frame, robot)
+        self._look = started
+        return None
+
+    def _explain(self, started: Look, seen: Seen, frame: DepthFrame, robot: Sequence[RobotPart]) -> _Search:
+        """What the segments of a search are: known objects, lost ones, which are fitted to this frame, and new ones."""
+        self._begin_refinements(started, seen)
+        points, found = seen.covered.points, {}
+        tracked = {name: known.placed for name, known in self._tracked.items() if known.is_tracked} | started.tracked
+        unexplained = self._unexplained(seen.segments, points, list(tracked.values()))
         for name, known in self._tracked.items():
-            if known.status is TrackStatus.TRACKED:
+            if known.is_tracked:
                 continue
             fit = self._find_again(name, known, unexplained, frame, robot)
             if fit is not None:
                 self._parting.found(name)
                 known.accept(fit, frame.stamp)
                 found[name] = fit
-                unexplained = self._unexplained(unexplained, points)
+                unexplained = self._unexplained(unexplained, points, [known.placed])
         unexplained, touching, removed = self._parting.refuse(unexplained, points, self.settings.rest_frames)
         whole = [segment for segment in unexplained if segment.whole]
-        traced, waiting = self._registration.update(whole, covered, self._camera, self._plane, self.limits)
+        traced, waiting = self._registration.update(whole, seen.covered, started.camera, started.plane, self.limits)
         cut = [refusal_of(segment, points, segment.fault) for segment in unexplained if segment.fault is not None]
         self._refused = (*cut, *touching, *waiting)
-        new = {self._add(thing, frame.stamp): thing for thing in traced}
+        new = {self._add(thing, started.stamp): thing for thing in traced}
         removed += self._parting.taken_in(new)
         for removal in removed:
             del self._tracked[removal.object_id]
             self._rests.forget(removal.object_id)
-        table, on_robot = int(np.count_nonzero(labels == TABLE)), int(np.count_nonzero(labels == ROBOT))
-        self._search_counts = {"table": table, "robot": on_robot, **counts}
+        self._search_counts = seen.counts
         return _Search(
             found,
             self._announce() | {name: thing.traced.shape for name, thing in new.items()},
@@ -383,24 +378,24 @@ class Perception:
             tuple(removed),
         )
 
-    def _begin_refinements(self, segments: Sequence[Segment], points: NDArray[np.float32], robot: Sequence[RobotPart]) -> None:
-        """Begin to give known objects at rest a better outline, where this rest may show one."""
+    def _at_rest(self) -> dict[str, Resting]:
+        """Objects at rest for long enough that their outlines may get better."""
         at_rest = {name: self._rests.wants(name, known.traced) for name, known in self._tracked.items() if known.is_tracked}
         # What belongs to which of two objects near each other cannot be told.
-        wanted = {name: pose for name, pose in at_rest.items() if pose is not None and not self._others(name)}
-        if not wanted:
-            return
-        seen = [(segment, points[segment.rows, segment.columns][segment.mask]) for segment in segments]
-        for name, pose in wanted.items():
-            known = self._tracked[name]
-            placed = (known.traced, known.template, pose)
-            self._rests.begin_refinement(name, placed, seen, self._camera, self._noise, tuple(robot), self.limits)
+        return {
+            name: (self._tracked[name].traced, self._tracked[name].template, pose)
+            for name, pose in at_rest.items()
+            if pose is not None and not self._others(name)
+        }
 
-    def _go_on(self, elapsed: float, *, is_busy: bool) -> None:
-        """Do some of what better outlines take, `elapsed` seconds after the frame before; not in a frame that is busy, unless all are."""
-        if not is_busy or self._was_busy:
-            self._rests.go_on(int(np.clip(elapsed * _PARTS, 1, _MOST_PARTS)))
-        self._was_busy = is_busy
+    def _begin_refinements(self, started: Look, seen: Seen) -> None:
+        """Begin to give known objects at rest a better outline."""
+        if not started.at_rest:
+            return
+        points = seen.covered.points
+        segments = [(segment, points[segment.rows, segment.columns][segment.mask]) for segment in seen.segments]
+        for name, placed in started.at_rest.items():
+            self._rests.begin_refinement(name, placed, segments, started, self.settings.min_object_height)
 
     def _adopt_refined(
         self, fits: dict[str, PoseFit], frame: DepthFrame, robot: Sequence[RobotPart]
@@ -445,9 +440,8 @@ class Perception:
                     return fit
         return None
 
-    def _unexplained(self, segments: Sequence[Segment], points: NDArray[np.float32]) -> list[Segment]:
-        """The segments that are no tracked object."""
-        tracked = [(known.template, known.pose) for known in self._tracked.values() if known.status is TrackStatus.TRACKED]
+    def _unexplained(self, segments: Sequence[Segment], points: NDArray[np.float32], tracked: Sequence[Placed]) -> list[Segment]:
+        """The segments that are none of these objects."""
         return unexplained_segments(segments, points, tracked, self.limits.min_object_area)
 
     def _announce(self) -> dict[str, ObjectShape]:
@@ -469,8 +463,10 @@ class Perception:
         self._plane = plane
         self._camera = plane.correct(self._extrinsics)
 
-    def _check_plane(self, frame: DepthFrame, points: NDArray[np.float32]) -> None:
+    def _check_plane(self, frame: DepthFrame) -> None:
         assert self._plane is not None
+        self._last_plane = frame.stamp
+        points = points_in_table(frame, self._camera)
         try:
             plane = plane_now(self._plane, points, lambda: points_in_table(frame, self._extrinsics), self.settings)
         except PerceptionError:
@@ -480,7 +476,6 @@ class Perception:
             self._use_plane(plane)
 
 
-def _observed(name: str, fit: PoseFit) -> ObservedObject:
-    if fit.status is not TrackStatus.TRACKED:
-        return ObservedObject(name, fit.status, None, None)
-    return ObservedObject(name, fit.status, fit.pose, fit.covariance)
+def _is_due(frame: DepthFrame, last: float, period: float) -> bool:
+    """Whether something that was last done at `last` [s] is to be done in this frame: not twice in one."""
+    return last < frame.stamp and frame.stamp - last >= period - _ROUNDING

@@ -27,9 +27,9 @@ from push_ident.perception.contacts import Placed
 from push_ident.perception.in_parts import InParts
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.lasting import frame_step
+from push_ident.perception.looking import Look, Resting
 from push_ident.perception.refinement import DISPLACED, Refined, RestView, refine
 from push_ident.perception.segments import Segment
-from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import SegmentedView, TracedObject, median_depth
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, displaced_by_camera, fit_pose
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
@@ -105,7 +105,7 @@ class _Resting:
 
     def refinement(
         self,
-        placed: tuple[TracedObject, Template, Float64Array],
+        placed: Resting,
         seen: tuple[Sequence[SegmentedView], NDArray[np.float32], tuple[RobotPart, ...]],
         min_height: float,
     ) -> InParts[tuple[Refined, Template] | None]:
@@ -132,7 +132,7 @@ class _Resting:
         if not _is_better(better):
             return None
         yield
-        better = _held(better, template, view)
+        better = yield from _held(better, template, view)
         yield
         better = replace(better, traced=replace(better.traced, shape=_with_cells(better.traced.shape)))
         self.views = [replace(view, pose=pose) for view, pose in zip(self.views, better.poses, strict=True)]
@@ -172,11 +172,16 @@ class Rests:
             if name in self._objects:
                 self._objects[name].note(fit, rest_frames)
 
+    @property
+    def frames(self) -> tuple[DepthFrame, ...]:
+        """The latest frames, as many as a rest has."""
+        return tuple(self._frames)
+
     def wants(self, object_id: str, traced: TracedObject) -> Float64Array | None:
         """Pose of an object that has been at rest for long enough in a place and heading that may show something new; else None."""
         own, needed = self._objects[object_id], self._frames.maxlen or 0
         # What is seen of a hollow object depends on its lid, which is made anew in each frame.
-        if traced.hollow is not None or len(self._frames) < needed or object_id in self._work:
+        if traced.hollow is not None or len(self._frames) < needed or object_id in self._work or object_id in self._refined:
             return None
         pose = own.pose_at_rest(needed)
         return pose if pose is not None and own.shows_something_new(pose) else None
@@ -184,29 +189,27 @@ class Rests:
     def begin_refinement(
         self,
         object_id: str,
-        placed: tuple[TracedObject, Template, Float64Array],
+        placed: Resting,
         segments: Sequence[tuple[Segment, NDArray[np.float32]]],
-        camera: Float64Array,
-        noise: float,
-        robot: tuple[RobotPart, ...],
-        settings: PerceptionSettings,
+        started: Look,
+        min_height: float,
     ) -> None:
-        """Take the rest under way for a refinement, which `go_on` then does.
+        """Take a rest for a refinement, which `go_on` then does.
 
         Args:
             placed: How the object is known, and its pose at rest.
-            segments: Those of the frame, with their points [m], shape (n, 3), table frame.
-            camera: Optical frame in the table frame, shape (4, 4).
-            noise: Standard deviation of a height in one frame [m].
+            segments: Those of the search, with their points [m], shape (n, 3), table frame.
+            started: The search.
+            min_height: Anything lower is table [m].
         """
         own, (_, template, pose) = self._objects[object_id], placed
         segment = _segment_of((template, pose), segments)
         if segment is None:
             return
-        seen = [SegmentedView(frame, camera, segment, noise) for frame in self._frames]
+        seen = [SegmentedView(frame, started.camera, segment, started.plane.noise) for frame in started.frames]
         points = next(at for one, at in segments if one is segment)
         own.n_rests += 1
-        self._work[object_id] = own.refinement(placed, (seen, points, robot), settings.min_object_height)
+        self._work[object_id] = own.refinement(placed, (seen, points, started.robot), min_height)
 
     @property
     def is_refining(self) -> bool:
@@ -300,20 +303,23 @@ def _passed(seen: SegmentedView, places: Float64Array) -> NDArray[np.bool_]:
     return passed
 
 
-def _held(better: Refined, before: Template, view: RestView) -> Refined:
+def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]:
     """The better object in the frame in which its pose in the latest view stays what it is: poses have no step where an outline changes.
 
     Raises:
         PerceptionError: The object is not found in the view.
     """
     scene = Scene(view.seen.frame, view.seen.camera_in_table, view.robot)
-    old, new = fit_pose(before, scene, view.pose), fit_pose(Template(better.traced), scene, better.poses[-1])
+    after = Template(better.traced)
+    yield
+    old, new = fit_pose(before, scene, view.pose), fit_pose(after, scene, better.poses[-1])
+    yield
     if old.status is not TrackStatus.TRACKED or new.status is not TrackStatus.TRACKED:
         raise PerceptionError(f"The object is not found with its better outline: {new.status.value}.")
     step = compose(inverse(old.pose), new.pose)
     traced = better.traced
     # The pose keeps the error that it has here by displaced edges, though the new outline has another one.
-    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(Template(traced), scene, new.pose)
+    error = displaced_by_camera(before, scene, old.pose) - displaced_by_camera(after, scene, new.pose)
     x, y = rotation(old.pose[2]).T @ error[:2]
     rests = traced.seen_from or ()
     traced = replace(

@@ -108,7 +108,7 @@ def _fault(
     if min(rows.start, columns.start) < _NEAR or rows.stop > height - _NEAR or columns.stop > width - _NEAR:
         return Reason.AT_IMAGE_BORDER
     low, high = np.array(settings.workspace_low) + _SKIRT, np.array(settings.workspace_high) - _SKIRT
-    if np.any(own_points[:, :2].min(axis=0) <= low) or np.any(own_points[:, :2].max(axis=0) >= high):
+    if any(own_points[:, k].min() <= low[k] or own_points[:, k].max() >= high[k] for k in (0, 1)):
         return Reason.AT_WORKSPACE_BORDER
     wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
     own = surfaces[wide] == index

@@ -13,7 +13,7 @@ from numba import types
 
 from push_ident.perception.kernels import kernel, read_only
 
-__all__ = ["edges_nearest", "grow_surfaces", "mark_folds", "mark_jumps", "outline_distances", "sort_columns"]
+__all__ = ["edges_nearest", "grow_surfaces", "highest_in_cells", "mark_folds", "mark_jumps", "outline_distances", "sort_columns"]
 
 _REAL: Final = types.float64
 _ROWS: Final = read_only(types.float64, 2)
@@ -99,6 +99,22 @@ def sort_columns(values: Any) -> Any:
             for column in range(m):
                 a, b = values[row, column], values[row + 1, column]
                 values[row, column], values[row + 1, column] = (a if a < b else b), (b if a < b else a)
+
+
+@kernel(_DEPTH, read_only(types.float64, 1), _REAL, types.int64, types.int64)
+def highest_in_cells(points: Any, origin: Any, size: Any, rows: Any, columns: Any) -> Any:
+    """Height of the highest of the points in each cell, -infinity in cells without any [m], shape (rows, columns).
+
+    Args:
+        points: [m], shape (n, 3), all in the cells.
+        origin: Low corner of the first cell [m], shape (2,).
+        size: Edge of a cell [m].
+    """
+    heights = np.full((rows, columns), np.float32(-np.inf))
+    for i in range(len(points)):
+        column, row = int((points[i, 0] - origin[0]) / size), int((points[i, 1] - origin[1]) / size)
+        heights[row, column] = max(heights[row, column], points[i, 2])
+    return heights
 
 
 @kernel(_DEPTH, _MASK, _REAL)

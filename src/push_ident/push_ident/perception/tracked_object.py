@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -32,6 +33,8 @@ class TrackedObject:
     stamp: float
     velocity: Float64Array = field(default_factory=lambda: np.zeros(3))
     status: TrackStatus = TrackStatus.TRACKED
+    checked: float = -math.inf
+    """When it was last looked for missing parts [s]."""
     announced: bool = True
     """Whether its shape has been reported; that of a remembered object is when it is found again."""
 
@@ -39,6 +42,11 @@ class TrackedObject:
     def is_tracked(self) -> bool:
         """Whether its latest pose is one."""
         return self.status is TrackStatus.TRACKED
+
+    @property
+    def placed(self) -> tuple[Template, Float64Array]:
+        """What tracks it, and its latest pose."""
+        return self.template, self.pose
 
     def predicted(self, stamp: float) -> Float64Array:
         """Pose at constant velocity."""

@@ -168,7 +168,7 @@ class _Identification(Component):
             self._publish_model(known, 0.0)
         else:
             with self._wake:
-                self._queue.put(Kind.OUTLINE, partial(self._refine, object_id, shape))
+                self._queue.put(Kind.OUTLINE, partial(self._refine, object_id, shape), instead_of=object_id)
                 self._wake.notify()
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:

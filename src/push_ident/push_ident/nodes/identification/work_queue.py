@@ -22,21 +22,28 @@ class WorkQueue:
     """Work of both kinds; what is being done counts as waiting until it is done. Its user has a lock for all but `n_waiting`."""
 
     def __init__(self) -> None:
-        self._work: deque[tuple[Kind, Callable[[], None]]] = deque()
+        self._work: deque[tuple[Kind, str, Callable[[], None]]] = deque()
         self._n_waiting: Counter[Kind] = Counter()
 
-    def put(self, kind: Kind, work: Callable[[], None]) -> None:
-        """Add work at the end."""
-        self._work.append((kind, work))
+    def put(self, kind: Kind, work: Callable[[], None], *, instead_of: str = "") -> None:
+        """Add work at the end.
+
+        `instead_of`: work of the same kind with the same name at the end, which may not have begun, is replaced. Three messages make one
+        better outline: one fit with it is enough.
+        """
+        if instead_of and len(self._work) > 1 and self._work[-1][:2] == (kind, instead_of):
+            self._work.pop()
+            self._n_waiting[kind] -= 1
+        self._work.append((kind, instead_of, work))
         self._n_waiting[kind] += 1
 
     def first(self) -> Callable[[], None] | None:
         """What to do next; None where nothing waits."""
-        return self._work[0][1] if self._work else None
+        return self._work[0][2] if self._work else None
 
     def first_is_done(self) -> None:
         """Go on to the one after it."""
-        kind, _ = self._work.popleft()
+        kind, *_ = self._work.popleft()
         self._n_waiting[kind] -= 1
 
     def n_waiting(self, kind: Kind) -> int:

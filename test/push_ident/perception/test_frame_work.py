@@ -1,0 +1,104 @@
+"""What a frame does besides its poses: a little of it in each frame, and all of it in time."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+
+from helpers.depth_scene import CAMERA, HAMMER, Prism, rectangle, render
+from push_ident.perception import looking, pipeline, tracking
+from push_ident.perception.pipeline import Perception
+from push_ident.perception.settings import PerceptionSettings
+
+SETTINGS = PerceptionSettings(rest_frames=3)
+HAMMER_AT = np.array([0.1, 0.1, 0.4])
+BOX = Prism(rectangle(-0.15, -0.15, -0.07, -0.09), 0.05)
+NEW = Prism(rectangle(-0.15, 0.05, -0.07, 0.12), 0.05)
+
+
+class Watched:
+    """Perception of things at rest; which functions each frame calls."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
+        self.perception, self.rate, self.n = Perception(CAMERA, SETTINGS), rate, 0
+        self.calls: dict[int, Counter[str]] = defaultdict(Counter)
+        self.rng = np.random.default_rng(3)
+        names = ("cover_hollows", "find_segments", "parts_seen", "top_down", "plane_now")
+        for name in names:
+            module = looking if hasattr(looking, name) else pipeline
+            monkeypatch.setattr(module, name, self._counted(name, getattr(module, name)))
+
+    def _counted(self, name, function):
+        def call(*args):
+            self.calls[self.n][name] += 1
+            return function(*args)
+
+        return call
+
+    def see(self, *more: Prism):
+        self.n += 1
+        scene = [*(prism.at(HAMMER_AT) for prism in HAMMER), BOX, *more]
+        return self.perception.observe(render(scene, rng=self.rng, stamp=self.n / self.rate))
+
+    def see_until_known(self) -> None:
+        while not self.see().new_shapes:
+            assert self.n < 10
+        assert len(self.see().objects) == 2
+        self.calls.clear()
+
+
+def test_no_frame_of_a_usual_camera_does_two_slow_things(monkeypatch):
+    watched = Watched(monkeypatch, 30.0)
+    watched.see_until_known()
+    first = watched.n
+    for _ in range(45):
+        watched.see()
+    slow = ("cover_hollows", "find_segments", "top_down", "plane_now")
+    assert max(sum(calls[name] for name in slow) for calls in watched.calls.values()) == 1
+    assert max(calls["parts_seen"] for calls in watched.calls.values()) == 1
+    total = sum(watched.calls.values(), Counter())
+    assert total["cover_hollows"] >= 4 and total["find_segments"] >= 4 and total["top_down"] >= 1 and total["plane_now"] >= 1
+    # Two objects, each checked about four times a second.
+    checked = [n - first for n, calls in watched.calls.items() if calls["parts_seen"]]
+    assert len(checked) >= 2 * 4 and max(np.diff(checked)) * 1000 / 30 <= 2 * 250
+
+
+@pytest.mark.parametrize(("rate", "latest"), [(30.0, 0.25 + 5 / 30), (10.0, 0.3 + 2 / 10), (2.0, 0.5)])
+def test_a_new_thing_is_seen_within_a_search_period_and_what_a_search_takes(monkeypatch, rate, latest):
+    watched = Watched(monkeypatch, rate)
+    watched.see_until_known()
+    for _ in range(int(rate)):
+        assert not watched.see().refused
+    placed = watched.n
+    while not watched.see(NEW).refused:
+        assert (watched.n - placed) / rate <= latest
+    while not watched.see(NEW).new_shapes:
+        assert (watched.n - placed) / rate <= SETTINGS.rest_frames * latest + 1 / rate
+
+
+def test_a_slow_camera_searches_a_frame_as_a_whole(monkeypatch):
+    watched = Watched(monkeypatch, 2.0)
+    watched.see_until_known()
+    watched.see()
+    assert watched.calls[watched.n]["cover_hollows"] == watched.calls[watched.n]["find_segments"] == 1
+
+
+def test_a_pose_is_fitted_in_few_steps(monkeypatch):
+    watched = Watched(monkeypatch, 30.0)
+    watched.see_until_known()
+    known = {name: watched.perception.known(name) for name in ("o1", "o2")}
+    frame = render([*(prism.at(HAMMER_AT) for prism in HAMMER), BOX], rng=watched.rng, stamp=9.0)
+    steps, compare = [], tracking.compare_lines
+    monkeypatch.setattr(tracking, "compare_lines", lambda *args: steps.append(args[0]) or compare(*args))
+    for own in known.values():
+        template = tracking.Template(own.traced)
+        scene = tracking.Scene(frame, watched.perception.camera_in_table)
+        fits = []
+        for sign in (-1.0, 1.0):
+            steps.clear()
+            fits.append(tracking.fit_pose(template, scene, own.pose + sign * np.array([0.002, -0.002, 0.02])))
+            assert len(steps) <= 9
+        # Where the iterations end does not depend on where they begin, to less than a tenth of the noise of a pose.
+        np.testing.assert_array_less(np.abs(fits[0].pose - fits[1].pose), 0.15 * np.sqrt(np.diag(fits[0].covariance)) + [5e-6, 5e-6, 5e-5])
