@@ -78,8 +78,8 @@ def test_sensors_have_a_table_of_their_own():
     assert summary["objects"] == {} and summary["sensors"]["xtion"]["rest"]["position_m"] == pytest.approx(3.536e-3, abs=1e-6)
     rows = [line.split("|")[1:-1] for line in experiment.tables(summary).splitlines()]
     assert [row[0].strip() for row in rows[2:]] == ["xtion", "phoxi"]
-    assert [cell.strip() for cell in rows[2]][8:12] == ["3.54", "0.57", "50%", "2 of 6"] and rows[3][12].strip() == "–"
-    assert [cell.strip() for cell in rows[2]][2:6] == ["2.00", "–", "–", "–"]  # results of before have one outline
+    assert [cell.strip() for cell in rows[2]][9:13] == ["3.54", "0.57", "50%", "2 of 6"] and rows[3][13].strip() == "–"
+    assert [cell.strip() for cell in rows[2]][2:7] == ["2.00", "–", "–", "–", "–"]  # results of before have one outline
     assert experiment.fewer["xtion"] < 10
 
 
