@@ -210,9 +210,9 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
         return None
     paths = [_Path.of(response) for _, response in simulated if response is not None]
     places = _places(paths)
-    weights = [np.sqrt(problem.weigh(problem.residual(fit.x, motion, push))[1]) for push, (motion, _) in enumerate(simulated)]
+    weights = [np.sqrt(problem.frame_weight(problem.residual(fit.x, motion, push))) for push, (motion, _) in enumerate(simulated)]
     whitening = [w[:, None, None] * o.whitening for w, o in zip(weights, problem.observations, strict=True)]
-    by_push = [_blocks_of(path, places, record.order) for path, record in zip(paths, problem.records, strict=True)]
+    by_push = [_blocks_of(path, places) for path in paths]
     responses = [_respond(path, blocks, white) for path, blocks, white in zip(paths, by_push, whitening, strict=True)]
     return tuple(_families(responses, places, [_knot_times(path) for path in paths]))
 
@@ -240,7 +240,7 @@ def _places(paths: Sequence[_Path]) -> Float64Array:
         spacing *= 1.1
 
 
-def _blocks_of(path: _Path, places: Float64Array, order: int) -> dict[str, _Block]:
+def _blocks_of(path: _Path, places: Float64Array) -> dict[str, _Block]:
     motion, load, table = path.motion_wrench(), path.load_wrench(), path.table_wrench()
     acting = np.concatenate([motion, load], axis=2)
     after = np.asarray(path.since > 0.0, dtype=np.float64)

@@ -248,7 +248,7 @@ class ResidualPolicy:
     """How residuals are compared with their expectation."""
 
     draws: int = 1000
-    """Draws of residuals under the model: the smallest p-value is 1/1001."""
+    """Draws of residuals under the model: p-values down to 1/1000 are counted, smaller ones extrapolated."""
     rest_speed: float = 0.01
     """Speed of the object below which a frame is at rest [m/s]. Judgement: a pose noise of 1 mm at 15 frames a second."""
     contact_share: float = 0.1

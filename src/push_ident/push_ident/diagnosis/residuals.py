@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.geometry.se2 import wrap_angle
@@ -25,6 +26,8 @@ from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["PHASES", "FrameResiduals", "correlation_in_motion", "draw_noise", "standardized_residuals"]
 
+_LEAST_P_VALUE = 1e-12
+"""Smaller ones are not told apart: the tail is not normal that far out."""
 PHASES = ("contact", "steady", "stop", "rest")
 """Of a push, in the order of `FrameResiduals.phase`."""
 
@@ -83,8 +86,12 @@ class FrameResiduals:
 
 
 def _p_value(drawn: Float64Array, found: float) -> float:
-    """Probability of as much or more, above 0 with any number of draws."""
-    return float((1 + np.count_nonzero(drawn >= found)) / (1 + len(drawn)))
+    """Probability of as much or more. Beyond all draws it is that of a normal distribution with their mean and variance: what is drawn is a
+    mean over many frames."""
+    reached = int(np.count_nonzero(drawn >= found))
+    if reached:
+        return reached / len(drawn)
+    return max(float(ndtr((np.mean(drawn) - found) / np.std(drawn))), _LEAST_P_VALUE)
 
 
 def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
