@@ -14,6 +14,7 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.push_to import GoalReport, GoalText, finish, goal_message, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
@@ -66,6 +67,7 @@ def demo_command(
         str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad] instead of test pushes.", show_default="none")
     ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Model of the simulated depth camera.")] = "plain",
+    view: ViewOption = False,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:
@@ -76,7 +78,7 @@ def demo_command(
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
-    commands = node_commands("sim", record=run / "bag", parameters=own)
+    commands = node_commands("sim", record=run / "bag", view=view, parameters=own)
     columns = (
         SpinnerColumn(),
         Description(),
@@ -85,6 +87,7 @@ def demo_command(
         TimeElapsedColumn(),
     )
     with Supervisor(commands, log_dir=run / "log") as supervisor:
+        show_view(view)
         from push_ident.nodes.client import CellClient
 
         with CellClient(check=supervisor.check) as client, Progress(*columns, console=console) as progress:
