@@ -14,6 +14,7 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from push_ident.cli.checks import writable_folder
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.push_to import GoalReport, GoalText, finish, goal_message, push_to_goal
@@ -60,7 +61,7 @@ class _Outcome:
 
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
-    seed: Annotated[int, typer.Option(help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
     n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="6; with --goal 2")] = None,
     n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, predicted before they are executed.")] = 6,
     goal: Annotated[
@@ -68,7 +69,9 @@ def demo_command(
     ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Model of the simulated depth camera.")] = "plain",
     view: ViewOption = False,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder for the bag, the model and the pictures.")
+    ] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:
     """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes, or push it to a goal."""

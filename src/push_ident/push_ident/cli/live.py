@@ -16,6 +16,7 @@ from rich.table import Table
 
 from push_ident.bags.pushes import count_pushes, split_pushes
 from push_ident.bags.reader import read_bag
+from push_ident.cli.checks import new_bag
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.restart import RestartPolicy
@@ -42,7 +43,9 @@ class CellKind(StrEnum):
 def up_command(
     kind: Annotated[CellKind, typer.Argument(help="sim: simulated cell; replay: a bag; arm: beside a real arm.", show_default=False)],
     bag: Annotated[Path | None, typer.Argument(help="Bag to play, for replay.", show_default=False)] = None,
-    record: Annotated[Path | None, typer.Option(metavar="BAG", help="Record the cell to this new bag.", show_default=False)] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="BAG", callback=new_bag, help="Record the cell to this new bag.", show_default=False)
+    ] = None,
     view: ViewOption = False,
     sensor: Annotated[str | None, typer.Option(metavar="NAME", help="Model of the simulated depth camera.", show_default="plain")] = None,
     state: Annotated[
@@ -65,8 +68,6 @@ def up_command(
                 raise InputError(f"--sensor is a model of the simulated camera, and `up {kind.value}` has none.")
             own["sim_cell_node"] = {"sensor": sensor}
         if record is not None:
-            if record.exists():
-                raise InputError(f"{record} exists already and is not overwritten; choose another name.")
             own["bag_recorder_node"] = {"numbered": True}  # started again after its death, it must not refuse what it has written
         commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=own)
         show_view(view)
