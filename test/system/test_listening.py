@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import http.client
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import pytest
 
@@ -85,3 +86,22 @@ def test_the_server_of_the_viewer_ends_with_its_node() -> None:
         while any(sockets_of(pid) for pid in servers):
             assert time.monotonic() < deadline, "the server outlives its node"
             time.sleep(0.02)
+
+
+def test_the_plain_address_of_the_viewer_leads_to_the_data() -> None:
+    with viewer() as node:
+        sockets_below(node.pid, until=set(_PORTS.values()))
+
+        def get(path: str, **headers: str) -> tuple[int, str, bytes]:
+            with closing(http.client.HTTPConnection("127.0.0.1", _PORTS["web_port"], timeout=10.0)) as page:
+                page.request("GET", path, headers=headers)
+                answer = page.getresponse()
+                return answer.status, answer.getheader("Location") or "", answer.read()
+
+        status, there, _ = get("/", Host="localhost:19090")
+        assert (status, there) == (302, "/?url=rerun%2Bhttp%3A%2F%2Flocalhost%3A19876%2Fproxy")
+        status, _, content = get(there)
+        assert status == 200 and b"<html" in content and b"rerun" in content.lower()
+        # What the browser loads then comes from the same port; nothing of a strange host is repeated.
+        assert get("/re_viewer_bg.wasm")[0] == 200
+        assert get("/", Host="evil/x")[1] == "/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A19876%2Fproxy"

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.objects import hammer, random_records
+from helpers.paths import ROOT
 from push_ident.bags.records import write_records
+from push_ident.types import PushRecord
 
 pytestmark = pytest.mark.alone
 
@@ -23,15 +26,19 @@ def run(*args: object, timeout: float = 120.0) -> subprocess.CompletedProcess[st
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("bags") / "hammer"
-    write_records(path, random_records(hammer(1), 3, 1))
-    return path
+def records() -> list[PushRecord]:
+    return random_records(hammer(1), 3, 1)
 
 
-def test_bag_played_through_live_nodes_gives_the_map_found_offline(bag: Path, tmp_path: Path) -> None:
-    live = run("replay", bag, "--rate", 2, "--out", tmp_path / "live", "--json", tmp_path / "live.json")
-    assert live.returncode == 0, live.stdout + live.stderr
+def test_bag_played_as_fast_as_possible_gives_the_map_found_offline_and_counts_what_was_not_learned(
+    records: list[PushRecord], tmp_path: Path
+) -> None:
+    bag, with_a_miss = tmp_path / "hammer", tmp_path / "with_a_miss"
+    write_records(bag, records)
+    far = replace(records[0].pusher, position=records[0].pusher.position + 0.4)
+    write_records(with_a_miss, [*records, replace(records[0], pusher=far)])
+    live = run("replay", with_a_miss, "--rate", 0, "--out", tmp_path / "live", "--json", tmp_path / "live.json")
+    assert live.returncode == 1 and "3 of 4 pushes of the bag were learned; 1 without contact" in live.stderr, live.stdout + live.stderr
     offline = run("identify", bag, "--json", tmp_path / "offline.json")
     assert offline.returncode == 0, offline.stderr
     a, b = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("live", "offline"))
@@ -42,6 +49,13 @@ def test_bag_played_through_live_nodes_gives_the_map_found_offline(bag: Path, tm
     # The same data, warm-started push by push: well within the uncertainty of the fit.
     assert np.max(np.abs(products[0] - products[1]) / deviation) < 0.5
     assert (tmp_path / "live" / "model.json").exists()
+
+
+def test_no_image_of_a_bag_is_lost_however_fast_it_is_played(tmp_path: Path) -> None:
+    done = run("replay", ROOT / "bags" / "hammer_depth", "--rate", 0, "--json", tmp_path / "live.json", timeout=300.0)
+    assert done.returncode == 0, done.stdout + done.stderr
+    content = json.loads((tmp_path / "live.json").read_text())
+    assert content["n_pushes"] == 4 and content["counts"]["pushes"] == "4"
 
 
 def test_doctor_names_what_is_missing_when_nothing_runs(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="perception_node",
                 name="perception_node",
                 output="screen",
-                parameters=[params_file, {"use_sim_time": True}],
+                parameters=[params_file, {"use_sim_time": True, "every_image": True}],
                 arguments=arguments("perception_node"),
                 condition=IfCondition(LaunchConfiguration("perception")),
             ),
@@ -37,7 +37,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="identification_node",
                 name="identification_node",
                 output="screen",
-                parameters=[params_file, {"use_sim_time": True}],
+                parameters=[params_file, {"use_sim_time": True, "source": "bag_player_node"}],
                 arguments=arguments("identification_node"),
             ),
             Node(
@@ -45,7 +45,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="bag_player_node",
                 name="bag_player_node",
                 output="screen",
-                parameters=[params_file, {"bag": LaunchConfiguration("bag")}],
+                parameters=[params_file, {"bag": LaunchConfiguration("bag"), "follower": "perception_node"}],
                 arguments=arguments("bag_player_node"),
             ),
         ]

@@ -14,7 +14,7 @@ from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
 from push_ident.types import CameraAccuracy, PushRecord
 
-__all__ = ["pushes_by_object", "split_pushes"]
+__all__ = ["count_pushes", "pushes_by_object", "split_pushes"]
 
 
 def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> list[PushRecord]:
@@ -59,6 +59,13 @@ def pushes_by_object(contents: BagContents, gap: float = 0.5) -> dict[str, list[
         for record in push.records:
             found[record.object_id].append(record)
     return found
+
+
+def count_pushes(contents: BagContents, gap: float = 0.5) -> int:
+    """Pushes that a bag has, whether or not anything was seen of them: its records without an error, else its motions of the pusher."""
+    if contents.push_intervals:
+        return sum(interval.error_code == 0 for interval in contents.push_intervals)
+    return 1 + int(np.sum(np.diff(contents.pusher.time) > gap))
 
 
 def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> PushCutter:

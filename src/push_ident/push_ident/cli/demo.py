@@ -14,6 +14,8 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from push_ident.cli.checks import writable_folder
+from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.push_to import GoalReport, GoalText, finish, goal_message, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
@@ -59,14 +61,17 @@ class _Outcome:
 
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
-    seed: Annotated[int, typer.Option(help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
     n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="6; with --goal 2")] = None,
     n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, predicted before they are executed.")] = 6,
     goal: Annotated[
         str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad] instead of test pushes.", show_default="none")
     ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Model of the simulated depth camera.")] = "plain",
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the bag, the model and the pictures.")] = Path("out/demo"),
+    view: ViewOption = False,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder for the bag, the model and the pictures.")
+    ] = Path("out/demo"),
     json: JsonOption = None,
 ) -> None:
     """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes, or push it to a goal."""
@@ -76,7 +81,7 @@ def demo_command(
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
-    commands = node_commands("sim", record=run / "bag", parameters=own)
+    commands = node_commands("sim", record=run / "bag", view=view, parameters=own)
     columns = (
         SpinnerColumn(),
         Description(),
@@ -85,6 +90,7 @@ def demo_command(
         TimeElapsedColumn(),
     )
     with Supervisor(commands, log_dir=run / "log") as supervisor:
+        show_view(view)
         from push_ident.nodes.client import CellClient
 
         with CellClient(check=supervisor.check) as client, Progress(*columns, console=console) as progress:

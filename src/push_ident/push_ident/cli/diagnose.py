@@ -9,7 +9,8 @@ import typer
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
-from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
+from push_ident.cli.checks import above_zero
+from push_ident.cli.identify import CameraOption, FrictionOption, NominalMassOption, ObjectOption, TotalMassOption, read_camera
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
@@ -43,10 +44,12 @@ def diagnose_command(
     from_camera: Annotated[
         bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
     ] = False,
-    total_mass: Annotated[float | None, typer.Option(help="Weight of the object, if it was weighed [kg].", show_default=False)] = None,
-    nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
-    friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[float, typer.Option(help="Nominal pusher friction: another value is an effect.")] = _NOMINAL.pusher_friction,
+    total_mass: TotalMassOption = None,
+    nominal_mass: NominalMassOption = _NOMINAL.total_mass,
+    friction: FrictionOption = _NOMINAL.friction,
+    pusher_friction: Annotated[
+        float, typer.Option(callback=above_zero, help="Nominal pusher friction: another value is an effect.")
+    ] = _NOMINAL.pusher_friction,
 ) -> None:
     """Report where the simulation differs from recorded pushes, which missing effect causes it, and how far the gap shrinks with it."""
     prior = Prior(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from push_ident.cli.checks import writable_file
 from push_ident.cli.output import console, warn
 from push_ident.errors import InputError
 from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
@@ -21,7 +22,9 @@ _CELLS = {"sliding": True, "fixed": False}
 def export_command(
     model: Annotated[Path, typer.Argument(help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)],
     format_name: Annotated[str, typer.Option("--format", metavar="|".join(SUFFIXES), help="Gazebo, Bullet or MuJoCo.", show_default=False)],
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Default: beside the model.", show_default=False)] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", callback=writable_file, help="Default: beside the model.", show_default=False)
+    ] = None,
     height: Annotated[float, typer.Option(metavar="M", help="Height of the object, which pushes do not determine [m].")] = DEFAULT_HEIGHT,
     cells: Annotated[
         str,

@@ -9,6 +9,7 @@ import numpy as np
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
+from push_ident.cli.checks import writable_folder
 from push_ident.cli.identify import ObjectOption
 from push_ident.cli.output import Description, JsonOption, console, millimetres, warn, write_json
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
@@ -23,9 +24,10 @@ _NOMINAL = Prior()
 
 def fleet_command(
     bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags, or folders that hold bags at any depth.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of results; an interrupted run continues from them.")] = Path(
-        "out/fleet"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder of results; an interrupted run continues from them."),
+    ] = Path("out/fleet"),
     address: Annotated[
         str, typer.Option(help="Address of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
     ] = "",

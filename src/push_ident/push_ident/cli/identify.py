@@ -11,6 +11,7 @@ import typer
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
+from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget
@@ -30,7 +31,7 @@ from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
 
-__all__ = ["CameraOption", "ObjectOption", "identify_command", "read_camera"]
+__all__ = ["CameraOption", "FrictionOption", "NominalMassOption", "ObjectOption", "TotalMassOption", "identify_command", "read_camera"]
 
 _NOMINAL = Prior()
 ObjectOption = Annotated[
@@ -44,6 +45,16 @@ CameraOption = Annotated[
         show_default=False,
     ),
 ]
+TotalMassOption = Annotated[
+    float | None, typer.Option(callback=above_zero, help="Total mass of the object, if it was weighed [kg].", show_default=False)
+]
+NominalMassOption = Annotated[float, typer.Option(callback=above_zero, help="Nominal total mass [kg].")]
+FrictionOption = Annotated[float, typer.Option(callback=above_zero, help="Nominal support friction.")]
+PusherFrictionOption = Annotated[float, typer.Option(callback=above_zero, help="Nominal friction between pusher and object.")]
+TrainOption = Annotated[
+    str,
+    typer.Option(metavar="0,2,5-7", help="Pushes of the fit, counted from 0 over all bags; the others are held out. Default: all."),
+]
 _SHOWN_PROBABILITY = 0.01
 """Priors that are less probable stand in the report and the JSON only [-]."""
 
@@ -51,23 +62,22 @@ _SHOWN_PROBABILITY = 0.01
 def identify_command(
     bags: BagsArgument,
     method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
-    train: Annotated[
-        str,
-        typer.Option(metavar="0,1,2", help="Pushes of the fit, counted from 0 over all bags; the others are held out. Default: all."),
-    ] = "",
+    train: TrainOption = "",
     out: OutOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
-    total_mass: Annotated[float | None, typer.Option(help="Total mass of the object, if it was weighed [kg].", show_default=False)] = None,
-    nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
-    friction: Annotated[float, typer.Option(help="Nominal support friction.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[float, typer.Option(help="Nominal friction between pusher and object.")] = _NOMINAL.pusher_friction,
-    max_seconds: Annotated[float, typer.Option(help="Longest time of the solve [s].")] = 30.0,
-    max_simulations: Annotated[int | None, typer.Option(help="Largest number of simulated pushes.", show_default=False)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of methods that draw at random.")] = 0,
+    total_mass: TotalMassOption = None,
+    nominal_mass: NominalMassOption = _NOMINAL.total_mass,
+    friction: FrictionOption = _NOMINAL.friction,
+    pusher_friction: PusherFrictionOption = _NOMINAL.pusher_friction,
+    max_seconds: Annotated[float, typer.Option(callback=above_zero, help="Longest time of the solve [s].")] = 30.0,
+    max_simulations: Annotated[int | None, typer.Option(min=1, help="Largest number of simulated pushes.", show_default=False)] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw at random.")] = 0,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
+    takes_effects = solver_of(method).capabilities.takes_effects
+    numbers = parse_numbers(train, "--train") if train else None
     prior = Prior(
         total_mass=nominal_mass if total_mass is None else total_mass,
         total_mass_std=_NOMINAL.total_mass_std if total_mass is None else 0.0,
@@ -82,13 +92,13 @@ def identify_command(
             progress.update(task, description=text)
 
         loaded = _load(bags, object_id, camera, report)
-        chosen = _chosen(train, len(loaded.records))
+        chosen = _chosen(numbers, len(loaded.records))
         report(f"identifying from {len(chosen)} pushes")
         result = identify(
             [loaded.records[i] for i in chosen],
             prior,
             method=method,
-            effects=loaded.nuisances if solver_of(method).capabilities.takes_effects else (),
+            effects=loaded.nuisances if takes_effects else (),
             budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
             options=FitOptions(seed=seed),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
@@ -159,18 +169,12 @@ def read_camera(path: Path | None) -> Float64Array | None:
     return matrix
 
 
-def _chosen(train: str, n_pushes: int) -> list[int]:
-    if not train:
+def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
+    if numbers is None:
         return list(range(n_pushes))
-    try:
-        chosen = [int(word) for word in train.split(",")]
-    except ValueError:
-        raise InputError(f"--train is `{train}`, expected push numbers such as 0,1,2.") from None
-    if wrong := [i for i in chosen if not 0 <= i < n_pushes]:
+    if wrong := [i for i in numbers if i >= n_pushes]:
         raise InputError(f"--train names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
-    if len(set(chosen)) < len(chosen):
-        raise InputError(f"--train is `{train}` and names a push twice.")
-    return chosen
+    return numbers
 
 
 def _show_errors(content: dict[str, Any], loaded: LoadedPushes) -> None:

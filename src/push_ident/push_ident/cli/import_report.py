@@ -10,11 +10,12 @@ import typer
 
 from push_ident.bags.importers import ImportReport
 from push_ident.bags.importers.overlap import Overlap
+from push_ident.cli.checks import new_bag
 from push_ident.cli.output import console, warn, write_json
 
 __all__ = ["BagOption", "draw_import", "show_import"]
 
-BagOption = Annotated[Path, typer.Option("--out", metavar="BAG", help="New bag.", show_default=False)]
+BagOption = Annotated[Path, typer.Option("--out", metavar="BAG", help="New bag.", callback=new_bag, show_default=False)]
 
 
 def draw_import(overlap: Overlap | None, out: Path, picture: Path | None) -> None:

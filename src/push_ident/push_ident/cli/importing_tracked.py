@@ -25,6 +25,7 @@ from push_ident.bags.importers.rosbag import parse_map
 from push_ident.bags.importers.shapes import CELL_SIZE
 from push_ident.bags.importers.tables import parse_columns
 from push_ident.bags.importers.tracked_poses import POSE_ROLES, PUSHER_ROLES
+from push_ident.cli.checks import above_zero, at_least_zero, writable_file
 from push_ident.cli.import_report import BagOption, draw_import, show_import
 from push_ident.cli.output import JsonOption
 from push_ident.errors import InputError
@@ -73,9 +74,12 @@ class TimeUnit(StrEnum):
 
 
 PositionStdOption = Annotated[
-    float | None, typer.Option("--position-std", help="Standard deviation of an object position [m].", show_default=False)
+    float | None,
+    typer.Option("--position-std", callback=above_zero, help="Standard deviation of an object position [m].", show_default=False),
 ]
-YawStdOption = Annotated[float | None, typer.Option("--yaw-std", help="Standard deviation of an object yaw [rad].", show_default=False)]
+YawStdOption = Annotated[
+    float | None, typer.Option("--yaw-std", callback=above_zero, help="Standard deviation of an object yaw [rad].", show_default=False)
+]
 PusherOption = Annotated[
     Path, typer.Option(metavar="FILE", help="Table time,x,y of the axis of the pusher, optionally with z and push.", show_default=False)
 ]
@@ -83,7 +87,7 @@ WrenchOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Table time,fx,fy of the force on the object [N].", show_default=False)
 ]
 TableOption = Annotated[Path, typer.Option(metavar="FILE", help="Table x,y of the outline, object frame.", show_default=False)]
-RadiusOption = Annotated[float, typer.Option(help="Radius of the pusher [m].", show_default=False)]
+RadiusOption = Annotated[float, typer.Option(callback=at_least_zero, help="Radius of the pusher [m].", show_default=False)]
 ColumnsOption = Annotated[str, typer.Option(metavar="ROLE=NAME,…", help="Other names of the columns of POSES.", show_default=False)]
 PusherColumnsOption = Annotated[
     str, typer.Option(metavar="ROLE=NAME,…", help="Other names of the columns of --pusher.", show_default=False)
@@ -105,9 +109,10 @@ PusherFrameOption = Annotated[
 LiftedOption = Annotated[
     float | None, typer.Option("--lifted-above", help="Height z of the pusher above which it is lifted [m].", show_default=False)
 ]
-CellSizeOption = Annotated[float, typer.Option(help="Edge of the cells of the object [m].")]
+CellSizeOption = Annotated[float, typer.Option(callback=above_zero, help="Edge of the cells of the object [m].")]
 PictureOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Picture of the overlap check. Default: beside the bag.", show_default=False)
+    Path | None,
+    typer.Option(metavar="FILE", callback=writable_file, help="Picture of the overlap check. Default: beside the bag.", show_default=False),
 ]
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.reader import read_depth
+from push_ident.cli.checks import writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError, PerceptionError
@@ -34,6 +35,11 @@ _TOPIC: Final = topic_of(Role.DEPTH)
 """Of the camera that is listened to where no other is given: that of perception_node."""
 
 
+_OutFolder = Annotated[
+    Path, typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder for picture, page and parameter file.")
+]
+
+
 def look_command(
     source: Annotated[
         str,
@@ -46,7 +52,7 @@ def look_command(
     ] = "",
     live: Annotated[bool, typer.Option("--live", help="Listen to the depth camera that runs now.")] = False,
     seconds: Annotated[float, typer.Option(min=0.5, help="Longest time to wait for a rest of a live camera [s].")] = 15.0,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for picture, page and parameter file.")] = Path("out/look"),
+    out: _OutFolder = Path("out/look"),
     json: JsonOption = None,
     camera: CameraOption = None,
     intrinsics: Annotated[

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import ProgressColumn, Task
 from rich.text import Text
 
+from push_ident.cli.checks import writable_file, writable_folder
 from push_ident.files import json_text, write_whole
 from push_ident.limits import printable
 
@@ -50,8 +51,12 @@ _errors: Final = PlainConsole(stderr=True)
 BagsArgument = Annotated[
     list[Path], typer.Argument(metavar="BAG...", help="Bags: folders, .mcap, .db3 or ROS 1 .bag files.", show_default=False)
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.", show_default=False)]
-OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write results into this folder.", show_default=False)]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.", callback=writable_file, show_default=False)
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Write results into this folder.", callback=writable_folder, show_default=False)
+]
 
 
 def warn(text: str) -> None:

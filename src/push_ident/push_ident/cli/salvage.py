@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from push_ident.bags.salvage import salvage
+from push_ident.cli.checks import new_bag
 from push_ident.cli.output import console
 
 __all__ = ["salvage_command"]
@@ -15,7 +16,7 @@ __all__ = ["salvage_command"]
 
 def salvage_command(
     bag: Annotated[Path, typer.Argument(help="A damaged MCAP bag.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="New bag.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="New bag.", callback=new_bag, show_default=False)],
 ) -> None:
     """Copy all readable messages of a truncated or damaged bag into a new bag."""
     report = salvage(bag, out)

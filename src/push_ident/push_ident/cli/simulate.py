@@ -8,33 +8,39 @@ from typing import Annotated
 
 import typer
 
+from push_ident.cli.checks import at_least_zero, new_bag, writable_file
 from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import console, write_json
 from push_ident.errors import InputError
 
 __all__ = ["simulate_command"]
 
+_YAW_NOISE = round(math.radians(0.5), 5)
+
 
 def simulate_command(
-    out: Annotated[Path | None, typer.Option(metavar="BAG", help="New bag.", show_default=False)] = None,
+    out: Annotated[Path | None, typer.Option(metavar="BAG", callback=new_bag, help="New bag.", show_default=False)] = None,
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
     effect: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE[,VALUE]", help="Effect to inject; may be given again. See --effects.", show_default=False),
     ] = None,
-    pushes: Annotated[int, typer.Option(help="Number of pushes.")] = 14,
-    model: Annotated[int, typer.Option(help="Ground truth of the object's masses and frictions.")] = 0,
-    seed: Annotated[int, typer.Option(help="Seed of the pushes and of all noise.")] = 0,
+    pushes: Annotated[int, typer.Option(min=1, help="Number of pushes.")] = 14,
+    model: Annotated[int, typer.Option(min=0, help="Ground truth of the object's masses and frictions.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the pushes and of all noise.")] = 0,
     speed: Annotated[str, typer.Option(metavar="LOW,HIGH", help="Range of the speed of the pushes [m/s].")] = "0.1,0.2",
-    position_noise: Annotated[float, typer.Option(help="Standard deviation of x and y [m].")] = 0.001,
-    yaw_noise: Annotated[float, typer.Option(help="Standard deviation of the yaw [rad].")] = round(math.radians(0.5), 5),
-    force_noise: Annotated[float, typer.Option(help="Standard deviation of each component of the force [N].")] = 0.05,
+    position_noise: Annotated[float, typer.Option(callback=at_least_zero, help="Standard deviation of x and y [m].")] = 0.001,
+    yaw_noise: Annotated[float, typer.Option(callback=at_least_zero, help="Standard deviation of the yaw [rad].")] = _YAW_NOISE,
+    force_noise: Annotated[
+        float, typer.Option(callback=at_least_zero, help="Standard deviation of each component of the force [N].")
+    ] = 0.05,
     camera: Annotated[bool, typer.Option("--camera", help="Write depth images instead of poses, 15 per second.")] = False,
     sensor: Annotated[
         str, typer.Option(metavar="NAME", help="Model of that camera: plain, ideal, kinect_v1, realsense_d435_848x480, phoxi, ...")
     ] = "plain",
     truth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write masses, frictions and effects here (JSON).", show_default=False)
+        Path | None,
+        typer.Option(metavar="FILE", callback=writable_file, help="Write masses, frictions and effects here (JSON).", show_default=False),
     ] = None,
     effects: Annotated[bool, typer.Option("--effects", help="List the effects and exit.")] = False,
 ) -> None:

@@ -44,6 +44,12 @@ _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
     "replay": ("perception_node", "identification_node", "bag_player_node"),
     "arm": ("perception_node", "push_executor_node", "identification_node", "gap_diagnosis_node", "goal_pushing_node"),
 }
+_PACED: Final[Mapping[str, dict[str, object]]] = {
+    "bag_player_node": {"follower": "perception_node"},
+    "perception_node": {"every_image": True},
+    "identification_node": {"source": "bag_player_node"},
+}
+"""Parameters of a replay: the bag waits for the nodes, so that nothing is lost at any speed and any load."""
 _SIM_PATIENCE: Final = 1.0
 """Silence or lag of a simulated arm that counts as a fault [s]."""
 _CLOCKS: Final = ("sim_cell_node", "bag_player_node")
@@ -354,7 +360,7 @@ def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
     simulated: dict[str, object] = {}
     if kind == "sim" and name == "push_executor_node":
         simulated = {"arm_timeout": _SIM_PATIENCE, "tracking_lag": _SIM_PATIENCE, "stamp_commands": True}
-    return clock | simulated
+    return clock | simulated | (_PACED.get(name, {}) if kind == "replay" else {})
 
 
 def node_command(name: str, parameters: Mapping[str, object], log_level: str = "info") -> NodeCommand:

@@ -6,9 +6,11 @@ import importlib
 import signal
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -35,6 +37,10 @@ _PUSHES: Final = frozenset({Role.PUSHER, Role.WRENCH, Role.PUSH_RECORD})
 _CLOCK_PERIOD_NS: Final = 10_000_000
 _LONGEST_PAUSE_NS: Final = 3600 * 10**9
 """A longer time without any message is not waited for: a clock was set in the middle of the recording, or a stamp is wrong."""
+_AHEAD: Final = 2
+"""Depth images under way to the node that processes them."""
+_STALLED: Final = 120.0
+"""Longest time for one image [s]; the first one compiles, on a loaded machine for half a minute."""
 _DELIVERY: Final = 120.0
 """Longest wait for listeners to take the last messages [s]."""
 
@@ -43,6 +49,12 @@ PARAMETERS: Final = (
     Parameter("rate", 1.0, "Speed relative to real time; 0: as fast as possible [-]", 0.0, 1000.0, read_only=True),
     Parameter("loop", False, "Start again at the end", read_only=True),
     Parameter("wait", 5.0, "Longest wait for `listeners` before playing [s]", 0.0, 600.0, read_only=True),
+    Parameter(
+        "follower",
+        "",
+        "Node that processes depth images, as perception_node with `every_image`: at most two are ahead of it; empty: none is waited for",
+        read_only=True,
+    ),
     Parameter("listeners", 1, "Subscriptions to the poses of an object, or to depth, to wait for", 0, 100, read_only=True),
 )
 
@@ -69,7 +81,7 @@ class _BagPlayer(Component):
         if not self._settings["bag"]:
             raise BagError("The parameter `bag` is empty; give the bag to play, as -p bag:=PATH.")
         self._path = Path(self._settings["bag"])
-        self._player_publishers: dict[str, Publisher] = {}
+        self._publishing: dict[str, Publisher] = {}
         skipped = []
         for topic, msgtype in bag_topics(self._path).items():
             found = role_of(topic)
@@ -77,14 +89,16 @@ class _BagPlayer(Component):
             if found is None or message is None:
                 skipped.append(f"{topic} ({msgtype})")
                 continue
-            qos = _LATCHED if found.role in _LATCHED_ROLES else qos_profile_sensor_data if found.role is Role.DEPTH else _RELIABLE
+            lossy = found.role is Role.DEPTH and not self._settings["follower"]
+            qos = _LATCHED if found.role in _LATCHED_ROLES else qos_profile_sensor_data if lossy else _RELIABLE
             name = "/tf_static" if found.role is Role.TF_STATIC else topic_of(found.role, live_object_id(found.object_id))
-            self._player_publishers[topic] = self._node.create_publisher(message, name, qos)
-        if not self._player_publishers:
+            self._publishing[topic] = self._node.create_publisher(message, name, qos)
+        if not self._publishing:
             raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
         if skipped:
             self._node.get_logger().info(f"not played: {', '.join(skipped)}")
         self._clock_publisher = self._node.create_publisher(ClockMsg, "/clock", 10)
+        self._pace = _Pace(node, self._settings["follower"]) if self._settings["follower"] else None
         self._done = self._node.create_publisher(Bool, "~/done", _LATCHED)
         self._done.publish(Bool(data=False))
         self._stop = threading.Event()
@@ -118,6 +132,8 @@ class _BagPlayer(Component):
                 self._node.get_logger().info(f"played {count} messages of {self._path}")
                 if not self._settings["loop"]:
                     break
+            if self._pace is not None and not stop.is_set():
+                self._pace.wait_for_all(stop)
         if stop.is_set():
             return
         self._is_done = True
@@ -130,7 +146,7 @@ class _BagPlayer(Component):
     def _await_delivery(self, stop: threading.Event) -> None:
         """The last messages must reach their subscribers before the publisher is destroyed."""
         deadline = time.monotonic() + _DELIVERY
-        for publisher in self._player_publishers.values():
+        for publisher in (*self._publishing.values(), self._done):
             while not publisher.wait_for_all_acked(Duration(seconds=0.1)) and not stop.is_set() and time.monotonic() < deadline:
                 pass
 
@@ -154,7 +170,7 @@ class _BagPlayer(Component):
             self._node.get_logger().warning(f"{why} after {patience:.0f} s; playing all the same")
 
     def _publishers_of(self, roles: frozenset[Role]) -> list[Publisher]:
-        return [p for topic, p in self._player_publishers.items() if (found := role_of(topic)) and found.role in roles]
+        return [p for topic, p in self._publishing.items() if (found := role_of(topic)) and found.role in roles]
 
     def _play_once(self, stop: threading.Event) -> int:
         rate = self._settings["rate"]
@@ -181,7 +197,13 @@ class _BagPlayer(Component):
                 self._publish_clock(clocked)
             count += self._publish(message, stop)
             self._n_played += 1
+            if self._pace is not None and self._is_image(message):
+                self._pace.wait(stop, self._publishing[message.topic].get_subscription_count)
         return count
+
+    def _is_image(self, message: RawMessage) -> bool:
+        found = role_of(message.topic)
+        return found is not None and found.role is Role.DEPTH and message.topic in self._publishing
 
     def _publish_clock(self, stamp_ns: int) -> None:
         msg = ClockMsg()
@@ -189,7 +211,7 @@ class _BagPlayer(Component):
         self._clock_publisher.publish(msg)
 
     def _publish(self, message: RawMessage, stop: threading.Event) -> int:
-        publisher = self._player_publishers.get(message.topic)
+        publisher = self._publishing.get(message.topic)
         if publisher is None:
             return 0
         while not stop.is_set():
@@ -201,6 +223,48 @@ class _BagPlayer(Component):
                 if not self._node.context.ok():
                     break
         return 0
+
+
+class _Pace:
+    """Keeps few depth images ahead of the node that processes them, so that none is lost and the other topics stay beside them.
+
+    Args:
+        node: that plays.
+        follower: name of the node that processes images and publishes `done_until` after each.
+    """
+
+    def __init__(self, node: CellNode, follower: str) -> None:
+        self._node = node
+        self._wake = threading.Condition()
+        self._n_sent = self._n_done = 0
+        self._heard = time.monotonic()
+        node.create_subscription(TimeMsg, f"{follower}/done_until", self._on_done, _RELIABLE)
+
+    def _on_done(self, msg: TimeMsg) -> None:
+        with self._wake:
+            self._n_done += 1
+            self._heard = time.monotonic()
+            self._wake.notify_all()
+
+    def wait(self, stop: threading.Event, n_listeners: Callable[[], int]) -> None:
+        """After an image: wait until at most `_AHEAD` images are not done; one to which nobody listens is not waited for."""
+        if n_listeners() == 0:
+            return
+        self._n_sent += 1
+        self._heard = time.monotonic()
+        self._wait_until(stop, _AHEAD)
+
+    def wait_for_all(self, stop: threading.Event) -> None:
+        """Wait until all images are done."""
+        self._wait_until(stop, 0)
+
+    def _wait_until(self, stop: threading.Event, ahead: int) -> None:
+        with self._wake:
+            while self._n_sent - self._n_done > ahead and not stop.is_set():
+                self._wake.wait(0.1)
+                if time.monotonic() - self._heard > _STALLED:
+                    self._node.get_logger().warning(f"{self._n_sent - self._n_done} images are not done after {_STALLED:.0f} s; playing on")
+                    self._n_done = self._n_sent
 
 
 def live_object_id(object_id: str) -> str:

@@ -137,8 +137,15 @@ class CellClient:
         def complete() -> str | None:
             return next((i for i in sorted(self._poses) if self._poses[i] and i in self._cells and i in self._outlines), None)
 
-        reasons = "; ".join(f"{name}: {status.message}" for name, status in sorted(self.diagnostics.items()))
-        return self.wait(complete, timeout, f"no object after {timeout:.0f} s ({reasons or 'no diagnostics; is perception running?'})")
+        try:
+            return self.wait(complete, timeout, "")
+        except CellTimeout:
+            why = self.reasons() or "no diagnostics; is perception running?"
+            raise CellTimeout(f"no object after {timeout:.0f} s ({why})") from None
+
+    def object_ids(self) -> tuple[str, ...]:
+        """Every object whose poses are or were published, sorted."""
+        return self._topics.ids
 
     def poses(self, object_id: str) -> list[tuple[float, Float64Array]]:
         """The latest poses of an object with their stamps, oldest first."""
@@ -186,22 +193,46 @@ class CellClient:
             enough, timeout, f"no map of object {object_id} from {n_pushes} pushes within {timeout:.0f} s; see identification's log"
         )
 
-    def wait_until_settled(self, object_id: str, quiet: float, timeout: float) -> MassFrictionMap:
-        """The latest map once none has come for `quiet` [s] of wall time, and all that was sent has been learned or refused.
+    def wait_until_settled(self, quiet: float, patience: float) -> None:
+        """Wait until all that was sent has been learned or refused, and no map has come for `quiet` [s] of wall time.
 
         Identification says so in its diagnostics: its streams are at rest, and neither a push nor a better outline is waiting.
+
+        Raises:
+            CellTimeout: Identification reported nothing new for `patience` [s] of wall time.
         """
         started = time.monotonic()
 
-        def settled() -> MassFrictionMap | None:
+        def settled() -> bool:
             since = max(self._map_received, started) + quiet
-            said: Sequence[Any] = next((status.values for name, status in self.diagnostics.items() if "identification" in name), [])
-            values = {value.key: value.value for value in said}
+            values = self.values_of("identification")
             waiting = {values.get(what) for what in ("pushes waiting", "outlines waiting")}
-            done = values.get("streams") == "at rest" and waiting == {"0"}
-            return self._maps.get(object_id) if done and self._diagnosed > since else None
+            return values.get("streams") == "at rest" and waiting == {"0"} and self._diagnosed > since
 
-        return self.wait(settled, timeout, f"no map of object {object_id} came; see identification's log")
+        missing = f"identification reported nothing new for {patience:.0f} s and is not done; see its log"
+        self.wait(settled, patience, missing, self.heard_from("identification"))
+
+    def values_of(self, node: str) -> dict[str, str]:
+        """Values in the latest diagnostics of a node whose name contains `node`; empty before the first."""
+        said: Sequence[Any] = next((status.values for name, status in self.diagnostics.items() if node in name), [])
+        return {value.key: value.value for value in said}
+
+    def heard_from(self, node: str) -> Callable[[], float]:
+        """When the values in the diagnostics of a node last changed [s], `time.monotonic`; for `wait`."""
+        changed, last = time.monotonic(), self.values_of(node)
+
+        def latest() -> float:
+            nonlocal changed, last
+            values = self.values_of(node)
+            if values != last:
+                changed, last = time.monotonic(), values
+            return changed
+
+        return latest
+
+    def reasons(self) -> str:
+        """What the nodes report of themselves."""
+        return "; ".join(f"{name}: {status.message}" for name, status in sorted(self.diagnostics.items()))
 
     # ---- requests
 

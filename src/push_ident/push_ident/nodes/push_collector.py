@@ -15,7 +15,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from shape_msgs.msg import SolidPrimitive
-from std_msgs.msg import Float32MultiArray
+from std_msgs.msg import Bool, Float32MultiArray
 
 from push_ident.bags.contract import Role
 from push_ident.errors import PushIdentError
@@ -66,6 +66,7 @@ class PushCollector:
         on_pushes: called with complete pushes, each a list of one record per object; empty without enough observations.
         on_left_out: called when a push is left out, so that nothing is kept of what was learned during it.
         on_frame: called with the id of an object after each new pose while a push is under way.
+        source: node that plays all messages and says on its topic `done` when no more come: until then silence ends no push; empty: a cell.
 
     Attributes:
         counts: numbers of messages, by kind and outcome.
@@ -83,6 +84,7 @@ class PushCollector:
         on_pushes: Callable[[list[list[PushRecord]]], None],
         on_left_out: Callable[[], None] = lambda: None,
         on_frame: Callable[[str], None] = lambda object_id: None,
+        source: str = "",
     ) -> None:
         self.counts: Counter[str] = Counter()
         self.last_error = ""
@@ -105,6 +107,9 @@ class PushCollector:
         node.create_subscription(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, self._on_camera_accuracy, _LATCHED)
         self._subscribe(WrenchStamped, "pusher/wrench", self._on_wrench)
         self._subscribe(PushRecordMsg, "push_record", self._on_push_record)
+        self._source_is_done = not source
+        if source:
+            node.create_subscription(Bool, f"{source}/done", self._on_source, _LATCHED)
         # On the wall clock: it must run when simulated time stands still.
         node.create_timer(_PERIOD, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._topics = ObjectTopics(node, self._on_new_object)
@@ -255,6 +260,11 @@ class PushCollector:
             self._cutter.expects_records = True
             self.counts["push records"] += 1
 
+    def _on_source(self, msg: Bool) -> None:
+        with self._lock:
+            self._source_is_done = bool(msg.data)
+            self._received = time.monotonic()
+
     def _arrived(self, what: str, taken: bool) -> bool:
         """Count a message; return whether it was used."""
         self.counts[what if taken else f"{what} with old stamps"] += 1
@@ -282,7 +292,7 @@ class PushCollector:
     def _collect(self) -> None:
         with self._lock:
             patience = _HIDDEN if self._cutter.is_awaiting else _SILENCE
-            silent = not self._flushed and time.monotonic() - self._received > patience
+            silent = self._source_is_done and not self._flushed and time.monotonic() - self._received > patience
             pushes = self._cutter.finished(flush=silent)
             self._flushed = self._flushed or silent
         for push in pushes:

@@ -48,6 +48,12 @@ PARAMETERS: Final = (
     Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),
     Parameter("pusher_friction", 0.3, "Nominal friction coefficient of the pusher [-]", 0.001, 10.0, read_only=True),
     Parameter("push_gap", 0.5, "Pause of the pusher that ends a push [s]", 0.05, 10.0, read_only=True),
+    Parameter(
+        "source",
+        "",
+        "Node that plays messages and publishes `done` at their end, as bag_player_node: until then silence ends no push; empty: a cell",
+        read_only=True,
+    ),
     Parameter("method", DEFAULT_SOLVER, "Solver of the maps", read_only=True, choices=tuple(SOLVERS)),
     Parameter("window", 8, "Latest pushes that are simulated again at every solve; older ones are summed up", 1, 100, read_only=True),
     Parameter("max_solve_time", 10.0, "Of the solve after a push [s]", 0.05, 600.0, read_only=True),
@@ -128,6 +134,7 @@ class _Identification(Component):
             on_pushes=self._on_pushes,
             on_left_out=self._on_left_out,
             on_frame=self._on_frame,
+            source=settings["source"],
         )
         self._counts = self._collector.counts
         node.create_service(PredictPush, "predict_push", self._predict_push)

@@ -87,6 +87,12 @@ PARAMETERS: Final = (
     Parameter("mark_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the calibration mark in `table`", -10.0, 10.0, read_only=True),
     Parameter("calibration_frames", 30, "frames at rest that give the extrinsics", 1, 1000, read_only=True),
     Parameter("calibration_file", "", "where calibrated extrinsics are written as a parameter file; empty: nowhere", read_only=True),
+    Parameter(
+        "every_image",
+        False,
+        "lose no image and no pose, and report each image that is done: for a source that waits for this node, not for a camera",
+        read_only=True,
+    ),
     Parameter("max_skew", MAX_SKEW, "a depth image and a camera info further apart do not belong together [s]", 0.0, 10.0),
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -43,7 +44,7 @@ from push_ident.nodes.convert import (
 )
 from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.perception.depth_input import DepthInput
+from push_ident.nodes.perception.depth_input import EVERY_IMAGE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
@@ -63,6 +64,9 @@ _STALE: Final = 0.5
 """Tool poses and joint states that much older than the image are reported [s]."""
 _LOG_PERIOD: Final = 5.0
 """Between two log lines of the same kind [s]."""
+_LISTENER: Final = 10.0
+"""Longest wait for a listener to the poses of a new object [s]; other nodes look for new objects several times a second."""
+_POLL: Final = 0.02
 _SILENT: Final = 2.0
 """Without a depth image for so long the node reports it [s], receive time."""
 
@@ -98,6 +102,7 @@ class _Perception(Component):
     def __init__(self, node: CellNode) -> None:
         self._node, self._configured = node, node.settings
         self._stamps = StampCheck()
+        self._pose_qos: QoSProfile | int = EVERY_IMAGE if self._configured["every_image"] else 10
         self._perception: Perception | None = None
         self._memory = ObjectMemory(self._configured["state_directory"])
         self._calibrated: list[str] = []
@@ -187,7 +192,12 @@ class _Perception(Component):
 
         def input_of(name: str, on_frame: Callable[[DepthFrame, Time], None], refuse: Callable[[str, str], None]) -> DepthInput:
             return DepthInput(
-                self._node, f"{name}/" if name else "", max_skew=lambda: self._configured["max_skew"], on_frame=on_frame, refuse=refuse
+                self._node,
+                f"{name}/" if name else "",
+                max_skew=lambda: self._configured["max_skew"],
+                on_frame=on_frame,
+                refuse=refuse,
+                every_image=values["every_image"],
             )
 
         self._main = _Camera(extrinsics_of(""), input_of("", self._on_frame, self._refuse_frame))
@@ -392,12 +402,20 @@ class _Perception(Component):
     def _publishers_of(self, object_id: str) -> tuple[Publisher, ...]:
         if object_id not in self._object_publishers:
             self._object_publishers[object_id] = (
-                self._node.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", 10),
+                self._node.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", self._pose_qos),
                 self._node.create_publisher(OccupancyGrid, f"objects/{object_id}/cells", _LATCHED),
                 self._node.create_publisher(PolygonStamped, f"objects/{object_id}/outline", _LATCHED),
                 self._node.create_publisher(Float32MultiArray, f"objects/{object_id}/outline_std", _LATCHED),
             )
+            if self._configured["every_image"]:
+                self._await_listener(self._object_publishers[object_id][0])
         return self._object_publishers[object_id]
+
+    def _await_listener(self, publisher: Publisher) -> None:
+        """Wait, with the source, until somebody listens to the poses of a new object: the first ones belong to its first push."""
+        deadline = time.monotonic() + _LISTENER
+        while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
+            time.sleep(_POLL)
 
     def _give_up(self, removal: Removal) -> None:
         """An object that came apart is no longer published, nor looked for after a restart."""

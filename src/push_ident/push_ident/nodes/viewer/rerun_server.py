@@ -11,10 +11,10 @@ import subprocess
 import time
 from pathlib import Path
 from typing import Final
-from urllib.parse import quote
 
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
+from push_ident.nodes.viewer.page_server import PageServer
 
 __all__ = ["RerunServer"]
 
@@ -52,16 +52,19 @@ class RerunServer:
         host = f"[{here}]" if here.version == 6 else str(here)
         self.url = f"rerun+http://{host}:{grpc_port}/proxy"
         """Where to send the data."""
-        self.page = f"http://{host}:{web_port}/?url={quote(self.url, safe='')}"
+        self.page = f"http://{host}:{web_port}"
         """What to open in a browser of this machine."""
         program = Path(rerun_cli.__file__).parent / "rerun"
         for port in (grpc_port, web_port):
             _check_free(bind, address.version, port)
-        ports = [f"--port={grpc_port}", f"--web-viewer-port={web_port}"]
+        inner_port = _free_port(bind, address.version)
+        ports = [f"--port={grpc_port}", f"--web-viewer-port={inner_port}"]
         self._process = _start([str(program), "--serve-web", f"--bind={bind}", *ports, f"--server-memory-limit={memory}"])
+        self._front: PageServer | None = None
         try:
-            for port in (grpc_port, web_port):
+            for port in (grpc_port, inner_port):
                 self._await_port(str(here), port)
+            self._front = PageServer(bind=bind, port=web_port, inner=(str(here), inner_port), grpc_port=grpc_port)
         except BaseException:
             self.close()
             raise
@@ -79,6 +82,8 @@ class RerunServer:
 
     def close(self) -> None:
         """End the server."""
+        if self._front is not None:
+            self._front.close()
         self._process.terminate()
         try:
             self._process.wait(_STOP_WITHIN)
@@ -95,6 +100,13 @@ def _check_free(bind: str, version: int, port: int) -> None:
             probe.bind((bind, port))
         except OSError as error:
             raise InputError(f"Port {port} of {bind} cannot be used: {error.strerror}; choose another `grpc_port` or `web_port`.") from None
+
+
+def _free_port(bind: str, version: int) -> int:
+    """A port that nobody listens on now."""
+    with socket.socket(socket.AF_INET if version == 4 else socket.AF_INET6) as probe:
+        probe.bind((bind, 0))
+        return int(probe.getsockname()[1])
 
 
 def _start(command: list[str]) -> subprocess.Popen[bytes]:

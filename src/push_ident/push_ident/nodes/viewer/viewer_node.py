@@ -34,6 +34,7 @@ from push_ident.nodes.parameters import Parameter, Parameters
 from push_ident.nodes.run import run_node
 from push_ident.nodes.stamps import StampCheck
 from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.nodes.viewer.ports import GRPC_PORT, WEB_PORT
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import height_inside, points_in_table
 from push_ident.types import DepthFrame, Float64Array
@@ -50,8 +51,8 @@ PARAMETERS: Final = (
         read_only=True,
     ),
     Parameter("bind", "127.0.0.1", "Address that both ports listen on; 0.0.0.0: every interface, for everyone there", read_only=True),
-    Parameter("web_port", 9090, "of the viewer for browsers", 1, 65535, read_only=True),
-    Parameter("grpc_port", 9876, "of the data", 1, 65535, read_only=True),
+    Parameter("web_port", WEB_PORT, "of the viewer for browsers", 1, 65535, read_only=True),
+    Parameter("grpc_port", GRPC_PORT, "of the data", 1, 65535, read_only=True),
     Parameter("memory", "512MB", "kept for viewers that come later; the oldest goes first", read_only=True),
     Parameter("address", "", "of the window's viewer, as `rerun+http://host:9876/proxy`; empty: on this machine", read_only=True),
     Parameter("file", "", "to write, `*.rrd`", read_only=True),
