@@ -11,12 +11,14 @@ import pytest
 from helpers.objects import hammer, random_records, square
 from push_ident.geometry.se2 import compose
 from push_ident.identification.identify import identify
+from push_ident.identification.next_push import PlannedPush, RankingOptions, rank_pushes
 from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.prediction import held_out_errors, predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem, unknowns_of_push
+from push_ident.identification.result import prior_posterior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import CameraAccuracy, ObjectShape, PushRecord
@@ -108,3 +110,16 @@ def test_discrepancy_of_an_outline_is_its_slope() -> None:
     assert NoiseModel(outline_errors=False).surface_std(seen) == 0.0
     record = replace(RECORDS[0], shape=traced(RECORDS[0].shape, 2e-3))
     assert observe_push(record).surface_std == pytest.approx(2e-3)
+
+
+def test_a_push_of_a_traced_outline_is_expected_to_say_less() -> None:
+    """With the prior of the displacement as wide as the outline is uncertain; a very exact outline is as good as an exact one."""
+    information = {}
+    for std in (None, 1e-6, 2e-3):
+        shape = RECORDS[0].shape if std is None else traced(RECORDS[0].shape, std)
+        posterior = prior_posterior(shape, Prior(max_modes=6))
+        pushes = [PlannedPush(record.poses.pose[0], record.pusher) for record in RECORDS[:2]]
+        ranked = rank_pushes(posterior, pushes, reference=pushes, rng=np.random.default_rng(0), options=RankingOptions(n_draws=0))
+        information[std] = sum(value.information for value in ranked.values)
+    assert information[1e-6] == pytest.approx(information[None], rel=0.05)
+    assert information[2e-3] < 0.9 * information[None]

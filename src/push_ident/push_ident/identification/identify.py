@@ -89,6 +89,7 @@ def identify(
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options, earlier = options or FitOptions(), earlier or Earlier()
     options = replace(options, noise=noise_at_rest(records, options.noise))
+    _compile(records[0], prior, effects, options)
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
@@ -110,6 +111,14 @@ def identify(
         candidates=fit.candidates,
         explanation=explanation,
     )
+
+
+def _compile(record: PushRecord, prior: Prior, effects: Sequence[str], options: FitOptions) -> None:
+    """Simulate one push before the clock of the solve starts: what is compiled then, once on a machine, may take longer than its budget."""
+    problem = FitProblem(
+        [record], Unknowns(record.shape, prior, maps=False, effects=effects), noise=options.noise, settings=options.numerics
+    )
+    problem.evaluate(np.zeros(problem.size))
 
 
 def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:

@@ -298,7 +298,7 @@ def _value(
 def _sensitivity(
     unknowns: Unknowns, z: Float64Array, push: PlannedPush, observation: Observation, settings: SimulationSettings
 ) -> Float64Array:
-    """Rows G with H = G' G: derivative of whitened frames by z beyond that by the first pose, shape (n_rows, n_unknowns)."""
+    """Rows G with H = G' G: derivative of whitened frames by z beyond that by the push's own unknowns, shape (n_rows, n_unknowns)."""
     mechanics = unknowns.mechanics(z)
     motion = mechanics.simulate(PushScenario(push.pusher, push.pose_object_in_table, observation.time), settings=settings, jacobian=True)
     nothing = np.zeros((0, len(z)))
@@ -311,7 +311,13 @@ def _sensitivity(
         return nothing
     by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, len(z))
     explained, _ = np.linalg.qr(by_first)
-    return np.asarray(by_z - explained @ (explained.T @ by_z))
+    rows = by_z - explained @ (explained.T @ by_z)
+    if observation.surface_std == 0:
+        return np.asarray(rows)
+    # The displacement of the frames of a push, of unit variance, is one more noise of them.
+    moved = observation.surface_std * observation.whitening[:, :, :2].reshape(-1, 2)
+    moved -= explained @ (explained.T @ moved)
+    return np.asarray(solve_triangular(np.linalg.cholesky(np.eye(len(rows)) + moved @ moved.T), rows, lower=True))
 
 
 def _reference_rows(unknowns: Unknowns, z: Float64Array, reference: Iterable[PlannedPush], settings: SimulationSettings) -> Float64Array:
