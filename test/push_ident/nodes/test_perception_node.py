@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,140 +12,39 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import SetParameters
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import Marker
 
-from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, rectangle, render
+from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, rectangle, render
 from helpers.domains import own_domain
-from helpers.paths import CONFIG
+from helpers.played_camera import POSE, SECOND, THIRD, Camera, send_until, start, wait_for
 from helpers.spinning import spinning
-from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.convert import (
-    depth_frame_to_msgs,
+    camera_accuracy_from_msg,
     planar_pose_from_msg,
-    position_to_msg,
     shape_from_msgs,
     stamp_from_msg,
     stamp_to_msg,
 )
 from push_ident.nodes.convert_refusals import refusals_from_msg
 from push_ident.perception.depth import points_in_table
-from push_ident.perception.parameter_file import pose_lines
-from push_ident.types import DepthFrame
 from push_ident_sim.faults.lifecycle import Lifecycle
 
 pytestmark = pytest.mark.alone
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-SIDE = look_at((0.0, -0.6, 0.8), (0.0, 0.0, 0.0))
-POSE = np.array([0.03, -0.02, 0.4])
-SECOND, THIRD = np.array([-0.03, 0.05, 1.0]), np.array([-0.09, -0.02, 1.6])
-"""Where it rests later."""
-PARAMETERS = str(CONFIG / "push_ident.yaml")
-TOOL = np.array([-0.15, 0.15, 0.004])
-
-
-class Camera(Node):
-    """Publishes depth of a hammer at rest beside the lowered tool; keeps what comes back."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__("camera", context=context)
-        rng = np.random.default_rng(0)
-        scene = [prism.at(POSE) for prism in HAMMER] + [Prism(circle(0.018) + TOOL[:2], 0.11, TOOL[2])]
-        self.frames = [render(scene, rng=rng) for _ in range(4)]
-        over_the_border = Prism(rectangle(-0.1, 0.36, -0.02, 0.44), 0.04)
-        self.with_more = [render([*scene, over_the_border], rng=rng) for _ in range(4)]
-        self.images = self.create_publisher(Image, "depth/image_rect", qos_profile_sensor_data)
-        self.infos = self.create_publisher(CameraInfo, "depth/camera_info", qos_profile_sensor_data)
-        self.tool = self.create_publisher(PoseStamped, "tool/pose", 10)
-        self.cells: list[OccupancyGrid] = []
-        self.outlines: list[PolygonStamped] = []
-        self.poses: list[PoseWithCovarianceStamped] = []
-        self.workspace: list[OccupancyGrid] = []
-        self.refused: list[MarkerArray] = []
-        self.diagnostics: list[DiagnosticArray] = []
-        for kind, topic, kept, qos in (
-            (OccupancyGrid, "objects/o1/cells", self.cells, LATCHED),
-            (PolygonStamped, "objects/o1/outline", self.outlines, LATCHED),
-            (PoseWithCovarianceStamped, "objects/o1/pose", self.poses, 10),
-            (OccupancyGrid, "workspace/occupancy", self.workspace, LATCHED),
-            (MarkerArray, "workspace/refused", self.refused, LATCHED),
-            (DiagnosticArray, "/diagnostics", self.diagnostics, 10),
-        ):
-            self.create_subscription(kind, topic, kept.append, qos)
-        self.further: list[tuple[Publisher, Publisher, list[DepthFrame]]] = []
-        self.stamp = 100.0
-        self._n = 0
-
-    def add(self, name: str, frames: list[DepthFrame]) -> None:
-        """Publish the frames of a further camera as well."""
-        images = self.create_publisher(Image, f"{name}/depth/image_rect", qos_profile_sensor_data)
-        infos = self.create_publisher(CameraInfo, f"{name}/depth/camera_info", qos_profile_sensor_data)
-        self.further.append((images, infos, frames))
-
-    def send(self, *, change: Callable[[Image, CameraInfo], None] | None = None, info_first: bool = False) -> float:
-        self.stamp += 1 / 15
-        self._n += 1
-        stamp = stamp_to_msg(self.stamp)
-        image, info = depth_frame_to_msgs(self.frames[self._n % len(self.frames)], stamp)
-        info.header = type(info.header)(stamp=stamp, frame_id=info.header.frame_id)
-        if change is not None:
-            change(image, info)
-        self.tool.publish(position_to_msg(stamp, TOOL))
-        for images, infos, frames in self.further:
-            for publisher, msg in zip((images, infos), depth_frame_to_msgs(frames[self._n % len(frames)], stamp), strict=True):
-                publisher.publish(msg)
-        for publisher, msg in ((self.infos, info), (self.images, image)) if info_first else ((self.images, image), (self.infos, info)):
-            publisher.publish(msg)
-        return self.stamp
-
-    def values(self) -> dict[str, str]:
-        return {value.key: value.value for msg in self.diagnostics[-1:] for value in msg.status[0].values}
-
-
-def wait_for(condition: Callable[[], object], timeout: float = 10.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "timed out"
-        time.sleep(0.005)
 
 
 @pytest.fixture(scope="module")
 def camera(domain: int) -> Iterator[Camera]:
     with spinning(Camera, domain) as camera:
         yield camera
-
-
-def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "push_ident.nodes",
-            "perception_node",
-            "--ros-args",
-            "--params-file",
-            str(CONFIG / "push_ident.yaml"),
-            *arguments,
-        ],
-        env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -166,14 +63,6 @@ def node(domain: int, camera: Camera) -> Iterator[subprocess.Popen[str]]:
     assert time.monotonic() - asked < 2.0
     assert process.returncode == 0 and "Traceback" not in output, output
     assert "rest_frame is not one of perception_node and is ignored; did you mean rest_frames?" in output
-
-
-def send_until(camera: Camera, condition: Callable[[], object], **how: object) -> None:
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline, camera.values()
-        camera.send(**how)  # type: ignore[arg-type]
-        time.sleep(1 / 15)
 
 
 def test_default_extrinsics_are_those_of_the_camera_of_the_tests():
@@ -407,28 +296,24 @@ def test_an_impossible_parameter_ends_the_process_with_one_line(domain, paramete
     assert process.returncode == 1 and line in output and "Traceback" not in output
 
 
-def test_accuracy_of_the_camera_widens_the_poses_of_an_object_that_turned(camera, node):
-    hammers = [render([prism.at(POSE + np.array([0.0, 0.0, turn])) for prism in HAMMER]) for turn in np.linspace(0.0, 1.0, 13)]
+def test_accuracy_of_the_camera_is_published_and_again_when_it_changes(camera, node):
     client = camera.create_client(SetParameters, "perception_node/set_parameters")
 
-    def std_with(accuracy: float) -> float:
-        asked = Parameter("camera_position_std", value=accuracy).to_parameter_msg()
-        wait_for(client.call_async(SetParameters.Request(parameters=[asked])).done)
-        n = len(camera.poses)
-        send_until(camera, lambda: len(camera.poses) > n + 1)
-        return float(np.sqrt(camera.poses[-1].pose.covariance[0]))
+    def stated() -> float:
+        return camera_accuracy_from_msg(camera.accuracies[-1]).position if camera.accuracies else np.nan
 
-    send_until(camera, lambda: camera.poses)
-    frames, camera.frames, camera.stamp, before = camera.frames, hammers[:1], 1.0, int(camera.values().get("restarts", 0))
+    def is_stated_as(accuracy: float) -> None:
+        send_until(camera, lambda: stated() == pytest.approx(accuracy))
+
+    is_stated_as(0.002)
     try:
-        send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
-        assert std_with(0.005) < 0.002
-        for frame in hammers[1:]:
-            camera.frames = [frame]
-            turned = std_with(0.005)
-        assert turned == pytest.approx(0.005 * np.hypot(1.0 - np.cos(1.0), np.sin(1.0)), rel=0.15) and std_with(0.0) < 0.002
+        for accuracy in (0.005, 0.0):
+            asked = Parameter("camera_position_std", value=accuracy).to_parameter_msg()
+            wait_for(client.call_async(SetParameters.Request(parameters=[asked])).done)
+            is_stated_as(accuracy)
     finally:
-        camera.frames = frames
+        asked = Parameter("camera_position_std", value=0.002).to_parameter_msg()
+        wait_for(client.call_async(SetParameters.Request(parameters=[asked])).done)
 
 
 def test_where_nothing_was_measured_the_workspace_is_unknown(camera, node):
@@ -476,76 +361,3 @@ def test_extrinsics_from_tf_without_tf_end_with_one_line(domain):
     output, _ = process.communicate(timeout=20.0)
     assert process.returncode == 1
     assert "tf2_ros is not installed; give camera_position" in output and "Traceback" not in output
-
-
-def as_arguments(*parameters: str) -> list[str]:
-    return [word for parameter in parameters for word in ("-p", parameter)]
-
-
-def end(process: subprocess.Popen[str]) -> str:
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=5.0)
-    assert "Traceback" not in output, output
-    return output
-
-
-def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tmp_path):
-    outline, mark_pose = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)]), (0.05, -0.03, 0.7)
-    other = own_domain()
-    file = tmp_path / "camera.yaml"
-    pose = ", ".join(str(value) for value in mark_pose)
-    parameters = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
-    with spinning(Camera, other) as camera:
-        rng = np.random.default_rng(1)
-        mark = [Prism(outline, 0.03).at(mark_pose)]
-        camera.frames = [render(mark, rng=rng) for _ in range(4)]
-        camera.add("side", [render(mark, SIDE, rng=rng) for _ in range(4)])
-        process = start(other, *as_arguments(*parameters, "extra_cameras:=[side]"))
-        try:
-            send_until(camera, lambda: {"note_extrinsics", "note_extrinsics_side"} <= set(camera.values()))
-            assert "outline of the mark 0." in camera.values()["note_extrinsics"]
-        finally:
-            end(process)
-    found = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
-    for prefix, truth in (("", CAMERA), ("side.", SIDE)):
-        difference = pose_of_quaternion(found[f"{prefix}camera_position"], found[f"{prefix}camera_quaternion"]) @ np.linalg.inv(truth)
-        assert np.linalg.norm(difference[:3, 3]) < 0.002
-        assert np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)) < np.deg2rad(0.5)
-
-
-def test_a_further_camera_helps_with_the_shape_and_a_missing_one_is_named(domain, tmp_path):
-    other = own_domain()
-    file = tmp_path / "cameras.yaml"
-    # As calibration writes it.
-    lines = [*pose_lines(CAMERA), *pose_lines(SIDE, "side."), *pose_lines(SIDE, "wall."), "extra_cameras: [side, wall]"]
-    file.write_text("/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines), encoding="utf-8")
-    with spinning(Camera, other) as camera:
-        rng = np.random.default_rng(3)
-        camera.add("side", [render([prism.at(POSE) for prism in HAMMER], SIDE, rng=rng) for _ in range(4)])
-        process = start(other, "--params-file", str(file), "-p", "rest_frames:=10")
-        try:
-            send_until(camera, lambda: camera.outlines and camera.cells and camera.values().get("side_views_used") == "1")
-            send_until(camera, lambda: int(camera.values().get("wall_silent", 0)) > 0)
-            assert camera.values()["note_camera_wall"].startswith("no depth image on /wall/depth/image_rect (0 publishers)")
-            assert camera.values()["wall_views_left_out"] == "1" and int(camera.values()["side_frames"]) >= 10
-        finally:
-            end(process)
-    # The object frame is turned as `table`; its origin is the centroid, 19.9 mm along the handle.
-    origin = (POSE[0] + 0.0199 * np.cos(POSE[2]), POSE[1] + 0.0199 * np.sin(POSE[2]), 0.0)
-    outline = transform_points(origin, shape_from_msgs(camera.cells[-1], camera.outlines[-1]).outline)
-    assert np.abs(signed_distance(outline, transform_points(POSE, HAMMER_OUTLINE))).max() < 0.001
-
-
-@pytest.mark.parametrize(
-    ("parameters", "line"),
-    [
-        (["extra_cameras:=[side]"], "Give side.camera_position and side.camera_quaternion"),
-        (["extra_cameras:=[side, side]"], "extra_cameras has 'side', expected different names"),
-        (["extra_cameras:=[2nd]"], "extra_cameras has '2nd', expected different names of letters"),
-    ],
-)
-def test_further_cameras_without_a_pose_or_a_name_end_with_one_line(domain, parameters, line):
-    process = start(domain, *as_arguments(*parameters))
-    output, _ = process.communicate(timeout=20.0)
-    assert process.returncode == 1
-    assert line in output and "Traceback" not in output

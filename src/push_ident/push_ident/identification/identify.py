@@ -87,9 +87,7 @@ def identify(
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
     prior = (prior or Prior()).seen_by(record.poses.camera for record in records)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
-    options, earlier = options or FitOptions(), earlier or Earlier()
-    options = replace(options, noise=noise_at_rest(records, options.noise))
-    _compile(records[0], prior, effects, options)
+    options, earlier = _prepared(records, prior, effects, options or FitOptions()), earlier or Earlier()
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
@@ -113,12 +111,14 @@ def identify(
     )
 
 
-def _compile(record: PushRecord, prior: Prior, effects: Sequence[str], options: FitOptions) -> None:
-    """Simulate one push before the clock of the solve starts: what is compiled then, once on a machine, may take longer than its budget."""
-    problem = FitProblem(
-        [record], Unknowns(record.shape, prior, maps=False, effects=effects), noise=options.noise, settings=options.numerics
-    )
+def _prepared(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], options: FitOptions) -> FitOptions:
+    """The options with the noise at rest, after one push was simulated: what is compiled then, once on a machine, may take longer than the
+    budget of a solve."""
+    options = replace(options, noise=noise_at_rest(records, options.noise))
+    unknowns = Unknowns(records[0].shape, prior, maps=False, effects=effects)
+    problem = FitProblem(records[:1], unknowns, noise=options.noise, settings=options.numerics)
     problem.evaluate(np.zeros(problem.size))
+    return options
 
 
 def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:

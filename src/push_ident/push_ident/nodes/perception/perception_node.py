@@ -25,14 +25,12 @@ from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
-from push_ident.bags.contract import Role
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
-    camera_accuracy_to_msg,
     cylinder_radius_from_msg,
     joints_from_msg,
     occupancy_to_msg,
@@ -40,10 +38,10 @@ from push_ident.nodes.convert import (
     planar_pose_to_msg,
     position_from_msg,
     shape_to_msgs,
-    transform_to_msg,
 )
 from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.perception.camera_publisher import CameraPublisher
 from push_ident.nodes.perception.depth_input import EVERY_IMAGE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
@@ -118,9 +116,7 @@ class _Perception(Component):
         self._last_stamp = -np.inf
 
         self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
-        self._camera_publisher = self._node.create_publisher(PoseStamped, "depth/camera_pose", _LATCHED)
-        self._accuracy_publisher = self._node.create_publisher(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, _LATCHED)
-        self._camera_published: Float64Array | None = None
+        self._camera_publisher = CameraPublisher(self._node, _LATCHED)
         self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
         self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", _LATCHED)
         self._refused: tuple[Refusal, ...] = ()
@@ -359,10 +355,8 @@ class _Perception(Component):
         if observation.new_shapes:
             self._note_views(observation.further_views)
         self._publish_poses((known for known in observation.objects if known.object_id not in followed), stamp)
-        if self._perception is not None and self._camera_published is not self._perception.camera_in_table:
-            self._camera_published = self._perception.camera_in_table
-            self._camera_publisher.publish(transform_to_msg(stamp, self._camera_published))
-            self._accuracy_publisher.publish(camera_accuracy_to_msg(self._perception.settings.camera_accuracy, stamp))
+        if self._perception is not None:
+            self._camera_publisher.publish(self._perception, stamp)
         if observation.occupancy is not None:
             grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))
