@@ -70,10 +70,11 @@ def test_something_else_in_place_of_effects_or_beside_them() -> None:
 
 
 def test_effect_that_pushes_do_not_support_counts_with_their_evidence() -> None:
-    nothing_kept = selection_of({"wear": 40.0}, n_found=0)
+    nothing_kept = selection_of({"wear": 40.0, "restitution": 39.0}, n_found=0)
     believed = probabilities_of(explanations_of(nothing_kept, NO_TRACE, POLICY), ())
     rejected = probabilities_of(explanations_of(nothing_kept, NO_TRACE, POLICY, rejected={"wear": -1.0}), ())
-    assert believed.effects["wear"] > 0.99 and rejected.effects["wear"] < 0.05
+    assert believed.effects["wear"] + believed.effects["restitution"] > 0.99
+    assert max(rejected.effects.values()) < 0.05 and rejected.nothing > 0.9
 
 
 def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None:

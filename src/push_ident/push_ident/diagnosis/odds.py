@@ -94,7 +94,7 @@ def explanations_of(
         selection: effects that were found step by step, with their rivals.
         outside: evidence of something else.
         policy: prior probabilities and discrepancies.
-        rejected: log Bayes factors [nat] of effects in the pushes that do not support them, in place of those in all.
+        rejected: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
     """
     found: list[str] = []
     weight = 0.0
@@ -166,7 +166,10 @@ def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rej
         return []
     step, found = selection.steps[-1], list(selection.found)
     evidence = {score.name: score.expected_log_bayes_factor for score in step.scores}
-    evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates} | dict(rejected)
+    evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates}
+    # The pushes that do not support an effect support none of its rivals more.
+    limit = min(rejected.values(), default=math.inf)
+    evidence = {name: min(value, limit) for name, value in evidence.items()}
     factor = _discrepancy(found, selection, policy)
     return [
         Explanation(frozenset([*found, name]), weight + policy.log_prior_effect + value / factor)
