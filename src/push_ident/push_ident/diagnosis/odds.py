@@ -50,7 +50,13 @@ class OutsideEvidence:
 
     @classmethod
     def of(
-        cls, alone: SomethingElse | None, beside: SomethingElse | None, residuals: Sequence[float], policy: SelectionPolicy
+        cls,
+        alone: SomethingElse | None,
+        beside: SomethingElse | None,
+        residuals: Sequence[float],
+        policy: SelectionPolicy,
+        *,
+        named: float = 0.0,
     ) -> OutsideEvidence:
         """From the search for patterns, and from residuals that are too large without one.
 
@@ -61,17 +67,19 @@ class OutsideEvidence:
                 patterns, one family more. A p-value p is worth at most the Bayes factor -1 / (e p log p) (Sellke, Bayarri & Berger,
                 Calibration of p values, The American Statistician 2001).
             policy: discrepancy of the evidence.
+            named: log Bayes factors of all effects that were found together [nat]: the error of their laws looks like something else, and
+                grows with them.
         """
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
 
-        def both(found: SomethingElse | None) -> float:
+        def both(found: SomethingElse | None, discrepancy: float) -> float:
             if found is None:
                 return bound
             n = len(found.patterns)
-            own = found.log_bayes_factor / policy.discrepancy_something_else
-            return float(np.logaddexp(own + math.log(n), bound) - math.log(n + 1))
+            return float(np.logaddexp(found.log_bayes_factor / discrepancy + math.log(n), bound) - math.log(n + 1))
 
-        return cls(both(alone), both(beside))
+        own = policy.discrepancy_something_else
+        return cls(both(alone, own), both(beside, max(own, policy.discrepancy_something_else_share * named)))
 
 
 @dataclass(frozen=True, slots=True)
