@@ -93,6 +93,8 @@ def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() 
     selection = selection_of({"outline_error": 700.0}, n_found=1)
     assert is_outside(probabilities(selection, weak), POLICY) and not is_outside(probabilities(selection, strong), POLICY)
     assert probabilities(selection, strong).something_else > POLICY.max_probability_of_error
+    nothing = OutsideEvidence.of(None, SomethingElse(-2.0, 0.5, found.patterns), [], POLICY, named=700.0)
+    assert probabilities(selection, nothing).something_else < 0.05
 
 
 def test_a_camera_makes_evidence_worth_less_and_changes_no_prior() -> None:

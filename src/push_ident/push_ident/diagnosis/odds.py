@@ -75,8 +75,10 @@ class OutsideEvidence:
         def both(found: SomethingElse | None, discrepancy: float) -> float:
             if found is None:
                 return bound
-            n = len(found.patterns)
-            return float(np.logaddexp(found.log_bayes_factor / discrepancy + math.log(n), bound) - math.log(n + 1))
+            n, own = len(found.patterns), found.log_bayes_factor
+            # Errors of laws and of noise bring evidence for a structure, and take none away.
+            own = own / discrepancy if own > 0.0 else own
+            return float(np.logaddexp(own + math.log(n), bound) - math.log(n + 1))
 
         own = policy.discrepancy_something_else
         return cls(both(alone, own), both(beside, max(own, policy.discrepancy_something_else_share * named)))
