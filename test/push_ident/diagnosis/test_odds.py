@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabili
 from push_ident.diagnosis.policy import DecisionPolicy, SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.selection import Candidate, Selection, Step
+from push_ident.diagnosis.something_else import SomethingElse
 
 POLICY = SelectionPolicy()
 NO_TRACE = OutsideEvidence(-math.inf, -math.inf)
@@ -70,10 +72,11 @@ def test_something_else_in_place_of_effects_or_beside_them() -> None:
 
 
 def test_effect_that_pushes_do_not_support_counts_with_their_evidence() -> None:
-    nothing_kept = selection_of({"wear": 40.0}, n_found=0)
+    nothing_kept = selection_of({"wear": 40.0, "restitution": 39.0}, n_found=0)
     believed = probabilities_of(explanations_of(nothing_kept, NO_TRACE, POLICY), ())
     rejected = probabilities_of(explanations_of(nothing_kept, NO_TRACE, POLICY, rejected={"wear": -1.0}), ())
-    assert believed.effects["wear"] > 0.99 and rejected.effects["wear"] < 0.05
+    assert believed.effects["wear"] + believed.effects["restitution"] > 0.99
+    assert max(rejected.effects.values()) < 0.05 and rejected.nothing > 0.9
 
 
 def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None:
@@ -81,6 +84,17 @@ def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None
     failed = OutsideEvidence.of(None, None, [0.001], POLICY)
     assert none == OutsideEvidence(0.0, 0.0)
     assert failed.alone == failed.beside == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
+
+
+def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() -> None:
+    found = SomethingElse(4.0, 0.001, (cast(Any, None),) * 18)
+    weak, strong = (OutsideEvidence.of(found, found, [], POLICY, named=value) for value in (30.0, 700.0))
+    assert weak.beside > 3.9 and weak.alone == strong.alone == weak.beside
+    selection = selection_of({"outline_error": 700.0}, n_found=1)
+    assert is_outside(probabilities(selection, weak), POLICY) and not is_outside(probabilities(selection, strong), POLICY)
+    assert probabilities(selection, strong).something_else > POLICY.max_probability_of_error
+    nothing = OutsideEvidence.of(None, SomethingElse(-2.0, 0.5, found.patterns), [], POLICY, named=700.0)
+    assert probabilities(selection, nothing).something_else < 0.05
 
 
 def test_a_camera_makes_evidence_worth_less_and_changes_no_prior() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.diagnosis import account_of_parts, frame_residuals, gap_of
+from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.result import FoundEffect
@@ -16,6 +17,7 @@ from push_ident.diagnosis.wording import (
     sentence_of_negligible,
     sentence_of_nothing,
     sentence_of_outliers,
+    sentence_of_suspicion,
     sentence_of_unknown,
     sentence_of_unsupported,
 )  # fmt: skip
@@ -103,6 +105,14 @@ def test_unknown_cause_says_what_acts_where_and_what_to_look_for() -> None:
     assert "1.5 times as large as those of a correct model, and largest for push 3." in large
     doubt = sentence_of_doubt(words, 0.3)
     assert "may act in its place or beside it (probability 0.30): a force, from push 7 on; look for what changed" in doubt
+
+
+def test_suspicion_names_the_most_probable_causes() -> None:
+    probabilities = Probabilities(
+        0.08, 0.01, {"restitution": 0.38, "wear": 0.01, "stribeck_friction": 0.25, "speed_dependent_friction": 0.29}
+    )
+    sentence = sentence_of_suspicion(probabilities)
+    assert sentence.endswith("0.08 only: look at restitution (0.38), speed_dependent_friction (0.29), stribeck_friction (0.25).")
 
 
 def test_additions_name_pushes_and_effects() -> None:

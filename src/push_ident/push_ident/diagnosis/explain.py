@@ -24,6 +24,7 @@ from push_ident.diagnosis.wording import (
     sentence_of_negligible,
     sentence_of_nothing,
     sentence_of_outliers,
+    sentence_of_suspicion,
     sentence_of_unknown,
     sentence_of_unsupported,
 )  # fmt: skip
@@ -102,6 +103,8 @@ def _sentence(
             sentence += sentence_of_doubt(words, validation.probabilities.something_else)
     else:
         sentence = sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
+        if validation.probabilities.nothing < state.settings.policy.selection.max_probability_of_nothing:
+            sentence += sentence_of_suspicion(validation.probabilities)
     if decision.negligible:
         sentence += sentence_of_negligible(decision.negligible)
     if validation.unsupported is not None:

@@ -50,7 +50,13 @@ class OutsideEvidence:
 
     @classmethod
     def of(
-        cls, alone: SomethingElse | None, beside: SomethingElse | None, residuals: Sequence[float], policy: SelectionPolicy
+        cls,
+        alone: SomethingElse | None,
+        beside: SomethingElse | None,
+        residuals: Sequence[float],
+        policy: SelectionPolicy,
+        *,
+        named: float = 0.0,
     ) -> OutsideEvidence:
         """From the search for patterns, and from residuals that are too large without one.
 
@@ -61,17 +67,21 @@ class OutsideEvidence:
                 patterns, one family more. A p-value p is worth at most the Bayes factor -1 / (e p log p) (Sellke, Bayarri & Berger,
                 Calibration of p values, The American Statistician 2001).
             policy: discrepancy of the evidence.
+            named: log Bayes factors of all effects that were found together [nat]: the error of their laws looks like something else, and
+                grows with them.
         """
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
 
-        def both(found: SomethingElse | None) -> float:
+        def both(found: SomethingElse | None, discrepancy: float) -> float:
             if found is None:
                 return bound
-            n = len(found.patterns)
-            own = found.log_bayes_factor / policy.discrepancy_something_else
+            n, own = len(found.patterns), found.log_bayes_factor
+            # Errors of laws and of noise bring evidence for a structure, and take none away.
+            own = own / discrepancy if own > 0.0 else own
             return float(np.logaddexp(own + math.log(n), bound) - math.log(n + 1))
 
-        return cls(both(alone), both(beside))
+        own = policy.discrepancy_something_else
+        return cls(both(alone, own), both(beside, max(own, policy.discrepancy_something_else_share * named)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +104,7 @@ def explanations_of(
         selection: effects that were found step by step, with their rivals.
         outside: evidence of something else.
         policy: prior probabilities and discrepancies.
-        rejected: log Bayes factors [nat] of effects in the pushes that do not support them, in place of those in all.
+        rejected: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
     """
     found: list[str] = []
     weight = 0.0
@@ -166,7 +176,10 @@ def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rej
         return []
     step, found = selection.steps[-1], list(selection.found)
     evidence = {score.name: score.expected_log_bayes_factor for score in step.scores}
-    evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates} | dict(rejected)
+    evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates}
+    # The pushes that do not support an effect support none of its rivals more.
+    limit = min(rejected.values(), default=math.inf)
+    evidence = {name: min(value, limit) for name, value in evidence.items()}
     factor = _discrepancy(found, selection, policy)
     return [
         Explanation(frozenset([*found, name]), weight + policy.log_prior_effect + value / factor)

@@ -130,7 +130,8 @@ def _look_outside(state: DiagnosisState, selection: Selection, base_residuals: F
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     known = state.rest_noise_known and not state.from_camera
     failed = failed_tests(base_residuals, residuals, policy.unknown, noise_is_known=known)
-    evidence = OutsideEvidence.of(alone, beside, failed, policy.selection)
+    named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
+    evidence = OutsideEvidence.of(alone, beside, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)

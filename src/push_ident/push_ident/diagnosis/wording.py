@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from push_ident.diagnosis.account import Account, AccountPart
-from push_ident.diagnosis.odds import SOMETHING_ELSE
+from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
 from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
@@ -17,9 +17,11 @@ from push_ident.physics.effects import EFFECTS
 
 __all__ = [
     "describe_push", "in_mm", "sentence_of_doubt", "sentence_of_effects", "sentence_of_more_pushes", "sentence_of_negligible",
-    "sentence_of_nothing", "sentence_of_outliers", "sentence_of_unknown", "sentence_of_unsupported", "size_of",
+    "sentence_of_nothing", "sentence_of_outliers", "sentence_of_suspicion", "sentence_of_unknown", "sentence_of_unsupported", "size_of",
 ]  # fmt: skip
 
+_N_SUSPECTS = 3
+"""Effects that are listed where none is detected."""
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}
 """Everyday units of an effect's size, with their factor."""
 
@@ -100,6 +102,13 @@ def sentence_of_doubt(words: PatternWords, probability: float) -> str:
         f" Something outside the catalogue may act in its place or beside it (probability {probability:.2f}): {words.what}, {words.where}; "
         f"look for {words.look_for}."
     )
+
+
+def sentence_of_suspicion(probabilities: Probabilities) -> str:
+    """Added to the sentence where no cause is detected although nothing at all is improbable: several causes have some evidence each."""
+    likely = sorted(probabilities.effects.items(), key=lambda item: -item[1])[:_N_SUSPECTS]
+    causes = ", ".join(f"{name} ({value:.2f})" for name, value in likely)
+    return f" No single cause is detected, but that nothing acts has a probability of {probabilities.nothing:.2f} only: look at {causes}."
 
 
 def sentence_of_unsupported(name: str, pushes: Sequence[str]) -> str:
