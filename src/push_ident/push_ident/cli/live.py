@@ -26,6 +26,7 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.network import listens_on
 from push_ident.offline.loading import most_pushed
+from push_ident.physics.simulation import compile_kernels
 
 if TYPE_CHECKING:
     from push_ident_msgs.msg import MassFrictionMap
@@ -108,6 +109,8 @@ def replay_command(
         parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    with console.status("loading the kernels"):
+        compile_kernels(effects=True)  # the first time a minute or more, in which the node would seem to stand still
     with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:
         show_view(view)
         from push_ident.nodes.client import CellClient
