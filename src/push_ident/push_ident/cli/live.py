@@ -19,12 +19,14 @@ from push_ident.bags.reader import read_bag
 from push_ident.cli.checks import new_bag
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
+from push_ident.cli.overrides import overrides_of
 from push_ident.cli.restart import RestartPolicy
-from push_ident.cli.supervisor import Supervisor, node_commands
+from push_ident.cli.supervisor import Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.network import listens_on
 from push_ident.offline.loading import most_pushed
+from push_ident.physics.simulation import compile_kernels
 
 if TYPE_CHECKING:
     from push_ident_msgs.msg import MassFrictionMap
@@ -52,11 +54,19 @@ def up_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder that keeps objects and maps for the next start. Default: none.", show_default=False),
     ] = None,
+    params: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Parameter file of ROS 2 for the nodes; may be repeated.", show_default=False)
+    ] = None,
+    remap: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FROM:=TO", help="Another name of a topic; may be repeated.", show_default=False),
+    ] = None,
 ) -> None:
     """Start the node processes of a cell, as the launch files do; Ctrl-C stops them all.
 
     A node that dies is started again after a pause of 1 s, doubled up to 30 s while it dies early; the maps go on where they were.
     """
+    overrides = overrides_of(params or (), remap or (), node_names(kind.value))
     perception = True
     if kind is CellKind.replay and bag is not None:
         perception = not read_bag(bag).has_poses
@@ -69,7 +79,7 @@ def up_command(
             own["sim_cell_node"] = {"sensor": sensor}
         if record is not None:
             own["bag_recorder_node"] = {"numbered": True}  # started again after its death, it must not refuse what it has written
-        commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=own)
+        commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=own, overrides=overrides)
         show_view(view)
         # A bag that is played again from its start would be another recording.
         restart = None if kind is CellKind.replay else RestartPolicy()
@@ -99,6 +109,8 @@ def replay_command(
         parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    with console.status("loading the kernels"):
+        compile_kernels(effects=True)  # the first time a minute or more, in which the node would seem to stand still
     with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:
         show_view(view)
         from push_ident.nodes.client import CellClient

@@ -17,13 +17,14 @@ from typing import Any, Final, Literal
 from rich.console import Console
 from rich.text import Text
 
+from push_ident.cli.overrides import Overrides
 from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProcess
 from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
 from push_ident.limits import printable
 from push_ident.nodes.lifetime import LIFETIME
 
-__all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_command", "node_commands"]
+__all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_command", "node_commands", "node_names"]
 
 Kind = Literal["sim", "replay", "arm"]
 
@@ -50,6 +51,7 @@ _PACED: Final[Mapping[str, dict[str, object]]] = {
     "identification_node": {"source": "bag_player_node"},
 }
 """Parameters of a replay: the bag waits for the nodes, so that nothing is lost at any speed and any load."""
+_NO_OVERRIDES: Final = Overrides()
 _SIM_PATIENCE: Final = 1.0
 """Silence or lag of a simulated arm that counts as a fault [s]."""
 _CLOCKS: Final = ("sim_cell_node", "bag_player_node")
@@ -318,6 +320,7 @@ def node_commands(
     perception: bool = True,
     view: bool = False,
     parameters: Mapping[str, Mapping[str, object]] | None = None,
+    overrides: Overrides = _NO_OVERRIDES,
     log_level: str = "info",
 ) -> list[NodeCommand]:
     """The processes of one kind of cell, as the launch files start them.
@@ -330,6 +333,7 @@ def node_commands(
         perception: Whether `replay` runs perception; without it the bag must have object poses.
         view: Whether to start the viewer for browsers.
         parameters: Parameters by name of the node; they override the installed parameter files.
+        overrides: Parameter files and remappings of the user, for all nodes.
         log_level: ROS log level of all nodes.
 
     Raises:
@@ -350,7 +354,7 @@ def node_commands(
     unknown = sorted(set(own) - set(names))
     if unknown:
         raise InputError(f"parameters are given for {', '.join(unknown)}, expected nodes of `{kind}`: {', '.join(names)}")
-    return [node_command(name, _defaults_of(name, kind) | own.get(name, {}), log_level) for name in names]
+    return [node_command(name, _defaults_of(name, kind) | own.get(name, {}), log_level, overrides) for name in names]
 
 
 def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
@@ -363,7 +367,12 @@ def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
     return clock | simulated | (_PACED.get(name, {}) if kind == "replay" else {})
 
 
-def node_command(name: str, parameters: Mapping[str, object], log_level: str = "info") -> NodeCommand:
+def node_names(kind: Kind) -> tuple[str, ...]:
+    """Every node that a kind of cell can have."""
+    return (*_NODES[kind], "bag_recorder_node", "viewer_node")
+
+
+def node_command(name: str, parameters: Mapping[str, object], log_level: str = "info", overrides: Overrides = _NO_OVERRIDES) -> NodeCommand:
     """The process of one node, with its parameters, in its own enclave of SROS 2 (`security/policy.xml`)."""
     if name in _SIM_NODES:
         package, file, program = "push_ident_sim", "sim.yaml", "push_ident_sim"
@@ -372,5 +381,6 @@ def node_command(name: str, parameters: Mapping[str, object], log_level: str = "
     arguments = ["--params-file", str(config_file(package, file))]
     # JSON is YAML: text stays text even if it looks like a number.
     arguments += [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
+    arguments += overrides.arguments()
     argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--enclave", f"/push_ident/{name}", "--log-level", log_level)
     return NodeCommand(name, argv, may_end=name == "bag_player_node", is_node=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -40,6 +39,7 @@ from push_ident.nodes.convert import (
     shape_to_msgs,
 )
 from push_ident.nodes.convert_refusals import refusals_to_msg
+from push_ident.nodes.listeners import await_listener
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.camera_publisher import CameraPublisher
 from push_ident.nodes.perception.depth_input import EVERY_IMAGE, DepthInput
@@ -62,9 +62,6 @@ _STALE: Final = 0.5
 """Tool poses and joint states that much older than the image are reported [s]."""
 _LOG_PERIOD: Final = 5.0
 """Between two log lines of the same kind [s]."""
-_LISTENER: Final = 10.0
-"""Longest wait for a listener to the poses of a new object [s]; other nodes look for new objects several times a second."""
-_POLL: Final = 0.02
 _SILENT: Final = 2.0
 """Without a depth image for so long the node reports it [s], receive time."""
 
@@ -402,14 +399,9 @@ class _Perception(Component):
                 self._node.create_publisher(Float32MultiArray, f"objects/{object_id}/outline_std", _LATCHED),
             )
             if self._configured["every_image"]:
-                self._await_listener(self._object_publishers[object_id][0])
+                # The source waits meanwhile: the first poses belong to the first push.
+                await_listener(self._object_publishers[object_id][0])
         return self._object_publishers[object_id]
-
-    def _await_listener(self, publisher: Publisher) -> None:
-        """Wait, with the source, until somebody listens to the poses of a new object: the first ones belong to its first push."""
-        deadline = time.monotonic() + _LISTENER
-        while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
-            time.sleep(_POLL)
 
     def _give_up(self, removal: Removal) -> None:
         """An object that came apart is no longer published, nor looked for after a restart."""
