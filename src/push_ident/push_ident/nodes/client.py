@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.action import ActionClient
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -92,6 +93,7 @@ class CellClient:
         self._save = self.node.create_client(SaveModel, "save_model")
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
+        self._is_over = False
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name="client", daemon=True)
@@ -101,6 +103,7 @@ class CellClient:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._is_over = True
         self._executor.shutdown(timeout_sec=0.5)
         self._thread.join(timeout=1.0)
         self.node.destroy_node()
@@ -111,6 +114,10 @@ class CellClient:
             self._executor.spin()
         except ExternalShutdownException:
             return
+        except InvalidHandle:
+            # On a busy machine a message may still be handled when the executor has ended.
+            if not self._is_over:
+                raise
 
     def wait(self, what: Callable[[], T | None], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> T:
         """Wait until `what` returns something else than None or False.
