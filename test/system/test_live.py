@@ -53,8 +53,7 @@ def test_bag_played_as_fast_as_possible_gives_the_map_found_offline_and_counts_w
 
 def test_no_image_of_a_bag_is_lost_however_fast_it_is_played(tmp_path: Path) -> None:
     done = run("replay", ROOT / "bags" / "hammer_depth", "--rate", 0, "--json", tmp_path / "live.json", timeout=300.0)
-    # Whether the fit explains the pushes is another question: nothing here masks the tool, which the bag does not place.
-    assert "of 4 pushes of the bag were learned" not in done.stderr, done.stdout + done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
     content = json.loads((tmp_path / "live.json").read_text())
     assert content["n_pushes"] == 4 and content["counts"]["pushes"] == "4"
 

@@ -16,6 +16,7 @@ from helpers.paths import ROOT, recording
 from push_ident.bags.importers import import_cmu_icra16
 from push_ident.errors import PushIdentError
 from push_ident.identification.budget import Budget
+from push_ident.identification.evidence import explain
 from push_ident.identification.identify import identify
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.offline.loading import load_pushes
@@ -145,3 +146,18 @@ def test_state_keeps_what_was_not_explained(tmp_path: Path) -> None:
     ObjectSession("o1", records[0].shape, options).finish(records[0])
     assert [score.explained for score in ObjectSession("o1", records[0].shape, options).record.latest] == [False]
     assert json.loads((tmp_path / "o1.state.json").read_text())["status"] == "UNEXPLAINED"
+
+
+def test_objects_that_are_hidden_before_a_push_ends_are_no_impossible_contacts() -> None:
+    """The last pose is that of an object on its way: the pusher is compared where it was then."""
+
+    def hidden(record: PushRecord) -> PushRecord:
+        moving = np.flatnonzero(np.linalg.norm(np.diff(record.pusher.position, axis=0), axis=1) > 1e-6)
+        seen = record.poses.time < record.pusher.time[moving[-1]] - 0.25
+        poses = record.poses
+        return replace(record, poses=PoseTrack(poses.time[seen], poses.pose[seen], poses.covariance[seen]))
+
+    records = random_records(hammer(2), 4, 7)
+    posterior = identify(records).posterior
+    overlaps = [push.overlap for push in explain(posterior, [hidden(record) for record in records]).pushes]
+    assert max(overlaps) < 5e-3, overlaps

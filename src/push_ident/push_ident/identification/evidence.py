@@ -44,11 +44,14 @@ def _evidence(posterior: ModelPosterior, record: PushRecord, settings: Simulatio
     motion = mechanics.simulate(scenario, settings=settings)
     error = np.inf if motion.status is SolveStatus.SIMULATION_FAILED else cell_error(cells, motion.pose[-1], last)
     noise = _noise(record)
+    # An object that is hidden at the end of a push is seen last while it moves: compared is where the pusher was then.
+    seen_last, pusher = float(np.median(poses.time[-n:])), record.pusher
+    tip = np.array([[np.interp(seen_last, pusher.time, pusher.position[:, axis]) for axis in (0, 1)]])
     return PushEvidence(
         error=error if np.isfinite(error) else np.inf,
         motion=cell_error(cells, first, last),
         noise=noise,
-        overlap=record.pusher.radius - _distance(record, record.pusher.position[-1:], last)[0],
+        overlap=pusher.radius - _distance(record, tip, last)[0],
         remote_motion=_remote_motion(record, first, near_distance(noise)),
     )
 

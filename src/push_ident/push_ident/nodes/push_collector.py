@@ -43,6 +43,10 @@ _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCA
 # Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
 # The middleware bounds what waits: 5000 messages of a topic in Fast DDS; from then on messages are lost, which is counted.
 _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)
+_FROM_FIRST: Final = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE, durability=DurabilityPolicy.BEST_AVAILABLE
+)
+"""Of poses of a recording, which may be far ahead when its objects are discovered: also those before, where the publisher keeps them."""
 _SILENCE: Final = 2.0
 """Wall time without a message after which a push counts as finished [s]: the source has stopped."""
 _HIDDEN: Final = 10.0
@@ -186,9 +190,9 @@ class PushCollector:
 
     # ---- messages
 
-    def _subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+    def _subscribe(self, kind: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile = _ALL) -> None:
         self._arrivals[topic] = self._node.arrivals_of(topic)
-        self._node.create_subscription(kind, topic, callback, _ALL, arrivals=self._arrivals[topic])
+        self._node.create_subscription(kind, topic, callback, qos, arrivals=self._arrivals[topic])
 
     @contextmanager
     def _taking(self, what: str, topic: str) -> Iterator[None]:
@@ -204,7 +208,12 @@ class PushCollector:
         self._on_object(object_id)
         for kind, name in ((OccupancyGrid, "cells"), (PolygonStamped, "outline"), (Float32MultiArray, "outline_std")):
             node.create_subscription(kind, f"{prefix}/{name}", partial(self._on_shape_msg, object_id, name), _LATCHED)
-        self._subscribe(PoseWithCovarianceStamped, f"{prefix}/pose", lambda m: self._on_pose(object_id, m))
+        self._subscribe(
+            PoseWithCovarianceStamped,
+            f"{prefix}/pose",
+            lambda m: self._on_pose(object_id, m),
+            _ALL if self._source_is_done else _FROM_FIRST,
+        )
         node.get_logger().info(f"object {object_id} found")
 
     def _on_shape_msg(self, object_id: str, part: str, msg: Any) -> None:
@@ -291,6 +300,8 @@ class PushCollector:
 
     def _collect(self) -> None:
         with self._lock:
+            if not (self._source_is_done or self._latest):
+                return  # a recording may be far ahead of the first object that is discovered
             patience = _HIDDEN if self._cutter.is_awaiting else _SILENCE
             silent = self._source_is_done and not self._flushed and time.monotonic() - self._received > patience
             pushes = self._cutter.finished(flush=silent)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from builtin_interfaces.msg import Time
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from push_ident.nodes.cell_node import CellNode
@@ -15,10 +15,14 @@ from push_ident.nodes.convert import stamp_from_msg
 from push_ident.nodes.depth_pairs import DepthPairs
 from push_ident.types import DepthFrame
 
-__all__ = ["EVERY_IMAGE", "DepthInput"]
+__all__ = ["EVERY_IMAGE", "EVERY_POSE", "DepthInput"]
 
 EVERY_IMAGE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """Of images of a source that waits: nothing is lost. The source sees to it that little is under way."""
+EVERY_POSE: Final = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""Of the poses in these images: who discovers an object late gets its poses from the first one on."""
 
 
 class DepthInput:

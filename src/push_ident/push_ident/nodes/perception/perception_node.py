@@ -42,7 +42,7 @@ from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.listeners import await_listener
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.camera_publisher import CameraPublisher
-from push_ident.nodes.perception.depth_input import EVERY_IMAGE, DepthInput
+from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
@@ -97,7 +97,7 @@ class _Perception(Component):
     def __init__(self, node: CellNode) -> None:
         self._node, self._configured = node, node.settings
         self._stamps = StampCheck()
-        self._pose_qos: QoSProfile | int = EVERY_IMAGE if self._configured["every_image"] else 10
+        self._pose_qos: QoSProfile | int = EVERY_POSE if self._configured["every_image"] else 10
         self._perception: Perception | None = None
         self._memory = ObjectMemory(self._configured["state_directory"])
         self._calibrated: list[str] = []
