@@ -1,4 +1,4 @@
-"""Parameter files and remappings of a user reach the nodes of a cell, and what they get wrong is told before any node starts."""
+"""Parameter files and remapped topics that `push-ident up` passes on to its nodes; mistakes in them are errors before any node starts."""
 
 from __future__ import annotations
 

@@ -86,14 +86,22 @@ def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None
     assert failed.alone == failed.beside == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
 
 
+def test_structure_that_goes_with_a_fold_is_no_alarm_and_still_leaves_a_name_open() -> None:
+    found = SomethingElse(22.7, 0.002, (cast(Any, None),) * 18, np.array([22.5, 0.3, 24.0]))
+    evidence = OutsideEvidence.of(found, found, [], POLICY)
+    assert found.least == 0.3 and evidence.alone < 1.0 and evidence.beside > 20.0
+    carried = SomethingElse(22.7, 0.002, found.patterns, np.array([22.5, 12.0, 24.0]))
+    assert OutsideEvidence.of(carried, carried, [], POLICY).alone > 10.0
+
+
 def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() -> None:
-    found = SomethingElse(4.0, 0.001, (cast(Any, None),) * 18)
+    found = SomethingElse(4.0, 0.001, (cast(Any, None),) * 18, np.array([4.0, 9.0]))
     weak, strong = (OutsideEvidence.of(found, found, [], POLICY, named=value) for value in (30.0, 700.0))
     assert weak.beside > 3.9 and weak.alone == strong.alone == weak.beside
     selection = selection_of({"outline_error": 700.0}, n_found=1)
     assert is_outside(probabilities(selection, weak), POLICY) and not is_outside(probabilities(selection, strong), POLICY)
     assert probabilities(selection, strong).something_else > POLICY.max_probability_of_error
-    nothing = OutsideEvidence.of(None, SomethingElse(-2.0, 0.5, found.patterns), [], POLICY, named=700.0)
+    nothing = OutsideEvidence.of(None, SomethingElse(-2.0, 0.5, found.patterns, np.array([])), [], POLICY, named=700.0)
     assert probabilities(selection, nothing).something_else < 0.05
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from helpers.diagnosis import TRUTH, simulated_pushes
 from push_ident.diagnosis.fits import fit_base
+from push_ident.diagnosis.held_out import folds_of
 from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
 from push_ident.diagnosis.patterns import Acts, VariesWith
 from push_ident.diagnosis.policy import UnknownPolicy
@@ -22,7 +23,7 @@ N_PUSHES, FIRST = 8, 4
 
 def found_in(records: list[PushRecord]) -> tuple[Fit, SomethingElse]:
     fit = fit_base(records, DiagnosisSettings())
-    found = find_something_else(fit, UnknownPolicy(draws=100))
+    found = find_something_else(fit, UnknownPolicy(draws=100), folds_of(len(fit.problem.records), 7))
     assert found is not None
     return fit, found
 

@@ -8,9 +8,10 @@ import random
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Float32MultiArray
 
 from push_ident_msgs.srv import SaveModel
-from push_ident_sim.fuzz.fields import field_types, interface_class
+from push_ident_sim.fuzz.fields import FLOATS, field_types, interface_class
 from push_ident_sim.fuzz.minimise import shortest
 from push_ident_sim.fuzz.mutate_message import mutate_bytes, mutate_message
 
@@ -35,6 +36,13 @@ def test_mutated_messages_can_be_sent_and_most_differ(name: str) -> None:
     assert sum(repr(msg) != before for msg in mutated) > 150
     assert all(mutate_bytes(serialize_message(msg), random.Random(seed)) for seed, msg in enumerate(mutated))
     assert repr(base) == before
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_largest_numbers_that_a_message_holds_can_be_set_again(sign: float) -> None:
+    once, again = Float32MultiArray(data=[sign * FLOATS["float"]]), Float32MultiArray()
+    again.data = once.data.tolist()
+    assert math.isfinite(again.data[0])
 
 
 def test_same_seed_gives_the_same_mutation() -> None:

@@ -15,7 +15,7 @@ from push_ident.identification.prediction import cell_error, held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
-__all__ = ["Gap", "measure_gap"]
+__all__ = ["Gap", "folds_of", "measure_gap"]
 
 Progress = Callable[[str], None]
 
@@ -135,7 +135,7 @@ def measure_gap(
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)
-    folds = _folds(n, policy.max_folds)
+    folds = folds_of(n, policy.max_folds)
     report(f"holding out each of {n} pushes once, in {len(folds)} fits")
     stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
@@ -158,7 +158,7 @@ def measure_gap(
     )
 
 
-def _folds(n_pushes: int, max_folds: int) -> list[list[int]]:
+def folds_of(n_pushes: int, max_folds: int) -> list[list[int]]:
     """Numbers of the pushes that are held out together: one each, or two and more where there are more pushes than folds."""
     n_folds = min(n_pushes, max_folds)
     return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]

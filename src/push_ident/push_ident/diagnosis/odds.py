@@ -72,16 +72,30 @@ class OutsideEvidence:
         """
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
 
-        def both(found: SomethingElse | None, discrepancy: float) -> float:
+        def both(found: SomethingElse | None, own: float, discrepancy: float) -> float:
             if found is None:
                 return bound
-            n, own = len(found.patterns), found.log_bayes_factor
+            n = len(found.patterns)
             # Errors of laws and of noise bring evidence for a structure, and take none away.
             own = own / discrepancy if own > 0.0 else own
             return float(np.logaddexp(own + math.log(n), bound) - math.log(n + 1))
 
-        own = policy.discrepancy_something_else
-        return cls(both(alone, own), both(beside, max(own, policy.discrepancy_something_else_share * named)))
+        discrepancy = policy.discrepancy_something_else
+        beside_effects = max(discrepancy, policy.discrepancy_something_else_share * named)
+        return cls(
+            both(alone, 0.0 if alone is None else _alone_evidence(alone, policy), discrepancy),
+            both(beside, 0.0 if beside is None else beside.log_bayes_factor, beside_effects),
+        )
+
+
+def _alone_evidence(found: SomethingElse, policy: SelectionPolicy) -> float:
+    """Log Bayes factor of something else against nothing [nat]: the one without a fold where nothing is more probable without it.
+
+    The pushes of that fold then made the evidence: something happened to them, or they lie at the edge between sticking and sliding, where
+    small causes decide where the object goes. Beside effects that were found something acts in any case.
+    """
+    is_carried = policy.log_prior_something_else + found.least / policy.discrepancy_something_else > 0.0
+    return found.log_bayes_factor if is_carried else found.least
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,14 @@ patterns Phi (`patterns.py`) whose amplitudes have the prior N(0, s^2) raise the
 M projects out what maps, scales, first poses and named effects could explain. It is the score test of a random effect (Liang, A locally
 most powerful test for homogeneity, Biometrika 1987) with its Bayes factor (Rasmussen & Williams, Gaussian Processes for Machine Learning,
 2006, section 5.4.1). One hypothesis is the mean of exp B over scales, members and families: each counts by its prior probability, which is
-what having looked everywhere costs. The p-value comes from draws of the noise that pass through the same computation.
+what having looked everywhere costs. The p-value comes from draws of the noise that pass through the same computation. The
+factors without each fold of the pushes tell whether a cause acts in all of them or something happened in a few (`odds.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -24,7 +25,7 @@ from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.residuals import draw_noise
 from push_ident.identification.fit import Fit
 from push_ident.identification.prediction import cell_displacement
-from push_ident.types import Float64Array
+from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Pattern", "SomethingElse", "error_with_patterns", "find_something_else"]
 
@@ -59,6 +60,13 @@ class SomethingElse:
     """Probability of as large a log Bayes factor under noise alone."""
     patterns: tuple[Pattern, ...]
     """Of each family, the most probable first."""
+    log_bayes_factor_without: Float64Array
+    """The same without each fold of the pushes [nat], shape (n_folds,)."""
+
+    @property
+    def least(self) -> float:
+        """Log Bayes factor that is left without any one fold [nat]."""
+        return float(np.min(self.log_bayes_factor_without, initial=self.log_bayes_factor))
 
     @property
     def best(self) -> Pattern:
@@ -88,12 +96,13 @@ class _Linear:
         return columns - self.jacobian @ (self.onto @ columns)
 
 
-def find_something_else(fit: Fit, policy: UnknownPolicy) -> SomethingElse | None:
+def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
     """Look for structure in the residuals of a fit.
 
     Args:
         fit: converged; what it has fitted is projected out.
         policy: number of draws.
+        folds: numbers of the pushes that are left out together.
 
     Returns:
         None where a push cannot be simulated.
@@ -110,7 +119,26 @@ def find_something_else(fit: Fit, policy: UnknownPolicy) -> SomethingElse | None
     share = np.exp(families - logsumexp(families))
     patterns = [_pattern(all_families[k], found[k][2], float(families[k]), float(share[k]), linear) for k in order]
     p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
-    return SomethingElse(total, p_value, tuple(patterns))
+    without = [_evidence_without(fit, linear, all_families, fold) for fold in folds] if total > 0.0 else []
+    return SomethingElse(total, p_value, tuple(patterns), np.array(without))
+
+
+def _evidence_without(fit: Fit, linear: _Linear, families: Sequence[Family], fold: Sequence[int]) -> float:
+    """Log Bayes factor of anything of the kind without some pushes [nat]."""
+    rows = _rows_without(fit, fold)
+    rest = _solved(fit, linear.jacobian[rows], linear.observed[rows], linear.weight[rows], linear.precision)
+    residual = rest.residual[:, None]
+    own = [replace(family, columns=family.columns[rows]) for family in families]
+    return float(_log_mean(np.array([_evaluate(family, rest, residual)[0] for family in own])))
+
+
+def _rows_without(fit: Fit, fold: Sequence[int]) -> BoolArray:
+    """Rows of the Jacobian but those of some pushes, of which only the first frame stays: it is the prior of their first pose."""
+    first = np.concatenate([[0], np.cumsum([3 * len(o.time) for o in fit.problem.observations])])
+    known = np.ones(first[-1], dtype=bool)
+    for push in fold:
+        known[first[push] + 3 : first[push + 1]] = False
+    return known
 
 
 def error_with_patterns(fit: Fit, found: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
@@ -146,9 +174,7 @@ def _end_residuals(fit: Fit, linear: _Linear, pattern: Pattern | None, folds: Se
     first = np.concatenate([[0], np.cumsum([3 * len(o.time) for o in problem.observations])])
     residuals = np.empty((len(problem.records), 3))
     for fold in folds:
-        known = np.ones(len(columns), dtype=bool)
-        for push in fold:
-            known[first[push] + 3 : first[push + 1]] = False
+        known = _rows_without(fit, fold)
         rows = columns[known]
         step = np.linalg.solve(rows.T @ rows + np.diag(precision), rows.T @ linear.observed[known] - precision * start)
         for push in fold:
@@ -170,10 +196,15 @@ def _linear(fit: Fit) -> _Linear | None:
     weighted = jacobian * weight[:, None]
     # The residual of a problem is simulated minus observed.
     observed = -weight * np.concatenate([own.ravel() for own in residuals])
-    hessian = weighted.T @ weighted + np.diag(problem.unit_prior)
-    onto = np.linalg.solve(hessian, weighted.T)
-    step = np.linalg.solve(hessian, weighted.T @ observed - problem.unit_prior * fit.x)
-    return _Linear(weighted, observed, weight, problem.unit_prior, onto, observed - weighted @ step)
+    return _solved(fit, weighted, observed, weight, problem.unit_prior)
+
+
+def _solved(fit: Fit, jacobian: Float64Array, observed: Float64Array, weight: Float64Array, precision: Float64Array) -> _Linear:
+    """The minimum of the quadratic approximation; arguments as of `_Linear`."""
+    hessian = jacobian.T @ jacobian + np.diag(precision)
+    onto = np.asarray(np.linalg.solve(hessian, jacobian.T), dtype=np.float64)
+    step = np.linalg.solve(hessian, jacobian.T @ observed - precision * fit.x)
+    return _Linear(jacobian, observed, weight, precision, onto, np.asarray(observed - jacobian @ step))
 
 
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:

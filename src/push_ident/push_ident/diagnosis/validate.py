@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from push_ident.diagnosis.account import account_of
-from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.held_out import Gap, folds_of, measure_gap
 from push_ident.diagnosis.odds import (
     SOMETHING_ELSE,
     OutsideEvidence,
@@ -122,10 +122,11 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
 
 def _look_outside(state: DiagnosisState, selection: Selection, base_residuals: FrameResiduals, rejected: Mapping[str, float]) -> _Outside:
     policy = state.settings.policy
-    alone = find_something_else(selection.base, policy.unknown)
+    folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
+    alone = find_something_else(selection.base, policy.unknown, folds)
     beside, residuals = alone, base_residuals
     if selection.found:
-        beside = find_something_else(selection.fit, policy.unknown)
+        beside = find_something_else(selection.fit, policy.unknown, folds)
         residuals = standardized_residuals(selection.fit, policy.residuals)
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     known = state.rest_noise_known and not state.from_camera

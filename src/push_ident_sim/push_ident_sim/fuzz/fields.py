@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
@@ -18,8 +19,11 @@ INTEGERS: Final = {
     **{f"uint{n}": (0, 2**n - 1) for n in (8, 16, 32, 64)},
 }
 """Smallest and largest value of each type of integers."""
-FLOATS: Final = {"float": 3.402823466e38, "double": 1.7976931348623157e308}
-"""Largest finite value of each type of floating-point numbers."""
+FLOATS: Final = {"float": (2.0 - 2.0**-22) * 2.0**127, "double": sys.float_info.max}
+"""Largest finite value of each type of floating-point numbers that a message holds and takes back.
+
+The largest of 32 bits is one step more: rclpy compares with 3.402823466e38, which is below what a message returns after it was set.
+"""
 
 _ARRAY: Final = re.compile(r"(?P<element>[^\[\]]+)\[(?P<size>\d+)\]")
 _SEQUENCE: Final = re.compile(r"sequence<(?P<element>.+?)(?:, (?P<bound>\d+))?>")

@@ -1,4 +1,4 @@
-"""Each mistake of an import is told by how much pusher and object miss, and named."""
+"""Wrong units, axes, radius, clock or frame of an imported recording are found from the contact of pusher and object."""
 
 from __future__ import annotations
 
