@@ -37,6 +37,8 @@ class Parameter:
     read_only: bool = False
     choices: tuple[str, ...] = ()
     """The strings allowed; empty allows all."""
+    any_length: bool = False
+    """For a list of numbers with one for each joint: its length is that of the arm, which is not known here."""
 
     def fault(self, value: Any) -> str:
         """Why `value` is refused; empty when it is fine."""
@@ -45,7 +47,9 @@ class Parameter:
         if isinstance(self.default, list):
             if isinstance(self.default[0], str):
                 return ""
-            if len(value) != len(self.default):
+            if self.any_length and not value:
+                return "expected at least one value"
+            if not self.any_length and len(value) != len(self.default):
                 return f"expected {len(self.default)} values, got {len(value)}"
             values = list(value)
         else:
