@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.robots import NAMES, robot_path
+from helpers.robots import NAMES, changed, robot_path
+from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.motion import plan_push
+from push_ident.pushing.robot.description import read_urdf
 from push_ident.pushing.robot.robot_file import motion_settings, push_settings, read_robot
 from push_ident.pushing.sampling import push_from_goal
 from push_ident_sim.cell.camera import DepthCamera, look_at
@@ -60,3 +63,11 @@ def test_camera_sees_the_links_of_the_arm_of_the_file() -> None:
         world.close()
     nearer = np.isfinite(seen) & ~(empty <= seen + 0.05)
     assert 0.02 < np.mean(nearer) < 0.6
+
+
+def test_arm_whose_meshes_are_not_there_is_refused(tmp_path: Path) -> None:
+    urdf = read_urdf(read_robot(robot_path("ur5e"))).path.read_text()
+    (tmp_path / "arm.urdf").write_text(urdf)
+    path = changed(tmp_path, lambda c: c.update(description={"file": "arm.urdf", "root": "base_link"}))
+    with pytest.raises(InputError, match=r"the mesh visual/base_cable_labels\.obj is no file"):
+        cell_robot(str(path))

@@ -8,6 +8,8 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
+from push_ident.errors import InputError
+from push_ident.limits import plain_text
 from push_ident.pushing.robot.description import PUSHER_LINK, cell_description, read_urdf
 from push_ident.pushing.robot.robot_file import read_robot
 
@@ -85,6 +87,8 @@ def robot_from_file(path: Path) -> CellRobot:
     robot = read_robot(path)
     joints, tool = robot.file.joints, robot.file.tool
     urdf = read_urdf(robot)
+    if missing := urdf.missing_meshes:
+        raise InputError(f"{urdf.path}: the mesh {plain_text(missing[0])} is no file; install the package that has it, or source it.")
     chain = urdf.chain(tool.link)
     # What hangs on the third joint from the end may come down to the table.
     moving = [joint.get("name", "") for joint in chain if joint.get("type") != "fixed"][-_WRIST_JOINTS:]

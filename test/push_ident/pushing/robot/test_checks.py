@@ -97,12 +97,13 @@ def test_joint_without_end_needs_limits_in_the_file(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(text)
 
     def change(content: dict[str, Any]) -> None:
-        content["description"] = {"file": "arm.urdf", "root": "base_link"}
+        content["description"] = {"file": "arm.urdf", "root": "base_link"}  # a copy without its meshes
         del content["joints"]["lower"], content["joints"]["upper"]
 
     _, findings, kinematics = checked(changed(tmp_path, change))
     assert kinematics is None
     assert [finding.what for finding in findings if finding.about == "limits"] == ["wrist_3_joint turns without end"]
+    assert any("meshes are no files" in finding.what and finding.level is Level.WARNING for finding in findings)
 
 
 def test_places_that_the_arm_cannot_push_at_are_told_and_drawn_and_a_smaller_workspace_is_proposed(tmp_path: Path) -> None:

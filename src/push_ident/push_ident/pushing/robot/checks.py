@@ -45,6 +45,10 @@ def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
         return [Finding("description", Level.WRONG, str(error))], None
     n_links, n_joints = len(urdf.links), len(urdf.joints)
     found = [Finding("description", Level.OK, f"{urdf.path}: {n_links} links, {n_joints} joints")]
+    if missing := urdf.missing_meshes:
+        what = f"{len(missing)} meshes are no files, the first {plain_text(missing[0])}"
+        remedy = "source the workspace or install the package that has them; without them `up sim` does not start"
+        found.append(Finding("description", Level.WARNING, what, "files", remedy))
     found += [*_frames(robot, urdf), *_joints(robot, urdf), *_parameters(robot)]
     if any(finding.level is Level.WRONG for finding in found):
         return found, None

@@ -54,6 +54,12 @@ class Urdf:
         children = {_end(joint, "child") for joint in self.root.findall("joint")}
         return [link for link in self.links if link not in children]
 
+    @property
+    def missing_meshes(self) -> list[str]:
+        """Names of meshes that are no files, each once. Only pictures and simulators read meshes."""
+        names = dict.fromkeys(mesh.get("filename", "") for mesh in self.root.iter("mesh"))
+        return [name for name in names if not Path(name).is_file()]
+
     def chain(self, link: str) -> list[ET.Element]:
         """Joints from the root to a link. Raises InputError for a loop."""
         above = {_end(joint, "child"): joint for joint in self.root.findall("joint")}
