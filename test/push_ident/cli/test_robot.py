@@ -24,6 +24,7 @@ from helpers.spinning import spinning
 from push_ident.cli.overrides import overrides_of
 from push_ident.cli.robot import robot_for
 from push_ident.cli.robot_live import find_live
+from push_ident.cli.robot_parameters import check_parameters
 from push_ident.cli.supervisor import node_commands, node_names
 from push_ident.pushing.robot.finding import Level
 from push_ident.pushing.robot.robot_file import read_robot
@@ -125,6 +126,25 @@ def test_command_that_cannot_be_meant_is_told_at_once(
 def test_parameters_of_a_node_that_there_is_not_are_told(tmp_path: Path) -> None:
     done = run_here("up", "arm", "--robot", changed(tmp_path, lambda c: c["parameters"].update(push_executer_node={})))
     assert done.returncode == 1 and "has the node push_executer_node" in done.stderr
+
+
+def test_values_that_the_nodes_would_refuse_are_found(tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
+        content["tool"]["pusher_height"] = 0.7
+        content["parameters"]["push_executor_node"] = {"push_sped": 0.1, "free_speed": 1}
+
+    assert [finding.level for finding in check_parameters(read_robot(robot_path("ur5e")))] == [Level.OK]
+    texts = [finding.text for finding in check_parameters(read_robot(changed(tmp_path, change)))]
+    assert len(texts) == 3, texts
+    assert any("push_executor_node.pusher_height is 0.7" in text and "expected 0.001 to 0.5" in text for text in texts)
+    assert any("no parameter push_sped; did you mean push_speed?" in text for text in texts)
+    assert any("free_speed is 1" in text and "expected float, write 1.0" in text for text in texts)
+
+
+def test_hand_of_the_real_cell_is_not_asked_for_in_the_simulated_one(tmp_path: Path) -> None:
+    path = changed(tmp_path, lambda c: c["tool"].update(hand="robotiq_3f"))
+    hands = {kind: robot_for(kind, path).parameters(tmp_path, ())["push_executor_node"]["hand"] for kind in ("arm", "sim")}
+    assert hands == {"arm": "robotiq_3f", "sim": "none"}
 
 
 def test_nodes_of_a_real_cell_get_description_postures_and_topics_and_the_simulated_one_the_file(tmp_path: Path) -> None:

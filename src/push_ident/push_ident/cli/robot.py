@@ -50,7 +50,10 @@ class ChosenRobot:
             file = folder / "robot.urdf"
             write_whole(file, description, "the robot description")
         started = set(node_names(self.kind)) - set(_NOT_ALWAYS) | set(extra)
-        return {node: values for node, values in node_parameters(self.robot, file).items() if node in started}
+        chosen = {node: values for node, values in node_parameters(self.robot, file).items() if node in started}
+        if self.kind == "sim":
+            chosen["push_executor_node"]["hand"] = "none"  # that of the simulated cell is rigid, whatever the real one is
+        return chosen
 
 
 def robot_for(kind: Kind, file: Path) -> ChosenRobot:

@@ -12,6 +12,7 @@ from rich.table import Table
 from push_ident.cli.output import console, write_json
 from push_ident.cli.robot import check_nodes
 from push_ident.cli.robot_live import find_live
+from push_ident.cli.robot_parameters import check_parameters
 from push_ident.files import write_whole
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.robot.checks import check_reach, check_robot
@@ -40,6 +41,8 @@ def examine_robot(file: Path, *, spacing: float, seconds: float, out: Path | Non
     robot = read_robot(file)
     check_nodes(robot)
     findings, kinematics = check_robot(robot)
+    if not any(finding.about == "parameters" for finding in findings):
+        findings += check_parameters(robot)
     reach = None if kinematics is None else _reach(robot, kinematics, spacing)
     if reach is None:
         findings.append(Finding("reach", Level.NOT_CHECKED, "no kinematics", remedy="mend first what is wrong above"))

@@ -131,7 +131,7 @@ def _limits(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
     joints, faults = robot.file.joints, 0
     for index, name in enumerate(joints.names):
         limit = urdf.joints[name].find("limit")
-        given = {key: float(limit.get(key, "nan")) for key in ("lower", "upper", "velocity")} if limit is not None else {}
+        given = {key: _number(limit.get(key, "")) for key in ("lower", "upper", "velocity")} if limit is not None else {}
         if urdf.joints[name].get("type") == "continuous":
             given |= {"lower": -np.inf, "upper": np.inf}
         of_urdf = [given.get(key, np.nan) for key in ("lower", "upper", "velocity")]
@@ -148,6 +148,14 @@ def _limits(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
                 yield Finding("limits", Level.WRONG, f"joints.{posture} has {name} at {value:.3f} rad", expected, "change the posture")
     if not faults:
         yield Finding("limits", Level.OK, "within those of the URDF; neutral and home within them")
+
+
+def _number(text: str) -> float:
+    """A number of a URDF; not finite where there is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
 
 
 def _limits_of(name: str, of_urdf: list[float], own: list[float | None]) -> Iterator[Finding]:

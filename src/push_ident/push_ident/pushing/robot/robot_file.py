@@ -119,7 +119,7 @@ class RobotFile(_Part):
     camera: Camera
     topics: dict[str, str] = {}
     """Names of the topics of the arm's driver and of the camera, by their names in the bag contract."""
-    workspace: Annotated[list[float], Field(min_length=4, max_length=4)]
+    workspace: Annotated[list[Annotated[float, Field(ge=-2.0, le=2.0)]], Field(min_length=4, max_length=4)]
     """x_min, x_max, y_min, y_max of the lowered tool in `table` [m]."""
     push_height: Annotated[float, Field(gt=0.0)]
     """Of the tip above the table while it pushes [m]."""
