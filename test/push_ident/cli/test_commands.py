@@ -42,7 +42,7 @@ def test_identify_writes_what_the_contract_names(bag: Path, tmp_path: Path) -> N
     assert content["test"]["identified_m"] < content["test"]["uniform_m"]
     assert all(len(values) == content["n_cells"] for values in content["map"].values())
     assert content["total_mass"]["identifiable"] is False
-    assert {"model.json", "map.png", "result.json"} <= {p.name for p in (tmp_path / "out").iterdir()}
+    assert {"model.json", "report.html", "result.json"} == {p.name for p in (tmp_path / "out").iterdir()}
     predicted = run("predict", tmp_path / "out" / "model.json", bag, "--json", tmp_path / "p.json")
     assert predicted.returncode == 0, predicted.stderr
     assert json.loads((tmp_path / "p.json").read_text())["cell_error_m"] < 0.004

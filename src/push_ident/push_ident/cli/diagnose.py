@@ -10,7 +10,15 @@ from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
 from push_ident.cli.checks import above_zero
-from push_ident.cli.identify import CameraOption, FrictionOption, NominalMassOption, ObjectOption, TotalMassOption, read_camera
+from push_ident.cli.identify import (
+    CameraOption,
+    FrictionOption,
+    NominalMassOption,
+    ObjectOption,
+    TotalMassOption,
+    prior_of_options,
+    read_camera,
+)
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
@@ -52,12 +60,7 @@ def diagnose_command(
     ] = _NOMINAL.pusher_friction,
 ) -> None:
     """Report where the simulation differs from recorded pushes, which missing effect causes it, and how far the gap shrinks with it."""
-    prior = Prior(
-        total_mass=nominal_mass if total_mass is None else total_mass,
-        total_mass_std=_NOMINAL.total_mass_std if total_mass is None else 0.0,
-        friction=friction,
-        pusher_friction=pusher_friction,
-    )
+    prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,12 +13,12 @@ from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
 from push_ident.identification.observation import observe_push, pusher_gaps
-from push_ident.perception.labels import Cylinder
-from push_ident.perception.recording import observe_offline
-from push_ident.perception.settings import PerceptionSettings
 from push_ident.physics.effect import OnContact
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
+
+if TYPE_CHECKING:
+    from push_ident.perception.labels import Cylinder
 
 __all__ = ["LoadedPushes", "load_pushes", "most_pushed", "touching_radius", "track_from_depth"]
 
@@ -101,6 +101,11 @@ def touching_radius(records: Sequence[PushRecord]) -> float:
 
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
     """The same bag with objects detected and tracked in its depth images."""
+    # Bags of poses need none of this, and it takes half a second to import.
+    from push_ident.perception.labels import Cylinder
+    from push_ident.perception.recording import observe_offline
+    from push_ident.perception.settings import PerceptionSettings
+
     camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
     if camera is None:
         raise BagError(

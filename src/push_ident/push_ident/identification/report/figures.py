@@ -16,7 +16,7 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from push_ident.identification.report.report import PushErrors
+    from push_ident.identification.push_errors import PushErrors
 
 __all__ = ["draw_errors", "draw_maps", "draw_push", "draw_record"]
 

@@ -14,15 +14,16 @@ from push_ident import __version__
 from push_ident.errors import InputError, PlanningError
 from push_ident.identification.identifiability import Identifiability, identifiability
 from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.push_errors import PushErrors
 from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record
 from push_ident.identification.result import Candidate, Identification, ModelPosterior
 from push_ident.identification.scoring import PushScore, summarise_scores
 from push_ident.identification.supports import Support, supports
 from push_ident.pages.page import svg, write_page
 from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.types import SolveStatus
 
-__all__ = ["Provenance", "PushErrors", "write_report"]
+__all__ = ["Provenance", "write_report"]
 
 _CANDIDATES = 40
 """Candidates for the next push."""
@@ -30,20 +31,6 @@ _REFERENCES = 20
 """Reference pushes for its choice."""
 _MIN_SCORES = 2
 """Number of scores from which the report shows them."""
-
-
-@dataclass(frozen=True, slots=True)
-class PushErrors:
-    """Cell errors of some pushes, see `held_out_errors`."""
-
-    pushes: tuple[int, ...]
-    """Their numbers."""
-    uniform: Float64Array
-    """Of equal cells with nominal values [m], shape (n,)."""
-    scalar: Float64Array
-    """Of equal cells with fitted scalars [m], shape (n,)."""
-    identified: Float64Array
-    """[m], shape (n,)"""
 
 
 @dataclass(frozen=True, slots=True)
