@@ -108,12 +108,10 @@ def identify_command(
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         report("predicting the pushes")
-        others = [i for i in range(len(loaded.records)) if i not in chosen]
-        fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, others))
+        fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, _others(chosen, loaded)))
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
-    _show_errors(content, loaded)
-    _show_identifiability(result)
+    _show(content, loaded, result)
     if json is not None:
         write_json(json, content)
     if out is not None:
@@ -161,6 +159,15 @@ def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
     if wrong := [i for i in numbers if i >= n_pushes]:
         raise InputError(f"--train names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
     return numbers
+
+
+def _others(chosen: Sequence[int], loaded: LoadedPushes) -> list[int]:
+    return [i for i in range(len(loaded.records)) if i not in chosen]
+
+
+def _show(content: dict[str, Any], loaded: LoadedPushes, result: Identification) -> None:
+    _show_errors(content, loaded)
+    _show_identifiability(result)
 
 
 def _show_errors(content: dict[str, Any], loaded: LoadedPushes) -> None:
