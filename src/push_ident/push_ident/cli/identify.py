@@ -20,6 +20,7 @@ from push_ident.identification.identifiability import identifiability
 from push_ident.identification.identify import identify
 from push_ident.identification.prior import Prior
 from push_ident.identification.push_errors import push_errors
+from push_ident.identification.quantity_text import before_text, value_text
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import result_json
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
@@ -192,10 +193,7 @@ def _show_identifiability(result: Identification) -> None:
     for heading, justify in (("quantity", "left"), ("value", "right"), ("before", "right"), ("identifiability", "left")):
         table.add_column(heading, justify=justify)  # type: ignore[arg-type]
     for q in known.quantities:
-        scale, unit = (1e3, "mm") if q.unit == "m" else (1.0, q.unit)
-        digits = 1 if q.unit == "m" else 3
-        value = f"{scale * q.value:.{digits}f} ± {scale * q.std:.{digits}f} {unit}".rstrip()
-        table.add_row(q.name, value, f"± {scale * q.prior_std:.{digits}f}", q.knowledge.value.partition(":")[0])
+        table.add_row(q.name, value_text(q), before_text(q), q.knowledge.value.partition(":")[0])
     console.print(table)
     console.print(
         f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained",

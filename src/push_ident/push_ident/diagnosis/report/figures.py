@@ -94,7 +94,7 @@ def _draw_by_heading(polar: Axes, frames: FrameResiduals, heading: Float64Array)
         polar.plot(angles, [*mean, mean[0]], color=colour, label=label, marker=".")
 
 
-def draw_ranking(selection: Selection, min_log_bayes_factor: float) -> Figure:
+def draw_ranking(selection: Selection, min_log_bayes_factor: float, *, figure: Figure | None = None) -> Figure:
     """Log Bayes factors of the effects beside the base model."""
     from matplotlib.figure import Figure
 
@@ -102,7 +102,7 @@ def draw_ranking(selection: Selection, min_log_bayes_factor: float) -> Figure:
     refitted = {c.name: c.log_bayes_factor for c in first.candidates}
     values = {s.name: refitted.get(s.name, s.expected_log_bayes_factor) for s in first.scores}
     ranked = sorted(first.scores, key=lambda s: -values[s.name])[:_N_RANKED]
-    figure = Figure(figsize=(9.0, 0.32 * len(ranked) + 0.9), layout="constrained")
+    figure = figure or Figure(figsize=(9.0, 0.32 * len(ranked) + 0.9), layout="constrained")
     ax = figure.subplots()
     colours = [_colour(name, values[name] >= min_log_bayes_factor, selection) for name in (s.name for s in ranked)]
     ax.barh([figure_text(s.name) for s in ranked], np.maximum([values[s.name] for s in ranked], 0.0), color=colours)
