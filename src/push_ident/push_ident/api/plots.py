@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 
-from push_ident.diagnosis.report.figures import draw_ranking
+from push_ident.diagnosis.report.figures import ranking_bars
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
@@ -26,7 +26,7 @@ from push_ident.types import Float64Array, PushRecord
 __all__ = ["Picture", "draw"]
 
 _DPI = 80
-_ACCENT, _WARM, _GREY = "#1f5fa8", "#c0561d", "#8a95a1"
+_ACCENT, _LIGHT, _WARM, _GREY = "#1f5fa8", "#9fb8d6", "#c0561d", "#8a95a1"
 _CHARACTERS = 12
 """Of a title per inch of width."""
 _MAX_PANELS = 8
@@ -129,7 +129,17 @@ def _diagnosis(diagnosis: Diagnosis, title: str) -> Picture:
     if diagnosis.selection is None:
         raise InputError(f"There is no figure of a diagnosis that abstains: {diagnosis.sentence}")
     figure = Picture(figsize=(9.0, 4.8), layout="constrained")
-    draw_ranking(diagnosis.selection, diagnosis.policy.selection.min_log_bayes_factor, figure=figure)
+    ax = figure.subplots()
+    bars, limit = ranking_bars(diagnosis.selection, diagnosis.policy.selection.min_log_bayes_factor)
+    names = [figure_text(bar.name) for bar in bars]
+    ax.barh(names, [bar.width for bar in bars], color=[_ACCENT if bar.found else _LIGHT for bar in bars])
+    for row, bar in enumerate(bars):
+        ax.text(max(bar.width, limit) + 1.0, row, figure_text(bar.text), va="center", fontsize=9)
+    ax.axvline(limit, color="black", linewidth=0.8, linestyle="--")
+    ax.invert_yaxis()
+    ax.set_xlim(0.0, 130.0)
+    ax.set_xticks([0.0, limit], ["0", f"{diagnosis.policy.selection.min_log_bayes_factor:.0f}"])
+    ax.set_xlabel("log Bayes factor [nat]; dashed: from here on detected")
     return _titled(figure, title or f"Which effect explains the gap: {diagnosis.verdict.value}")
 
 

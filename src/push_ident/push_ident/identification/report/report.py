@@ -15,11 +15,11 @@ from push_ident.identification.identifiability import Identifiability, Quantity,
 from push_ident.identification.proposal import N_CANDIDATES, propose_push
 from push_ident.identification.push_errors import PushErrors
 from push_ident.identification.quantity_text import before_text, value_text
-from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record
+from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record, shown_pushes
 from push_ident.identification.result import Candidate, Identification, ModelPosterior
 from push_ident.identification.scoring import PushScore, summarise_scores
 from push_ident.identification.supports import Support, supports
-from push_ident.pages.page import svg, write_page
+from push_ident.pages.page import write_page
 from push_ident.types import SolveStatus
 
 __all__ = ["Provenance", "write_report"]
@@ -68,12 +68,15 @@ def write_report(
         "title": f"Object {provenance.object_id}: mass and friction",
         "headline": _headline(result, train, test, known),
         "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not use these maps without a check: {result.status.value}.",
-        "maps": svg(draw_maps(posterior)),
-        "errors": svg(draw_errors(train, test)),
+        "maps": draw_maps(posterior),
+        "errors": draw_errors(train, test),
+        "n_shown": len(shown_pushes(train, test)),
+        "n_pushes": len(train.pushes) + len(test.pushes),
         "error_rows": [_error_row("pushes of the fit", train), _error_row("held-out pushes", test)],
         "held_out": bool(test.pushes),
         "record": _record(record),
         "quantities": [_quantity(q) for q in known.quantities],
+        "legend": dict.fromkeys(q.knowledge.value for q in known.quantities),
         "priors": _candidates(result.candidates),
         "n_combinations": len(known.combinations),
         "n_pinned": known.n_pinned,
@@ -144,7 +147,7 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
         return None
     summary = summarise_scores(scores)
     return {
-        "figure": svg(draw_record(scores)),
+        "figure": draw_record(scores),
         "n": summary.n,
         "mean": summary.mean_cell_error,
         "expected": summary.mean_expected_cell_error,
@@ -158,6 +161,7 @@ def _quantity(quantity: Quantity) -> dict[str, str]:
         "name": quantity.name,
         "value": value_text(quantity),
         "before": before_text(quantity),
+        "short": quantity.knowledge.value.partition(":")[0],
         "verdict": quantity.knowledge.value,
     }
 
@@ -168,7 +172,7 @@ def _next_push(posterior: ModelPosterior, pusher_radius: float) -> dict[str, Any
         return None
     plan = proposal.plan
     return {
-        "figure": svg(draw_push(posterior, plan, pusher_radius)),
+        "figure": draw_push(posterior, plan, pusher_radius),
         "x": float(plan.contact_point[0]),
         "y": float(plan.contact_point[1]),
         "heading": float(np.degrees(plan.direction)),
@@ -181,7 +185,7 @@ def _next_push(posterior: ModelPosterior, pusher_radius: float) -> dict[str, Any
 
 
 def _provenance(result: Identification, provenance: Provenance) -> list[tuple[str, str]]:
-    prior = ", ".join(f"{name} {value:g}" for name, value in asdict(result.posterior.prior).items())
+    prior = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in asdict(result.posterior.prior).items())
     rows: list[tuple[str, str]] = [("push", source) for source in provenance.sources]
     rows += [("note", note) for note in provenance.notes]
     return [
