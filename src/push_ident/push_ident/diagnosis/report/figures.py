@@ -85,9 +85,14 @@ def heat_of_headings(frames: FrameResiduals) -> list[HeatRow]:
         values = [
             float(np.mean(frames.standardized[own == k, column])) if np.any(own == k) else np.nan for own in sectors for column in (0, 1)
         ]
-        cells = (_heat(f"{value:+.1f}" if np.isfinite(value) else "–", abs(value)) for value in values)
+        cells = (_heat(_signed(value), abs(value)) for value in values)
         rows.append(HeatRow(f"{360 * k // _N_SECTORS}°", tuple(cells)))
     return rows
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.1f}"
+    return "–" if not np.isfinite(value) else "0.0" if text in ("+0.0", "-0.0") else text
 
 
 def _heat(text: str, value: float, bold: bool = False) -> HeatCell:
