@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
 
 from push_ident.identification.fit import Fit
 from push_ident.identification.levenberg_marquardt import FINE, minimise, minimise_roughly
@@ -134,8 +135,6 @@ class LinearEvidence:
 
     def maximum(self, logs: Float64Array) -> tuple[Float64Array, float]:
         """Logarithms of the hyperparameters of largest evidence, not far from `logs`, and what they gain [nat]."""
-        from scipy.optimize import minimize  # takes a tenth of a second to import, and no prediction needs it
-
         bounds = [(value - _LARGEST_STEP, value + _LARGEST_STEP) for value in logs]
         found = minimize(self.cost_and_slope, logs, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30, "ftol": 1e-6})
         return found.x, float(self._cost(logs)[0] - found.fun)
