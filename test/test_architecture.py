@@ -28,6 +28,7 @@ ORDER = [
     "bags",
     "offline",
     "fleet",
+    "api",
     "nodes",
     "cli",
 ]

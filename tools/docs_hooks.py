@@ -29,6 +29,7 @@ import document_effects  # noqa: E402
 import document_limits  # noqa: E402
 import document_messages  # noqa: E402
 import document_nodes  # noqa: E402
+import document_notebook  # noqa: E402
 import document_policy  # noqa: E402
 import document_python  # noqa: E402
 
@@ -42,6 +43,7 @@ ROOT_DOCUMENTS = {
 """Documents outside docs/ that are pages of the site, and where."""
 
 GENERATED: dict[str, Callable[[], str]] = {
+    "examples/bag-to-next-push.md": document_notebook.document,
     "reference/commands.md": document_commands.document,
     "reference/effects.md": document_effects.document,
     "reference/limits.md": document_limits.document,

@@ -21,6 +21,7 @@ STAGES = {
         "bags",
         "offline",
         "fleet",
+        "api",
         "nodes",
         "cli",
     ),

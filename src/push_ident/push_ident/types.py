@@ -7,7 +7,7 @@ They are immutable, arrays included. Lengths in metres, angles in radians, masse
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any
 
@@ -30,10 +30,33 @@ __all__ = [
     "PusherPath",
     "SolveStatus",
     "WrenchTrack",
+    "short_repr",
 ]
 
 Float64Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+
+_LONG = 3
+"""Length from which the text of a tuple or a list is its length only."""
+
+
+def short_repr(owner: Any) -> str:
+    """`repr` of a dataclass on one line: of arrays the shape, of long sequences and mappings the length, of other results the name."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, np.ndarray):
+            return f"array{list(value.shape)}"
+        if isinstance(value, tuple | list | dict) and (len(value) > _LONG or any(hasattr(v, "__dataclass_fields__") for v in value)):
+            return f"<{len(value)}>"
+        if isinstance(value, Enum):
+            return value.name
+        if hasattr(value, "__dataclass_fields__"):
+            return f"{type(value).__name__}(...)"
+        return f"{value:.4g}" if isinstance(value, float) else repr(value)
+
+    shown = ", ".join(f"{field.name}={text(getattr(owner, field.name))}" for field in fields(owner) if field.repr)
+    return f"{type(owner).__name__}({shown})"
 
 
 def _freeze(owner: Any, name: str, shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
@@ -81,6 +104,8 @@ class CameraIntrinsics:
 class DepthFrame:
     """One depth image, already converted to metres."""
 
+    __repr__ = short_repr
+
     stamp: float
     """[s]"""
     depth: NDArray[np.float32]
@@ -92,6 +117,8 @@ class DepthFrame:
 @dataclass(frozen=True, slots=True)
 class CellGrid:
     """The square cells into which an object is divided."""
+
+    __repr__ = short_repr
 
     centres: Float64Array
     """[m], shape (n_cells, 2), object frame."""
@@ -112,6 +139,8 @@ class CellGrid:
 @dataclass(frozen=True, slots=True)
 class ObjectShape:
     """Geometry of an object: its cells and its contact outline."""
+
+    __repr__ = short_repr
 
     cells: CellGrid
     outline: Float64Array
@@ -184,6 +213,8 @@ class CameraAccuracy:
 class PoseTrack:
     """Observed poses of one object during one push."""
 
+    __repr__ = short_repr
+
     time: Float64Array
     """[s], shape (n_frames,), strictly increasing."""
     pose: Float64Array
@@ -212,6 +243,8 @@ class PoseTrack:
 @dataclass(frozen=True, slots=True)
 class PusherPath:
     """Path of the pusher, an upright cylinder or prism, during one push."""
+
+    __repr__ = short_repr
 
     time: Float64Array
     """[s], shape (n_samples,), strictly increasing."""
@@ -252,6 +285,8 @@ class PusherPath:
 class WrenchTrack:
     """Measured force of the pusher on the object during one push."""
 
+    __repr__ = short_repr
+
     time: Float64Array
     """[s], shape (n_samples,), strictly increasing."""
     force: Float64Array
@@ -268,6 +303,8 @@ class WrenchTrack:
 class PushRecord:
     """One observed push of one object, the same for a real arm, the simulated cell and a bag."""
 
+    __repr__ = short_repr
+
     object_id: str
     shape: ObjectShape
     poses: PoseTrack
@@ -283,6 +320,8 @@ class PushRecord:
 @dataclass(frozen=True, slots=True)
 class ObjectModel:
     """Mechanical model of one object: the maps and the friction of the pusher on it."""
+
+    __repr__ = short_repr
 
     shape: ObjectShape
     mass: Float64Array

@@ -43,7 +43,7 @@ def test_poses_far_from_a_push_count_when_there_are_none_nearer(tmp_path: Path) 
             write_push(writer, start, poses=False)
     pushes = split_pushes(read_bag(tmp_path / "bag"), "7")
     # 5.2 s is nearer to the second push (7 s) than to the first (3 s): the first has no pose after it.
-    assert [record.source for record in pushes] == ["bag push 1"]
+    assert [record.source for record in pushes] == ["bag push 2"]
     assert pushes[0].poses.pose[:, 0].tolist() == [5.2, 10.0]
 
 
@@ -56,7 +56,7 @@ def test_push_records_cut_the_bag_and_failed_pushes_are_left_out(tmp_path: Path)
             writer.write_push_record(push_id, "7", start, start + 1.0, error_code=code)
     contents = read_bag(tmp_path / "bag")
     pushes = split_pushes(contents, "7")
-    assert [record.source for record in pushes] == ["bag push 0", "bag push 2"]
+    assert [record.source for record in pushes] == ["bag push 1", "bag push 3"]
     assert pushes[0].poses.time[-1] <= 3.025 - contents.origin_ns * 1e-9 + 1e-6
     assert any("error code -5" in note for note in contents.notes)
     n_notes = len(contents.notes)

@@ -42,10 +42,18 @@ def test_identify_writes_what_the_contract_names(bag: Path, tmp_path: Path) -> N
     assert content["test"]["identified_m"] < content["test"]["uniform_m"]
     assert all(len(values) == content["n_cells"] for values in content["map"].values())
     assert content["total_mass"]["identifiable"] is False
-    assert {"model.json", "map.png", "result.json"} <= {p.name for p in (tmp_path / "out").iterdir()}
+    assert {"model.json", "report.html", "result.json"} == {p.name for p in (tmp_path / "out").iterdir()}
     predicted = run("predict", tmp_path / "out" / "model.json", bag, "--json", tmp_path / "p.json")
     assert predicted.returncode == 0, predicted.stderr
     assert json.loads((tmp_path / "p.json").read_text())["cell_error_m"] < 0.004
+
+
+def test_identify_draws_pictures_and_predicts_every_push_on_request(bag: Path, tmp_path: Path) -> None:
+    done = run("identify", bag, "--train", "0,1", "--out", tmp_path, "--record", "--pictures")
+    assert done.returncode == 0, done.stderr
+    assert {"map.png", "knowledge.png", "report.html"} <= {p.name for p in tmp_path.iterdir()}
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Predictions before each push" in page and "hammer push 1</code>" in page and "hammer push 0" not in page
 
 
 def _empty(path: Path, bag: Path) -> Path:

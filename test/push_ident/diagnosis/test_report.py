@@ -14,7 +14,8 @@ def test_page_says_where_why_how_far_and_what_to_do_next(tmp_path: Path) -> None
     tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
     write_report(tmp_path / "report.html", tilted, object_id="o1", sources=["bag, push 0"])
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert page.count("<svg") >= 4
+    assert page.count("<svg") == 2 and page.count('class="dot"') >= 3 * 8
+    assert "odds of 150 to 1" in page and "°" in page and not re.search(r"\d rad\b", page)
     assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
     parts = re.findall(r'<span class="part( negative)?" style="left:([\d.]+)%;width:([\d.]+)%', page.split('class="row"')[0])
     assert tilted.account is not None and len(parts) == len(tilted.account.parts)

@@ -37,7 +37,7 @@ def test_one_effect_comes_with_its_size_and_the_errors_before_and_after() -> Non
     one = sentence_of_effects([TILT], {}, NAMED)
     assert one.startswith("The simulation leaves out that the table slopes down")
     assert (
-        "(table_tilt: x 1 ± 0.097 deg, y 0 ± 0.097 deg), which accounts for 2.5 mm of the mean error of 4.0 mm on held-out pushes (90 % "
+        "(table_tilt: x 1 ± 0.097°, y 0 ± 0.097°), which accounts for 2.5 mm of the mean error of 4.0 mm on held-out pushes (90 % "
         "interval 2.5 to 2.5 mm)." in one
     )
     assert (
@@ -102,7 +102,7 @@ def test_unknown_cause_says_what_acts_where_and_what_to_look_for() -> None:
         "Look for what changed before that push."
     )
     large = sentence_of_unknown(NONE, None, 0.93, residuals, where)
-    assert "1.5 times as large as those of a correct model, and largest for push 3." in large
+    assert "1.5 times as large as those of a correct model, and largest for push 4." in large
     doubt = sentence_of_doubt(words, 0.3)
     assert "may act in its place or beside it (probability 0.30): a force, from push 7 on; look for what changed" in doubt
 

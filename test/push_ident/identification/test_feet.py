@@ -17,6 +17,7 @@ from push_ident.identification.online import OnlineIdentifier, OnlineState
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import Evaluation, FitProblem
+from push_ident.identification.push_errors import push_errors
 from push_ident.identification.result_json import result_json
 from push_ident.identification.supports import supports
 from push_ident.identification.unknowns import Unknowns
@@ -98,7 +99,11 @@ def test_feet_of_a_tripod_are_found_and_written() -> None:
     best = min(permutations(range(3)), key=lambda order: float(np.abs(places[list(order)] - PLACES).max()))
     assert places[list(best)] == pytest.approx(PLACES, abs=0.01)
     assert shares[list(best)] == pytest.approx(true, abs=0.1)
-    (written,) = (c for c in result_json(result, "1", TRAIN, range(len(TRAIN)))["priors"] if c["name"] == "three feet")
+    (written,) = (
+        c
+        for c in result_json(result, "1", push_errors(result, TRAIN, range(len(TRAIN))), push_errors(result, TRAIN, []))["priors"]
+        if c["name"] == "three feet"
+    )
     assert json.loads(json.dumps(written))["feet"][0]["share"] == pytest.approx(found[0].share)
 
 

@@ -14,7 +14,8 @@ from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification.identify import identify
 from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.report import Provenance, PushErrors, write_report
+from push_ident.identification.push_errors import PushErrors
+from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.running_record import running_record
 from push_ident.types import PushRecord, SolveStatus
@@ -28,7 +29,7 @@ def test_page_is_one_file_with_every_section(tmp_path: Path) -> None:
     page = _write(tmp_path, RESULT, _errors(RESULT, [3, 4]))
     loaded = [value for tag, attributes in _tags(page) for key, value in attributes if key in ("src", "href") and tag != "use"]
     assert not [value for value in loaded if value and not value.startswith("#")]
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 6
     for text in (
         "2 pushes not used in the fit",
         "held out",
@@ -50,7 +51,7 @@ def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
     errors = _errors(RESULT, [3])
     write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), errors, SOURCE, 0.01, scores)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 4 and "Predictions before each push" in page
+    assert page.count("<svg") == 7 and "Predictions before each push" in page
 
 
 def test_page_states_when_no_push_was_held_out(tmp_path: Path) -> None:

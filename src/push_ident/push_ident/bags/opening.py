@@ -15,7 +15,6 @@ from rosbags.typesys.store import Typestore
 from push_ident.bags.contract import size_limit
 from push_ident.bags.definitions import check_definitions
 from push_ident.bags.migration import Migration, migration_of
-from push_ident.bags.salvage import count_recoverable
 from push_ident.bags.storage.folder_storage import FolderStorage
 from push_ident.bags.storage.mcap_storage import McapStorage
 from push_ident.bags.storage.rosbag1_storage import Rosbag1Storage
@@ -166,6 +165,8 @@ def _remedy(path: Path) -> str:
     """Remedy for a bag that cannot be read."""
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if len(files) == 1 and files[0].suffix == ".mcap":
+        from push_ident.bags.salvage import count_recoverable  # only damaged bags need what writes bags
+
         count = count_recoverable(files[0])
         if count:
             return f"; {count} messages can be recovered: `push-ident salvage {path} --out NEW`."

@@ -24,7 +24,7 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     pusher over `gap` [s] ends a push; a single push beside the topic of the records, without a record, was broken off and is left out.
 
     Failed pushes and those with fewer than 2 pusher samples or 2 poses are left out with a line in `contents.notes`; `source` still
-    counts them, from 0. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
+    counts them, from 1. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
     """
     if object_id not in contents.objects:
         known = ", ".join(contents.objects) or "none"
@@ -38,11 +38,11 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     pushes = _cutter_of(contents, [object_id], gap).finished(flush=True)
     LIMITS.PUSHES.check(len(pushes), str(contents.path), error=BagError, remedy="Split the bag.")
     records = [
-        replace(record, source=f"{contents.path.name} push {number}") for number, push in enumerate(pushes) for record in push.records
+        replace(record, source=f"{contents.path.name} push {number}") for number, push in enumerate(pushes, 1) for record in push.records
     ]
     skipped = [
         f"push {number} of object {object_id} is left out: {reason}."
-        for number, push in enumerate(pushes)
+        for number, push in enumerate(pushes, 1)
         for reason in push.left_out.values()
     ]
     contents.notes.extend(note for note in skipped if note not in contents.notes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated
 
 import typer
@@ -10,7 +9,15 @@ from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from rich.table import Table
 
 from push_ident.cli.checks import above_zero
-from push_ident.cli.identify import CameraOption, FrictionOption, NominalMassOption, ObjectOption, TotalMassOption, read_camera
+from push_ident.cli.identify import (
+    CameraOption,
+    FrictionOption,
+    NominalMassOption,
+    ObjectOption,
+    TotalMassOption,
+    prior_of_options,
+    read_camera,
+)
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
@@ -19,11 +26,10 @@ from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.wording import describe_push, detectable_size
 from push_ident.identification.model_file import save_model
 from push_ident.identification.prior import Prior
 from push_ident.offline.loading import load_pushes
-from push_ident.physics.effects import EFFECTS
-from push_ident.pushing.push import PushPlan2D
 
 __all__ = ["diagnose_command"]
 
@@ -52,12 +58,7 @@ def diagnose_command(
     ] = _NOMINAL.pusher_friction,
 ) -> None:
     """Report where the simulation differs from recorded pushes, which missing effect causes it, and how far the gap shrinks with it."""
-    prior = Prior(
-        total_mass=nominal_mass if total_mass is None else total_mass,
-        total_mass_std=_NOMINAL.total_mass_std if total_mass is None else 0.0,
-        friction=friction,
-        pusher_friction=pusher_friction,
-    )
+    prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
@@ -93,7 +94,7 @@ def _show(diagnosis: Diagnosis) -> None:
     if diagnosis.check:
         _print(f"Without a push: {diagnosis.check}")
     if diagnosis.next_push is not None and diagnosis.next_push.push.plan is not None:
-        _print(_describe_push(diagnosis.next_push, diagnosis.next_push.push.plan))
+        _print(_describe_push(diagnosis.next_push))
     elif diagnosis.confusion_set:
         _print("No push within its limits would resolve what is still open.")
     if diagnosis.selection is not None:
@@ -104,11 +105,9 @@ def _print(text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
-def _describe_push(proposal: SeparatingPush, plan: PushPlan2D) -> str:
-    x, y = plan.contact_point
-    where = f"contact at ({x:.3f}, {y:.3f}) m, heading {plan.direction:.2f} rad, {plan.distance:.3f} m at {plan.speed:.2f} m/s, table frame"
+def _describe_push(proposal: SeparatingPush) -> str:
     expectation = "One such push is expected to be enough." if proposal.resolves else "One such push will hardly be enough."
-    return f"The push that {proposal.aim}: {where}. {expectation}"
+    return f"The push that {proposal.aim}: {describe_push(proposal.push)}. {expectation}"
 
 
 def _ranking(selection: Selection) -> Table:
@@ -123,7 +122,6 @@ def _ranking(selection: Selection) -> Table:
     ranked = sorted(first.scores, key=lambda s: -refitted.get(s.name, s.expected_log_bayes_factor))
     for score in ranked[:_N_RANKED]:
         value = refitted.get(score.name, score.expected_log_bayes_factor)
-        unit = EFFECTS[score.name].parameters[0].unit
-        smallest = f"{score.smallest_detectable:.2g} {unit}".rstrip() if math.isfinite(score.smallest_detectable) else "none"
+        smallest = detectable_size(score) or "none"
         table.add_row(score.name, f"{value:.1f}", smallest, "found" if score.name in selection.found else "")
     return table

@@ -18,20 +18,26 @@ from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
 from push_ident.identification.identifiability import identifiability
 from push_ident.identification.identify import identify
-from push_ident.identification.model_file import save_model
-from push_ident.identification.picture import draw_identifiability, draw_maps
 from push_ident.identification.prior import Prior
-from push_ident.identification.report import Provenance, write_report
+from push_ident.identification.push_errors import push_errors
+from push_ident.identification.quantity_text import before_text, value_text
 from push_ident.identification.result import Identification
-from push_ident.identification.result_json import push_errors, result_json
-from push_ident.identification.running_record import running_record
-from push_ident.identification.scoring import PushScore
+from push_ident.identification.result_json import result_json
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
 
-__all__ = ["CameraOption", "FrictionOption", "NominalMassOption", "ObjectOption", "TotalMassOption", "identify_command", "read_camera"]
+__all__ = [
+    "CameraOption",
+    "FrictionOption",
+    "NominalMassOption",
+    "ObjectOption",
+    "TotalMassOption",
+    "identify_command",
+    "prior_of_options",
+    "read_camera",
+]
 
 _NOMINAL = Prior()
 ObjectOption = Annotated[
@@ -74,16 +80,15 @@ def identify_command(
     max_seconds: Annotated[float, typer.Option(callback=above_zero, help="Longest time of the solve [s].")] = 30.0,
     max_simulations: Annotated[int | None, typer.Option(min=1, help="Largest number of simulated pushes.", show_default=False)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw at random.")] = 0,
+    record: Annotated[
+        bool, typer.Option("--record", help="In the report: each push predicted from those before it; about a second a push.")
+    ] = False,
+    pictures: Annotated[bool, typer.Option("--pictures", help="Into --out also map.png and knowledge.png, for slides.")] = False,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
     takes_effects = solver_of(method).capabilities.takes_effects
     numbers = parse_numbers(train, "--train") if train else None
-    prior = Prior(
-        total_mass=nominal_mass if total_mass is None else total_mass,
-        total_mass_std=_NOMINAL.total_mass_std if total_mass is None else 0.0,
-        friction=friction,
-        pusher_friction=pusher_friction,
-    )
+    prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("reading")
@@ -103,16 +108,18 @@ def identify_command(
             options=FitOptions(seed=seed),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
-        scores = [] if out is None else _scores(loaded, prior, report)
+        report("predicting the pushes")
+        fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, _others(chosen, loaded)))
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
-    content = result_json(result, loaded.object_id, loaded.records, chosen, [*loaded.notes, *found])
-    _show_errors(content, loaded)
-    _show_identifiability(result)
+    content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
+    _show(content, loaded, result)
     if json is not None:
         write_json(json, content)
     if out is not None:
         write_json(out / "result.json", content)
-        _write_model(out, result, loaded, chosen, scores)
+        from push_ident.cli.identify_files import write_files  # models and pages take a quarter of a second to import
+
+        write_files(out, result, loaded, fitted, held_out, record=record, pictures=pictures)
     for line in found:
         warn(f"! {line}")
     if result.status.is_failure:
@@ -120,40 +127,18 @@ def identify_command(
         raise typer.Exit(1)
 
 
+def prior_of_options(weighed: float | None, nominal_mass: float, friction: float, pusher_friction: float) -> Prior:
+    """Nominal values of the command line; `weighed` is a known total mass [kg]."""
+    if weighed is None:
+        return Prior(total_mass=nominal_mass, friction=friction, pusher_friction=pusher_friction)
+    return Prior(total_mass=weighed, total_mass_std=0.0, friction=friction, pusher_friction=pusher_friction)
+
+
 def _load(bags: Sequence[Path], object_id: str, camera: Path | None, report: Callable[[str], None]) -> LoadedPushes:
     """The pushes; kernels first, since their compilation, a minute the first time, would count as time of the solve."""
     report("loading the kernels")
-    compile_kernels(effects=True)
+    compile_kernels()
     return load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
-
-
-def _scores(loaded: LoadedPushes, prior: Prior, report: Callable[[str], None]) -> list[PushScore]:
-    """Predictions of each push from the pushes before it; none with nuisances, which the model of those predictions would lack."""
-    if loaded.nuisances:
-        return []
-    total = len(loaded.records)
-    return running_record(loaded.records, prior, on_push=lambda n: report(f"predicting push {n} of {total} from those before"))
-
-
-def _write_model(out: Path, result: Identification, loaded: LoadedPushes, chosen: Sequence[int], scores: Sequence[PushScore]) -> None:
-    """Write model, pictures and report, and name the files."""
-    sources = [loaded.records[i].source for i in chosen]
-    save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources, status=result.status)
-    draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(chosen)} pushes")
-    known = identifiability(result.posterior)
-    draw_identifiability(out / "knowledge.png", result.posterior, known, title=f"Identifiability from {len(chosen)} pushes")
-    others = [i for i in range(len(loaded.records)) if i not in chosen]
-    write_report(
-        out / "report.html",
-        result,
-        push_errors(result, loaded.records, chosen),
-        push_errors(result, loaded.records, others),
-        Provenance(loaded.object_id, tuple(sources), (*loaded.notes, *result.explanation.notes(sources))),
-        loaded.records[0].pusher.radius,
-        scores,
-    )
-    files = ("report.html", "model.json", "map.png", "knowledge.png", "result.json")
-    console.print(f"written: {', '.join(str(out / name) for name in files)}", highlight=False, soft_wrap=True)
 
 
 def read_camera(path: Path | None) -> Float64Array | None:
@@ -175,6 +160,15 @@ def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
     if wrong := [i for i in numbers if i >= n_pushes]:
         raise InputError(f"--train names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
     return numbers
+
+
+def _others(chosen: Sequence[int], loaded: LoadedPushes) -> list[int]:
+    return [i for i in range(len(loaded.records)) if i not in chosen]
+
+
+def _show(content: dict[str, Any], loaded: LoadedPushes, result: Identification) -> None:
+    _show_errors(content, loaded)
+    _show_identifiability(result)
 
 
 def _show_errors(content: dict[str, Any], loaded: LoadedPushes) -> None:
@@ -199,10 +193,7 @@ def _show_identifiability(result: Identification) -> None:
     for heading, justify in (("quantity", "left"), ("value", "right"), ("before", "right"), ("identifiability", "left")):
         table.add_column(heading, justify=justify)  # type: ignore[arg-type]
     for q in known.quantities:
-        scale, unit = (1e3, "mm") if q.unit == "m" else (1.0, q.unit)
-        digits = 1 if q.unit == "m" else 3
-        value = f"{scale * q.value:.{digits}f} ± {scale * q.std:.{digits}f} {unit}".rstrip()
-        table.add_row(q.name, value, f"± {scale * q.prior_std:.{digits}f}", q.knowledge.value.partition(":")[0])
+        table.add_row(q.name, value_text(q), before_text(q), q.knowledge.value.partition(":")[0])
     console.print(table)
     console.print(
         f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained",

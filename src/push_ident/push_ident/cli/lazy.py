@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import importlib
 import importlib.util
 import textwrap
@@ -79,7 +80,12 @@ class _Commands(dict[str, Any]):
 
 def _command(name: str, place: str) -> Any:
     module, _, attribute = place.partition(":")
-    found = getattr(importlib.import_module(module), attribute)
+    gc.disable()  # what an import makes stays: to look for garbage in it again and again takes a twentieth of the time
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    finally:
+        gc.freeze()
+        gc.enable()
     if isinstance(found, typer.Typer):
         group = typer.main.get_group(found)
         group.name = name

@@ -81,7 +81,7 @@ def _what(pattern: Pattern) -> str:
 def _where(pattern: Pattern, sources: Sequence[str]) -> str:
     varies, key = pattern.family.varies_with, pattern.member.key
     if isinstance(key, tuple):
-        return f"on everything within {100 * RADIUS:.0f} cm of ({key[0]:.2f}, {key[1]:.2f}) m of the table"
+        return f"on everything within {1e3 * RADIUS:.0f} mm of ({1e3 * key[0]:.0f}, {1e3 * key[1]:.0f}) mm of the table"
     if varies in (VariesWith.FROM_PUSH, VariesWith.ONE_PUSH):
         assert key is not None, "these have a push"
         source = sources[int(key)]
@@ -110,7 +110,7 @@ def _by_amplitude(pattern: Pattern) -> str:
         return f"where the pusher touches the side towards {np.degrees(at[0]):.0f}° of the object's axes"
     if varies is VariesWith.TIME:
         return f"in each push in another way, about {_frequency(family.at, amplitude):.1f} times a second"
-    return f"by the place on the table, most near ({at[0]:.2f}, {at[1]:.2f}) m"
+    return f"by the place on the table, most near ({1e3 * at[0]:.0f}, {1e3 * at[1]:.0f}) mm"
 
 
 def _largest_heading(amplitude: Float64Array) -> float:

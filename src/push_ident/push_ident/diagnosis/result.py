@@ -60,6 +60,16 @@ class FoundEffect:
 class Diagnosis:
     """The outcome."""
 
+    def __repr__(self) -> str:
+        named = ", ".join(effect.name for effect in self.effects)
+        return f"Diagnosis({self.verdict.value}{': ' if named else ''}{named}; {self.sentence})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the verdict and the effects that were found."""
+        from push_ident.diagnosis.report.summary_table import summary_table
+
+        return summary_table(self)
+
     verdict: Verdict
     sentence: str
     """A summary for an engineer, in a few sentences."""

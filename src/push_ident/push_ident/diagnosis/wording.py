@@ -12,17 +12,19 @@ from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect
+from push_ident.diagnosis.scores import EffectScore
 from push_ident.identification.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
 __all__ = [
-    "describe_push", "in_mm", "sentence_of_doubt", "sentence_of_effects", "sentence_of_more_pushes", "sentence_of_negligible",
-    "sentence_of_nothing", "sentence_of_outliers", "sentence_of_suspicion", "sentence_of_unknown", "sentence_of_unsupported", "size_of",
+    "describe_push", "detectable_size", "in_mm", "sentence_of_doubt", "sentence_of_effects", "sentence_of_more_pushes",
+    "sentence_of_negligible", "sentence_of_nothing", "sentence_of_outliers", "sentence_of_suspicion", "sentence_of_unknown",
+    "sentence_of_unsupported", "size_of",
 ]  # fmt: skip
 
 _N_SUSPECTS = 3
 """Effects that are listed where none is detected."""
-_SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}
+_SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "s": (1e3, "ms")}
 """Everyday units of an effect's size, with their factor."""
 
 
@@ -89,6 +91,7 @@ def sentence_of_unknown(
         found = f"{begin}, most probably {words.what}, {words.where}{share}. Look for {words.look_for}."
         return f"{found} {_rest(account)}" if share else f"{found} {_found(account)}."
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
+    name = f"{int(name) + 1}" if by == "push" else name  # people count from 1
     ratio = residuals.residual_ratio[0]
     return (
         f"{begin}: residuals are {np.sqrt(ratio):.1f} times as large as those of a correct model, and largest for {by.replace('_', ' ')} "
@@ -142,8 +145,20 @@ def size_of(effect: FoundEffect) -> str:
         if not parameter.shape:
             factor, unit = _SHOWN_IN.get(parameter.unit, (1.0, parameter.unit))
             value, std = factor * effect.parameters[parameter.name], factor * effect.std[parameter.name]
-            parts.append(f"{parameter.name} {value:.3g} ± {std:.2g} {unit}".rstrip())
+            parts.append(_with_unit(f"{parameter.name} {value:.3g} ± {std:.2g}", unit))
     return ", ".join(parts)
+
+
+def _with_unit(number: str, unit: str) -> str:
+    return f"{number}{unit}" if unit == "°" else f"{number} {unit}".rstrip()
+
+
+def detectable_size(score: EffectScore) -> str:
+    """The smallest size of an effect that the pushes would show, in the units of `size_of`; empty where no size would."""
+    if not np.isfinite(score.smallest_detectable):
+        return ""
+    factor, unit = _SHOWN_IN.get(EFFECTS[score.name].parameters[0].unit, (1.0, EFFECTS[score.name].parameters[0].unit))
+    return _with_unit(f"{factor * score.smallest_detectable:.2g}", unit)
 
 
 def sentence_of_more_pushes(account: Account, first: PlannedPush | None) -> str:

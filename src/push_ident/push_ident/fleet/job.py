@@ -19,6 +19,7 @@ from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import model_content
 from push_ident.identification.prior import Prior
+from push_ident.identification.push_errors import push_errors
 from push_ident.identification.result_json import result_json
 from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.offline.loading import load_pushes
@@ -91,7 +92,9 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
         result = identify(chosen, options.prior, method=options.method, budget=budget, options=FitOptions(seed=options.seed))
         sources = [record.source for record in chosen]
         notes = [*loaded.notes, *result.explanation.notes(sources)]
-        outcome["result"] = result_json(result, loaded.object_id, loaded.records, train, notes)
+        fitted = push_errors(result, loaded.records, train)
+        held_out = push_errors(result, loaded.records, [i for i in range(n) if i not in train])
+        outcome["result"] = result_json(result, loaded.object_id, fitted, held_out, notes)
         outcome["model"] = model_content(result.posterior, loaded.object_id, sources, result.status).model_dump_json(indent=1)
         if result.status.is_failure:
             outcome["error"] = result.explanation.failure or result.status.value

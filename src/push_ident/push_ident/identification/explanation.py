@@ -112,9 +112,9 @@ class Explanation:
         """Lines for people: why the fit is no success, or which pushes it leaves unexplained. `sources` names the pushes."""
         if self.failure:
             return [self.failure]
-        names = list(sources) or [f"training push {i}" for i in range(len(self.pushes))]
+        names = list(sources) or [f"training push {i + 1}" for i in range(len(self.pushes))]
         return [
-            f"{names[i] or f'training push {i}'} is not explained: predicted {_mm(self.pushes[i].error)} from where it ended, "
+            f"{names[i] or f'training push {i + 1}'} is not explained: predicted {_mm(self.pushes[i].error)} from where it ended, "
             f"after a motion of {_mm(self.pushes[i].motion)}; look at its poses."
             for i in self.unexplained
         ]

@@ -34,7 +34,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
-from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
+from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, short_repr
 
 __all__ = [
     "CHATTER", "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "UnwantedError",
@@ -62,6 +62,8 @@ class Criterion(Enum):
 @dataclass(frozen=True, slots=True)
 class PlannedPush:
     """A possible push."""
+
+    __repr__ = short_repr
 
     pose_object_in_table: Float64Array
     """Of the object before the push, shape (3,)."""
@@ -92,6 +94,8 @@ class PoseSensor:
 class PushValue:
     """Expected value of one candidate."""
 
+    __repr__ = short_repr
+
     push: PlannedPush
     status: SolveStatus
     """CONVERGED; candidates with NO_CONTACT or SIMULATION_FAILED add no information and rank last."""
@@ -106,6 +110,8 @@ class PushValue:
 @dataclass(frozen=True, slots=True)
 class RankedPushes:
     """Candidates, the best first."""
+
+    __repr__ = short_repr
 
     values: tuple[PushValue, ...]
     error_before: float

@@ -110,7 +110,9 @@ def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str,
     ax.add_patch(Polygon(shape.outline, fill=False, edgecolor="black", linewidth=1.0))
     ax.set_aspect("equal")
     ax.autoscale_view()
-    ax.set_xlabel("x [m]", fontsize=8)
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(lambda metres, _: f"{1e3 * metres:.0f}")
+    ax.set_xlabel("x [mm]", fontsize=8)
     ax.tick_params(labelsize=7)
     return patches
 

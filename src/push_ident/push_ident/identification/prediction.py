@@ -16,7 +16,7 @@ from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import EffectsLike, true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
-from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus
+from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
 
 __all__ = ["CHI2_90", "Prediction", "cell_displacement", "cell_error", "held_out_errors", "predict"]
 
@@ -27,6 +27,8 @@ CHI2_90 = 6.251
 @dataclass(frozen=True, slots=True)
 class Prediction:
     """Predicted motion of an object under a push."""
+
+    __repr__ = short_repr
 
     time: Float64Array
     """[s], shape (n_frames,)."""

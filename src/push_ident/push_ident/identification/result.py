@@ -13,7 +13,7 @@ from push_ident.identification.observation import NoiseModel
 from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
-from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, SolveStatus, short_repr
 
 __all__ = ["Candidate", "Checkpoint", "Estimate", "Identification", "ModelPosterior", "WarmStart", "prior_posterior"]
 
@@ -29,6 +29,10 @@ class Estimate:
 @dataclass(frozen=True)
 class ModelPosterior:
     """A Gaussian over the unknowns of one object, given its pushes."""
+
+    def __repr__(self) -> str:
+        known = "given or measured" if self.total_mass_identifiable else "not determined by poses"
+        return f"ModelPosterior({len(self.unknowns.shape.cells)} cells, {len(self.z)} unknowns, total mass {known})"
 
     unknowns: Unknowns
     z: Float64Array
@@ -133,6 +137,8 @@ def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPost
 class Checkpoint:
     """The best model at one moment of the solve, with the work done until then."""
 
+    __repr__ = short_repr
+
     n_simulations: int
     """Pushes simulated until then."""
     time_s: float
@@ -143,6 +149,8 @@ class Checkpoint:
 @dataclass(frozen=True, slots=True)
 class WarmStart:
     """Where a fit ended."""
+
+    __repr__ = short_repr
 
     name: str
     """Of the start that led there, for a solver with several."""
@@ -155,6 +163,8 @@ class WarmStart:
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """One prior that the pushes were explained with."""
+
+    __repr__ = short_repr
 
     name: str
     log_evidence: float
@@ -170,6 +180,19 @@ class Candidate:
 @dataclass(frozen=True, slots=True)
 class Identification:
     """Result of `identify`."""
+
+    def __repr__(self) -> str:
+        x, y = 1e3 * self.model.centre_of_friction
+        return (
+            f"Identification({self.status.name.lower()}, {len(self.model.mass)} cells, centre of friction ({x:.1f}, {y:.1f}) mm, "
+            f"{self.method}: {self.n_simulations} simulations in {self.time_s:.2f} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the pushes determine."""
+        from push_ident.identification.summary_table import summary_table
+
+        return summary_table(self)
 
     method: str
     status: SolveStatus

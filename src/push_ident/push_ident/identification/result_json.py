@@ -9,32 +9,27 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.identification.identifiability import Identifiability, identifiability
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.report import PushErrors
+from push_ident.identification.push_errors import PushErrors
 from push_ident.identification.result import Candidate, Identification
 from push_ident.identification.supports import Support, supports
-from push_ident.types import PushRecord
 
-__all__ = ["knowledge_json", "push_errors", "result_json"]
+__all__ = ["knowledge_json", "result_json"]
 
 _SHOWN: Final = 4
 """Number of combinations that are written cell by cell."""
 
 
-def result_json(
-    result: Identification, object_id: str, records: Sequence[PushRecord], train: Sequence[int], notes: Sequence[str] = ()
-) -> dict[str, Any]:
+def result_json(result: Identification, object_id: str, train: PushErrors, test: PushErrors, notes: Sequence[str] = ()) -> dict[str, Any]:
     """The outcome in the form of the command-line contract.
 
     Args:
         result: of the identification.
         object_id: of the object.
-        records: all pushes: those of the fit, and the others, which are held out.
-        train: numbers of the pushes of the fit.
+        train: errors of the pushes of the fit.
+        test: errors of the others, which are held out.
         notes: what was missing, dropped or assumed.
     """
     posterior, model = result.posterior, result.model
-    test = [i for i in range(len(records)) if i not in train]
     x, y = model.shape.cells.centres.T
     return {
         "method": result.method,
@@ -42,8 +37,8 @@ def result_json(
         "n_cells": len(model.mass),
         "n_simulations": result.n_simulations,
         "time_s": result.time_s,
-        "train": _errors(push_errors(result, records, train)),
-        "test": _errors(push_errors(result, records, test)),
+        "train": _errors(train),
+        "test": _errors(test),
         "map": {
             "x": x.tolist(),
             "y": y.tolist(),
@@ -105,14 +100,6 @@ def knowledge_json(known: Identifiability) -> dict[str, Any]:
             ],
         },
     }
-
-
-def push_errors(result: Identification, records: Sequence[PushRecord], pushes: Sequence[int]) -> PushErrors:
-    """Cell errors of some of the pushes under equal cells, fitted equal cells and the identified model."""
-    chosen = [records[i] for i in pushes]
-    uniform, scalar = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar))
-    identified = held_out_errors(result.model, chosen, effects=result.posterior.effects)
-    return PushErrors(tuple(pushes), uniform, scalar, identified)
 
 
 def _errors(errors: PushErrors) -> dict[str, Any]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
 from push_ident.identification.observation import observe_push, pusher_gaps
-from push_ident.perception.labels import Cylinder
-from push_ident.perception.recording import observe_offline
-from push_ident.perception.settings import PerceptionSettings
+from push_ident.pages.tables import html_table
 from push_ident.physics.effect import OnContact
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
+
+if TYPE_CHECKING:
+    from push_ident.perception.labels import Cylinder
 
 __all__ = ["LoadedPushes", "load_pushes", "most_pushed", "touching_radius", "track_from_depth"]
 
@@ -31,8 +33,8 @@ _ENOUGH_PUSHES: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
-class LoadedPushes:
-    """The pushes of one object."""
+class LoadedPushes(Sequence[PushRecord]):
+    """The pushes of one object: a sequence of records; a slice is as many pushes of the same object."""
 
     object_id: str
     records: list[PushRecord]
@@ -41,6 +43,39 @@ class LoadedPushes:
     """Data that was missing, dropped or assumed; one line each."""
     nuisances: tuple[str, ...] = ()
     """Names of effects that stand for what the bags do not give: the radius of the pusher, or an outline."""
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @overload
+    def __getitem__(self, index: int) -> PushRecord: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> LoadedPushes: ...
+
+    def __getitem__(self, index: int | slice) -> PushRecord | LoadedPushes:
+        if isinstance(index, slice):
+            return replace(self, records=self.records[index])
+        return self.records[index]
+
+    def __repr__(self) -> str:
+        cells = f", {len(self.records[0].shape.cells)} cells" if self.records else ""
+        return f"LoadedPushes({len(self)} pushes of object {self.object_id!r}{cells}, {len(self.notes)} notes)"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: a row for each push."""
+        rows = [
+            (
+                record.source or str(number),
+                f"{1e3 * float(np.linalg.norm(record.poses.pose[-1, :2] - record.poses.pose[0, :2])):.0f} mm",
+                f"{math.degrees(float(record.poses.pose[-1, 2] - record.poses.pose[0, 2])):.0f}°",
+                f"{record.pusher.time[-1] - record.pusher.time[0]:.1f} s",
+                str(len(record.poses.time)),
+            )
+            for number, record in enumerate(self.records, 1)
+        ]
+        heads = ("push", "object moved", "turned", "time", "poses")
+        return html_table(f"{len(self)} pushes of object {self.object_id}", heads, rows, note=" ".join(self.notes))
 
 
 def load_pushes(
@@ -101,6 +136,11 @@ def touching_radius(records: Sequence[PushRecord]) -> float:
 
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
     """The same bag with objects detected and tracked in its depth images."""
+    # Bags of poses need none of this, and it takes half a second to import.
+    from push_ident.perception.labels import Cylinder
+    from push_ident.perception.recording import observe_offline
+    from push_ident.perception.settings import PerceptionSettings
+
     camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
     if camera is None:
         raise BagError(

@@ -276,8 +276,13 @@ def _radius_cause(frames: _Frames) -> _Found:
     radius = frames.streams.radius + float(np.median(distance))
     if radius < 0:
         return _cause("the outline is too large", distance)
-    text = f"the radius of the pusher is {1e3 * radius:.1f} mm, not {1e3 * frames.streams.radius:.1f} mm, or the outline is too "
-    return _cause(text + ("small" if radius > frames.streams.radius else "large"), distance - float(np.median(distance)))
+    is_small = radius > frames.streams.radius
+    text = (
+        f"the radius of the pusher is {1e3 * radius:.1f} mm, not {1e3 * frames.streams.radius:.1f} mm, or the outline is too "
+        f"{'small' if is_small else 'large'} by {1e3 * abs(radius - frames.streams.radius):.1f} mm on every side; the distance is the same "
+        "for both, so measure both"
+    )
+    return _cause(text, distance - float(np.median(distance)))
 
 
 def _clock_cause(frames: _Frames) -> _Found:

@@ -147,5 +147,6 @@ def _no_contact(missed: Sequence[int]) -> tuple[str, ...]:
 
 
 def _pushes(numbers: Sequence[int]) -> str:
-    named = ", ".join(str(number) for number in numbers[:_NAMED]) + (", …" if len(numbers) > _NAMED else "")
+    """Pushes as text for people, who count from 1; `numbers` are from 0."""
+    named = ", ".join(str(number + 1) for number in numbers[:_NAMED]) + (", …" if len(numbers) > _NAMED else "")
     return f"{len(numbers)} pushes ({named})" if len(numbers) > 1 else f"push {named}"

@@ -1,8 +1,9 @@
-"""Figures of the diagnosis report."""
+"""Figures of the diagnosis report: drawings as SVG, tables and bars as values for the page."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,177 +12,142 @@ from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.wording import detectable_size, in_mm
 from push_ident.geometry.se2 import transform_points
-from push_ident.pages.page import figure_text
-from push_ident.physics.effects import EFFECTS
+from push_ident.pages.chart import HEAT, Arrow, CellPanel, cell_panel, field_panel, shade, text_on
 from push_ident.types import Float64Array, ObjectShape
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+__all__ = ["EXAGGERATION", "Bar", "HeatCell", "HeatRow", "draw_proposal", "draw_residuals", "heat_of_headings", "heat_of_pushes",
+           "ranking_bars", "shrink_bars"]  # fmt: skip
 
-__all__ = ["draw_proposal", "draw_ranking", "draw_shrink", "draw_where"]
-
-_ACCENT, _ACCENT_LIGHT, _GREY, _WARM, _INK = "#1f5fa8", "#6f8fb5", "#9aa5b1", "#c0561d", "#1c2430"
-_EXAGGERATION = 10.0
-"""Factor on the arrows on the table."""
+EXAGGERATION = 10.0
+"""Factor on the residuals that are drawn on the table."""
 _N_RANKED = 12
-_BOLD_P_VALUE = 0.01
+_UNLIKELY = 0.01
 """Residuals with a smaller p-value are printed in bold."""
+_STRONGEST = 3.0
+"""Excess of a root mean square over 1, which is noise, or a mean standardized residual, that has the strongest colour."""
 _N_SECTORS = 8
 
 
-def draw_where(frames: FrameResiduals, groups: dict[str, list[ResidualGroup]]) -> Figure:
-    """Heat table by push, arrows on the table, polar plots by heading."""
-    from matplotlib.figure import Figure
+@dataclass(frozen=True, slots=True)
+class HeatCell:
+    """A number on a coloured ground."""
 
-    figure = Figure(figsize=(12.5, 3.9), layout="constrained")
-    _draw_heat_table(figure.add_subplot(1, 4, 1), groups["push"])
-    _draw_arrows(figure.add_subplot(1, 4, 2), frames)
-    limit = max(2.0, float(np.abs(frames.standardized).mean()) * 2)
-    for place, (name, heading) in enumerate((("table", frames.heading_in_table), ("object", frames.heading_in_object))):
-        polar = figure.add_subplot(1, 4, 3 + place, projection="polar", rlabel_position=22.5)
-        _draw_by_heading(polar, frames, heading)
-        polar.set_ylim(-limit, limit)
-        polar.set_yticks([0.0, limit], ["0", f"{limit:.0f}"])
-        polar.set_title(f"heading in the {name}", fontsize=9)
-        polar.tick_params(labelsize=7)
-        if place == 1:
-            polar.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1.3, -0.15))
-    return figure
+    text: str
+    colour: str
+    ink: str
+    """Colour of the text."""
+    bold: bool = False
 
 
-def _draw_heat_table(ax: Axes, pushes: list[ResidualGroup]) -> None:
-    values = np.array([g.rms for g in pushes])
-    image = ax.imshow(values, cmap="YlOrRd", vmin=0.0, vmax=max(3.0, float(values.max())), aspect="auto")
-    ax.set_xticks(range(3), ["along", "across", "rotation"])
-    ax.set_yticks(range(len(pushes)), [g.name for g in pushes])
-    ax.set_ylabel("push")
-    for (row, column), value in np.ndenumerate(values):
-        bold = pushes[row].p_value[column] < _BOLD_P_VALUE
-        ax.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=7, fontweight="bold" if bold else "normal")
-    ax.figure.colorbar(image, ax=ax, shrink=0.7)
+@dataclass(frozen=True, slots=True)
+class HeatRow:
+    """One line of a table of such numbers."""
+
+    name: str
+    cells: tuple[HeatCell, ...]
 
 
-def _draw_arrows(ax: Axes, frames: FrameResiduals) -> None:
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A bar with its name and its value; places are in percent of the width."""
+
+    name: str
+    text: str
+    """The value, or why there is none."""
+    width: float
+    found: bool = False
+    """Whether it stands out."""
+    dots: tuple[float, ...] = ()
+    """Of single pushes."""
+
+
+def heat_of_pushes(pushes: Sequence[ResidualGroup]) -> list[HeatRow]:
+    """Root mean square of the standardized residuals in every push, along, across and in rotation; pushes are counted from 1."""
+    return [
+        HeatRow(
+            f"{int(push.name) + 1}",
+            tuple(_heat(f"{value:.1f}", value - 1.0, p < _UNLIKELY) for value, p in zip(push.rms, push.p_value, strict=True)),
+        )
+        for push in pushes
+    ]
+
+
+def heat_of_headings(frames: FrameResiduals) -> list[HeatRow]:
+    """Mean standardized residual along and across the motion by its heading in the table and in the object."""
+    rows = []
+    sectors = [
+        np.round(heading / (2 * np.pi / _N_SECTORS)).astype(int) % _N_SECTORS
+        for heading in (frames.heading_in_table, frames.heading_in_object)
+    ]
+    for k in range(_N_SECTORS):
+        values = [
+            float(np.mean(frames.standardized[own == k, column])) if np.any(own == k) else np.nan for own in sectors for column in (0, 1)
+        ]
+        cells = (_heat(_signed(value), abs(value)) for value in values)
+        rows.append(HeatRow(f"{360 * k // _N_SECTORS}°", tuple(cells)))
+    return rows
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.1f}"
+    return "–" if not np.isfinite(value) else "0.0" if text in ("+0.0", "-0.0") else text
+
+
+def _heat(text: str, value: float, bold: bool = False) -> HeatCell:
+    colour = shade(value / _STRONGEST, HEAT) if np.isfinite(value) else "#e3e6ea"
+    return HeatCell(text, colour, text_on(colour), bold)
+
+
+def draw_residuals(frames: FrameResiduals) -> str:
+    """Observed minus simulated position at every frame, on the table."""
     cos, sin = np.cos(frames.heading_in_table), np.sin(frames.heading_in_table)
     along, across = frames.difference[:, 0], frames.difference[:, 1]
-    quiver = ax.quiver(
-        frames.position[:, 0],
-        frames.position[:, 1],
-        _EXAGGERATION * (cos * along - sin * across),
-        _EXAGGERATION * (sin * along + cos * across),
-        frames.speed,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.006,
-        cmap="viridis",
-    )
-    ax.set_aspect("equal")
-    ax.margins(0.2)
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
-    ax.figure.colorbar(quiver, ax=ax, shrink=0.7, label="speed [m/s]")
+    vectors = np.column_stack([cos * along - sin * across, sin * along + cos * across])
+    return field_panel("Observed minus simulated position on the table", frames.position, vectors, EXAGGERATION)
 
 
-def _draw_by_heading(polar: Axes, frames: FrameResiduals, heading: Float64Array) -> None:
-    sectors = range(_N_SECTORS)
-    sector = np.round(heading / (2 * np.pi / _N_SECTORS)).astype(int) % _N_SECTORS
-    for column, (label, colour) in enumerate((("along", _ACCENT), ("across", _WARM))):
-        mean = [float(np.mean(frames.standardized[sector == s, column])) if np.any(sector == s) else 0.0 for s in sectors]
-        angles = np.arange(_N_SECTORS + 1) * (2 * np.pi / _N_SECTORS)
-        polar.plot(angles, [*mean, mean[0]], color=colour, label=label, marker=".")
-
-
-def draw_ranking(selection: Selection, min_log_bayes_factor: float) -> Figure:
-    """Log Bayes factors of the effects beside the base model."""
-    from matplotlib.figure import Figure
-
+def ranking_bars(selection: Selection, min_log_bayes_factor: float) -> tuple[list[Bar], float]:
+    """Log Bayes factors of the effects beside the base model, the largest first, and the place of the least one that counts."""
     first = selection.steps[0]
     refitted = {c.name: c.log_bayes_factor for c in first.candidates}
     values = {s.name: refitted.get(s.name, s.expected_log_bayes_factor) for s in first.scores}
     ranked = sorted(first.scores, key=lambda s: -values[s.name])[:_N_RANKED]
-    figure = Figure(figsize=(9.0, 0.32 * len(ranked) + 0.9), layout="constrained")
-    ax = figure.subplots()
-    colours = [_colour(name, values[name] >= min_log_bayes_factor, selection) for name in (s.name for s in ranked)]
-    ax.barh([figure_text(s.name) for s in ranked], np.maximum([values[s.name] for s in ranked], 0.0), color=colours)
-    ax.invert_yaxis()
-    ax.axvline(min_log_bayes_factor, color="black", linewidth=0.8, linestyle="--")
-    right = max(max(values[s.name] for s in ranked), 2 * min_log_bayes_factor)
-    for row, score in enumerate(ranked):
-        value, is_detected = values[score.name], values[score.name] >= min_log_bayes_factor
-        unit = EFFECTS[score.name].parameters[0].unit
-        size = f"{score.smallest_detectable:.2g} {unit}".rstrip()
-        smallest = f"detectable from {size}" if np.isfinite(score.smallest_detectable) else "not detectable at any size"
-        # Beside the line, not across it.
-        place = (value if is_detected else min_log_bayes_factor) + 0.01 * right
-        text, colour = (f"{value:.1f}", "#333333") if is_detected else (f"not detected; {smallest}", _GREY)
-        ax.text(place, row, text, va="center", fontsize=8, color=colour)
-    ax.set_xlim(0.0, 1.3 * right)
-    ax.set_xlabel("log Bayes factor [nat]")
-    ax.spines[["top", "right"]].set_visible(False)
-    return figure
+    right = max(*(values[s.name] for s in ranked), 2 * min_log_bayes_factor)
+    bars = []
+    for score in ranked:
+        value = values[score.name]
+        size = detectable_size(score)
+        quiet = f"not detected; would be from {size} on" if size else "not detected; not detectable at any size"
+        text = f"{value:.1f}" if value >= min_log_bayes_factor else quiet
+        bars.append(Bar(score.name, text, 100.0 * max(0.0, value) / right, score.name in selection.found))
+    return bars, 100.0 * min_log_bayes_factor / right
 
 
-def _colour(name: str, is_detected: bool, selection: Selection) -> str:
-    if name in selection.found:
-        return _ACCENT
-    return _ACCENT_LIGHT if is_detected else _GREY
-
-
-def draw_shrink(gap: Gap, found: tuple[str, ...]) -> Figure:
-    """Cell error on held-out pushes: base model, with one effect more each, noise. Every push is a dot; dotted lines show the column
-    before."""
-    from matplotlib.figure import Figure
-
-    stages = [("base model", gap.before, _GREY), *(("with " + name, errors, _ACCENT_LIGHT) for name, errors in gap.stages.items())]
+def shrink_bars(gap: Gap, found: Sequence[str]) -> list[Bar]:
+    """Cell error on held-out pushes: base model, with one effect more each, noise of the poses. Every push is a dot."""
+    stages = [("base model", gap.before), *(("with " + name, errors) for name, errors in gap.stages.items())]
     if found:
-        stages.append(("with " + ",\n".join(found), gap.after, _ACCENT))
-    columns = [*stages, ("pose noise", gap.noise, "#c9d1d9")]
-    figure = Figure(figsize=(1.6 + 1.6 * len(columns), 3.2), layout="constrained")
-    ax = figure.subplots()
-    rng = np.random.default_rng(0)
-    means = [1e3 * float(np.mean(errors)) for _, errors, _ in columns]
-    for place, (_, errors, colour) in enumerate(columns):
-        ax.bar(place, means[place], width=0.55, color=colour)
-        if place > 0:
-            # The mean of the column before, as in a waterfall.
-            ax.plot([place - 0.725, place + 0.275], [means[place - 1]] * 2, color=_INK, linewidth=0.8, linestyle=":")
-        ax.plot(
-            place + rng.uniform(-0.15, 0.15, len(errors)),
-            1e3 * errors,
-            linestyle="none",
-            marker="o",
-            markersize=3.5,
-            color=_INK,
-            alpha=0.6,
-        )
-    ax.set_xticks(range(len(columns)), [f"{name}\n{mean:.1f} mm" for (name, _, _), mean in zip(columns, means, strict=True)])
-    ax.set_ylabel("cell error at the end [mm]")
-    ax.set_ylim(bottom=0.0)
-    ax.spines[["top", "right"]].set_visible(False)
-    return figure
+        stages.append(("with " + ", ".join(found), gap.after))
+    right = 1.03 * max(float(np.max(errors)) for _, errors in (*stages, ("", gap.noise))) or 1.0
+    last = len(stages) - 1 if found else -1
+    return [
+        Bar(name, in_mm(float(np.mean(errors))), 100.0 * float(np.mean(errors)) / right, k == last, _dots(errors, right))
+        for k, (name, errors) in enumerate((*stages, ("noise of the poses alone", gap.noise)))
+    ]
 
 
-def draw_proposal(proposal: SeparatingPush, shape: ObjectShape) -> Figure:
+def _dots(errors: Float64Array, right: float) -> tuple[float, ...]:
+    return tuple(100.0 * float(error) / right for error in errors)
+
+
+def draw_proposal(proposal: SeparatingPush, shape: ObjectShape) -> str:
     """The push on the object where it lies."""
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle, Polygon
-
-    figure = Figure(figsize=(4.4, 3.4), layout="constrained")
-    ax = figure.subplots()
-    plan, pusher = proposal.push.plan, proposal.push.pusher
-    ax.add_patch(Polygon(transform_points(proposal.push.pose_object_in_table, shape.outline), facecolor="#dfe4ea", edgecolor="black"))
+    plan = proposal.push.plan
+    arrow = None
     if plan is not None:
         start = plan.tool_start(0.0)
-        ax.add_patch(Circle((float(start[0]), float(start[1])), pusher.radius, fill=False, edgecolor=_ACCENT, linewidth=1.5))
-        end = start + plan.distance * plan.heading
-        arrow = {"arrowstyle": "-|>", "color": _ACCENT, "lw": 2.0}
-        ax.annotate("", xy=(float(end[0]), float(end[1])), xytext=(float(start[0]), float(start[1])), arrowprops=arrow)
-    ax.set_aspect("equal")
-    ax.autoscale_view()
-    ax.margins(0.1)
-    ax.set_xlabel("x of the table [m]")
-    ax.set_ylabel("y [m]")
-    return figure
+        arrow = Arrow(start, start + plan.distance * plan.heading, proposal.push.pusher.radius)
+    outline = transform_points(proposal.push.pose_object_in_table, shape.outline)
+    return cell_panel(CellPanel("Next push on the table", np.empty((0, 2)), shape.cells.size, outline, np.empty(0), "", arrow=arrow))

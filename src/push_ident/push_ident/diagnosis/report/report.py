@@ -13,10 +13,18 @@ from push_ident import __version__
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.report.account_bar import account_bar
-from push_ident.diagnosis.report.figures import draw_proposal, draw_ranking, draw_shrink, draw_where
+from push_ident.diagnosis.report.figures import (
+    EXAGGERATION,
+    draw_proposal,
+    draw_residuals,
+    heat_of_headings,
+    heat_of_pushes,
+    ranking_bars,
+    shrink_bars,
+)
 from push_ident.diagnosis.result import Diagnosis, Verdict
 from push_ident.diagnosis.wording import sentence_of_more_pushes, size_of
-from push_ident.pages.page import svg, write_page
+from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS
 
 __all__ = ["write_report"]
@@ -74,9 +82,12 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "account": account_bar(account),
         "more_pushes": sentence_of_more_pushes(account, diagnosis.first_push).strip(),
-        "where": svg(draw_where(frames, diagnosis.where)),
-        "ranking": svg(draw_ranking(selection, policy.min_log_bayes_factor)),
-        "shrink": svg(draw_shrink(gap, added)),
+        "heat_of_pushes": heat_of_pushes(diagnosis.where["push"]),
+        "heat_of_headings": heat_of_headings(frames),
+        "residuals": draw_residuals(frames),
+        "exaggeration": EXAGGERATION,
+        "ranking": ranking_bars(selection, policy.min_log_bayes_factor),
+        "shrink": shrink_bars(gap, added),
         "shrink_text": _shrink_text(gap, added),
         "effects": [
             {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "log_bayes_factor": e.log_bayes_factor}
@@ -150,7 +161,7 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         f"distance: {plan.distance:.4f}, speed: {plan.speed:.3f}}}"
     )
     return {
-        "figure": svg(draw_proposal(proposal, diagnosis.selection.base.unknowns.shape)),
+        "figure": draw_proposal(proposal, diagnosis.selection.base.unknowns.shape),
         "aim": proposal.aim,
         "x": x,
         "y": y,

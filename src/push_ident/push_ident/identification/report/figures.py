@@ -1,50 +1,44 @@
-"""Figures of the identification report."""
+"""Figures of the identification report, as SVG."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from push_ident.identification.picture import draw_cells
+from push_ident.identification.push_errors import PushErrors
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore
+from push_ident.pages.chart import BLUES, Arrow, CellPanel, Mark, Row, Series, cell_panel, row_chart
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from push_ident.identification.report.report import PushErrors
-
-__all__ = ["draw_errors", "draw_maps", "draw_push", "draw_record"]
+__all__ = ["draw_errors", "draw_maps", "draw_push", "draw_record", "shown_pushes"]
 
 _CHI2_90_2D = 4.605
 """Chi squared with 2 degrees of freedom is below it with probability 0.9."""
+_MAX_ROWS = 40
+"""Pushes of a figure; of more, those with the largest errors."""
+_IDENTIFIED, _FITTED, _NOMINAL = "var(--accent, #1f5fa8)", "var(--warm, #c0561d)", "var(--soft, #5b6675)"
 
 
-def draw_maps(posterior: ModelPosterior) -> Figure:
-    """Mass, friction, their product and its relative standard deviation, with the centre of friction."""
-    from matplotlib.figure import Figure
-
+def draw_maps(posterior: ModelPosterior) -> list[tuple[str, str]]:
+    """Mass, friction, their product and its relative standard deviation: title and SVG of each."""
     model = posterior.model
     product = model.mass * model.friction
     panels = (
-        ("mass [g]", 1e3 * model.mass),
-        ("friction", model.friction),
-        ("mass × friction [g]", 1e3 * product),
-        ("standard deviation of the product [%]", 100 * posterior.mass_friction_std / product),
+        ("Mass of each cell", 1e3 * model.mass, "g"),
+        ("Support friction of each cell", model.friction, ""),
+        ("Mass × friction: what pushes determine", 1e3 * product, "g"),
+        ("How well the product is known: standard deviation", 100 * posterior.mass_friction_std / product, "%"),
     )
-    figure = Figure(figsize=(12.5, 3.3), layout="constrained")
-    ellipse = _centre_ellipse(posterior)
-    for ax, (name, values) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        patches = draw_cells(ax, model.shape, values, "viridis", (min(0.0, float(values.min())), float(values.max())))
-        ax.plot(*model.centre_of_friction, marker="+", color="red", markersize=9)
-        ax.plot(*ellipse.T, color="red", linewidth=1.0)
-        ax.set_title(name, fontsize=10)
-        figure.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
-    return figure
+    region = _centre_ellipse(posterior)
+    return [(title, _panel(posterior, title, values, unit, region)) for title, values, unit in panels]
+
+
+def _panel(posterior: ModelPosterior, title: str, values: Float64Array, unit: str, region: Float64Array) -> str:
+    shape = posterior.model.shape
+    return cell_panel(CellPanel(title, shape.cells.centres, shape.cells.size, shape.outline, values, unit, region=region))
 
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
@@ -59,71 +53,52 @@ def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
     return np.asarray(centre + circle * np.sqrt(_CHI2_90_2D * np.maximum(value, 0.0)) @ vector.T)
 
 
-def draw_errors(train: PushErrors, test: PushErrors) -> Figure:
-    """Cell error of every push: a bar for the identified maps, marks for equal cells."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
-    ax = figure.subplots()
-    for errors, name, colour in ((train, "in the fit", "#9fb8d6"), (test, "held out", "#1f5fa8")):
-        if errors.pushes:
-            ax.bar(errors.pushes, 1e3 * errors.identified, color=colour, label=f"identified, {name}")
-    pushes = [*train.pushes, *test.pushes]
-    for marker, colour, name, values in (
-        ("_", "#444444", "equal cells, nominal", [*train.uniform, *test.uniform]),
-        ("x", "#b5651d", "equal cells, fitted", [*train.scalar, *test.scalar]),
-    ):
-        ax.plot(pushes, 1e3 * np.array(values), linestyle="none", marker=marker, color=colour, label=name, markersize=9)
-    ax.set_xticks(sorted(pushes))
-    ax.set_xlabel("push")
-    ax.set_ylabel("cell error at the end [mm]")
-    ax.set_ylim(bottom=0.0)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
+def shown_pushes(train: PushErrors, test: PushErrors) -> list[tuple[int, bool, Float64Array]]:
+    """The pushes of the figure of errors in their order: number from 0, whether it is held out, and its errors [m] under the identified
+    model, equal cells with fitted scalars and equal cells with nominal values, shape (3,)."""
+    every = [
+        (number, errors is test, np.array([errors.identified[i], errors.scalar[i], errors.uniform[i]]))
+        for errors in (train, test)
+        for i, number in enumerate(errors.pushes)
+    ]
+    worst = sorted(every, key=lambda push: -np.nan_to_num(push[2][0], nan=np.inf))[:_MAX_ROWS]
+    return sorted(worst, key=lambda push: push[0])
 
 
-def draw_record(scores: Sequence[PushScore]) -> Figure:
+def draw_errors(train: PushErrors, test: PushErrors) -> str:
+    """Cell error of every push under the identified model and under equal cells."""
+    series = (
+        Series("identified", "dot", _IDENTIFIED),
+        Series("equal cells, fitted", "ring", _FITTED),
+        Series("equal cells, nominal", "tick", _NOMINAL),
+    )
+    rows = []
+    for number, is_held_out, errors in shown_pushes(train, test):
+        marks = [Mark(k, 1e3 * float(e), f"push {number + 1}, {series[k].name}: {1e3 * e:.1f} mm") for k, e in enumerate(errors)]
+        rows.append(Row(f"{'test' if is_held_out else 'fit'}: push {number + 1}", tuple(reversed(marks))))
+    return row_chart("Cell error of each push", rows, series, "mm", axis="cell error at the end")
+
+
+def draw_record(scores: Sequence[PushScore]) -> str:
     """Error of the prediction made before each push, its expected error, and the error of equal cells."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
-    ax = figure.subplots()
-    numbers = [score.number for score in scores]
-    for name, colour, style, values in (
-        ("predicted before the push", "#1f5fa8", "o-", [s.cell_error for s in scores]),
-        ("expected by the prediction", "#9fb8d6", "--", [s.expected_cell_error for s in scores]),
-        ("equal cells, nominal", "#444444", "_", [s.uniform_cell_error for s in scores]),
-    ):
-        ax.plot(numbers, 1e3 * np.array(values), style, color=colour, label=name)
-    ax.set_xticks(numbers)
-    ax.set_xlabel("push")
-    ax.set_ylabel("cell error at the end [mm]")
-    ax.set_ylim(bottom=0.0)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
+    series = (
+        Series("predicted before the push", "dot", _IDENTIFIED),
+        Series("error that was expected", "ring", _IDENTIFIED),
+        Series("equal cells, nominal", "tick", _NOMINAL),
+    )
+    rows = []
+    for score in scores[-_MAX_ROWS:]:
+        values = (score.cell_error, score.expected_cell_error, score.uniform_cell_error)
+        marks = [Mark(k, 1e3 * v, f"push {score.number}, {series[k].name}: {1e3 * v:.1f} mm") for k, v in enumerate(values)]
+        rows.append(Row(f"push {score.number}", tuple(reversed(marks))))
+    return row_chart("Predictions made before each push", rows, series, "mm", axis="cell error at the end")
 
 
-def draw_push(posterior: ModelPosterior, plan: PushPlan2D, pusher_radius: float) -> Figure:
+def draw_push(posterior: ModelPosterior, plan: PushPlan2D, pusher_radius: float) -> str:
     """The push on the object, with the uncertainty of each cell."""
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
-
     model = posterior.model
     relative = 100 * posterior.mass_friction_std / (model.mass * model.friction)
-    figure = Figure(figsize=(4.6, 3.4), layout="constrained")
-    ax = figure.subplots()
-    patches = draw_cells(ax, model.shape, relative, "Greys", (0.0, float(relative.max())))
-    figure.colorbar(patches, ax=ax, shrink=0.8, label="standard deviation of mass × friction [%]")
     start = plan.tool_start(0.0)
-    ax.add_patch(Circle(tuple(start), pusher_radius, fill=False, edgecolor="#1f5fa8", linewidth=1.5))
-    ax.annotate(
-        "",
-        xy=tuple(start + plan.distance * plan.heading),
-        xytext=tuple(start),
-        arrowprops={"arrowstyle": "-|>", "color": "#1f5fa8", "lw": 2.0},
-    )
-    ax.plot(*plan.contact_point, marker="o", color="#1f5fa8", markersize=4)
-    ax.autoscale_view()
-    return figure
+    arrow = Arrow(start, start + plan.distance * plan.heading, pusher_radius)
+    cells = model.shape.cells
+    return cell_panel(CellPanel("Next push", cells.centres, cells.size, model.shape.outline, relative, "%", BLUES, arrow=arrow))

@@ -11,39 +11,21 @@ from typing import Any
 import numpy as np
 
 from push_ident import __version__
-from push_ident.errors import InputError, PlanningError
-from push_ident.identification.identifiability import Identifiability, identifiability
-from push_ident.identification.next_push import PlannedPush, candidate_pushes, rank_pushes, reference_pushes
-from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record
+from push_ident.identification.identifiability import Identifiability, Quantity, identifiability
+from push_ident.identification.proposal import N_CANDIDATES, propose_push
+from push_ident.identification.push_errors import PushErrors
+from push_ident.identification.quantity_text import before_text, value_text
+from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record, shown_pushes
 from push_ident.identification.result import Candidate, Identification, ModelPosterior
 from push_ident.identification.scoring import PushScore, summarise_scores
 from push_ident.identification.supports import Support, supports
-from push_ident.pages.page import svg, write_page
-from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.pages.page import write_page
+from push_ident.types import SolveStatus
 
-__all__ = ["Provenance", "PushErrors", "write_report"]
+__all__ = ["Provenance", "write_report"]
 
-_CANDIDATES = 40
-"""Candidates for the next push."""
-_REFERENCES = 20
-"""Reference pushes for its choice."""
 _MIN_SCORES = 2
 """Number of scores from which the report shows them."""
-
-
-@dataclass(frozen=True, slots=True)
-class PushErrors:
-    """Cell errors of some pushes, see `held_out_errors`."""
-
-    pushes: tuple[int, ...]
-    """Their numbers."""
-    uniform: Float64Array
-    """Of equal cells with nominal values [m], shape (n,)."""
-    scalar: Float64Array
-    """Of equal cells with fitted scalars [m], shape (n,)."""
-    identified: Float64Array
-    """[m], shape (n,)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +68,15 @@ def write_report(
         "title": f"Object {provenance.object_id}: mass and friction",
         "headline": _headline(result, train, test, known),
         "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not use these maps without a check: {result.status.value}.",
-        "maps": svg(draw_maps(posterior)),
-        "errors": svg(draw_errors(train, test)),
+        "maps": draw_maps(posterior),
+        "errors": draw_errors(train, test),
+        "n_shown": len(shown_pushes(train, test)),
+        "n_pushes": len(train.pushes) + len(test.pushes),
         "error_rows": [_error_row("pushes of the fit", train), _error_row("held-out pushes", test)],
         "held_out": bool(test.pushes),
         "record": _record(record),
-        "quantities": [_quantity(q.name, q.unit, q.value, q.std, q.prior_std, q.knowledge.value) for q in known.quantities],
+        "quantities": [_quantity(q) for q in known.quantities],
+        "legend": dict.fromkeys(q.knowledge.value for q in known.quantities),
         "priors": _candidates(result.candidates),
         "n_combinations": len(known.combinations),
         "n_pinned": known.n_pinned,
@@ -162,7 +147,7 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
         return None
     summary = summarise_scores(scores)
     return {
-        "figure": svg(draw_record(scores)),
+        "figure": draw_record(scores),
         "n": summary.n,
         "mean": summary.mean_cell_error,
         "expected": summary.mean_expected_cell_error,
@@ -171,45 +156,36 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
     }
 
 
-def _quantity(name: str, unit: str, value: float, std: float, before: float, verdict: str) -> dict[str, str]:
-    scale, shown, digits = (1e3, " mm", 1) if unit == "m" else (1.0, f" {unit}" if unit else "", 3)
+def _quantity(quantity: Quantity) -> dict[str, str]:
     return {
-        "name": name,
-        "value": f"{scale * value:.{digits}f} ± {scale * std:.{digits}f}{shown}",
-        "before": f"{scale * before:.{digits}f}{shown}",
-        "verdict": verdict,
+        "name": quantity.name,
+        "value": value_text(quantity),
+        "before": before_text(quantity),
+        "short": quantity.knowledge.value.partition(":")[0],
+        "verdict": quantity.knowledge.value,
     }
 
 
 def _next_push(posterior: ModelPosterior, pusher_radius: float) -> dict[str, Any] | None:
-    rng = np.random.default_rng(0)
-    # The next pose of the object is not known here: pushes are chosen in the object frame, with free space around it.
-    settings = PushSettings(pusher_radius=pusher_radius, workspace=(-10.0, 10.0, -10.0, 10.0))
-    shape = posterior.unknowns.shape
-    try:
-        candidates = candidate_pushes(shape, np.zeros(3), rng, _CANDIDATES, settings)
-        ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, _REFERENCES, settings), rng=rng)
-    except (PlanningError, InputError):
+    proposal = propose_push(posterior, pusher_radius)
+    if proposal is None:
         return None
-    best: PlannedPush | None = ranked.best
-    if best is None or best.plan is None:
-        return None
-    plan = best.plan
+    plan = proposal.plan
     return {
-        "figure": svg(draw_push(posterior, plan, pusher_radius)),
+        "figure": draw_push(posterior, plan, pusher_radius),
         "x": float(plan.contact_point[0]),
         "y": float(plan.contact_point[1]),
         "heading": float(np.degrees(plan.direction)),
         "distance": plan.distance,
         "speed": plan.speed,
-        "n": _CANDIDATES,
-        "before": ranked.error_before,
-        "after": ranked.values[0].error_after,
+        "n": N_CANDIDATES,
+        "before": proposal.error_before,
+        "after": proposal.error_after,
     }
 
 
 def _provenance(result: Identification, provenance: Provenance) -> list[tuple[str, str]]:
-    prior = ", ".join(f"{name} {value:g}" for name, value in asdict(result.posterior.prior).items())
+    prior = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in asdict(result.posterior.prior).items())
     rows: list[tuple[str, str]] = [("push", source) for source in provenance.sources]
     rows += [("note", note) for note in provenance.notes]
     return [

@@ -8,7 +8,8 @@ __all__ = ["EFFECT"]
 
 EFFECT = Effect(
     name="outline_error",
-    what="The surface that the pusher touches lies outside (> 0) or inside (< 0) the outline.",
+    what="The surface that the pusher touches lies outside (> 0) or inside (< 0) the outline, or the pusher's radius is larger or smaller "
+    "by as much, which is the same to the pushes.",
     equation="gap - offset; contact point + offset n",
     parameters=(
         EffectParameter(
@@ -23,6 +24,6 @@ EFFECT = Effect(
         Rival("pose_latency", "several speeds: it grows with speed"),
         Rival("tool_offset", "several faces: it is fixed in the table"),
     ),
-    check="Measure the object with a calliper.",
+    check="Measure both with a calliper: the object, and the diameter of the pusher; pushes cannot tell one error from the other.",
     source="Offset curve of the outline; equivalent to an error of the pusher's radius.",
 )

@@ -1,0 +1,175 @@
+"""The functions of `import push_ident as pi`: from bags to maps, predictions, a diagnosis and the next push.
+
+    pushes = pi.load("bags/hammer_depth")
+    result = pi.identify(pushes[:3])
+    pi.predict(result, pushes[3:])
+
+Lengths are metres, angles radians, masses kilograms, times seconds; poses are (x, y, yaw) of the object frame in the `table` frame.
+Everything that can go wrong with data raises a `PushIdentError` of one line; a solve that fails is a `status`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from push_ident.diagnosis.diagnose import diagnose as _diagnose
+from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.errors import InputError
+from push_ident.identification.budget import Budget
+from push_ident.identification.comparison import Comparison, compare_pushes
+from push_ident.identification.identify import identify as _identify
+from push_ident.identification.model_file import load_model
+from push_ident.identification.prior import Prior
+from push_ident.identification.proposal import Proposal, propose_push
+from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
+from push_ident.offline.loading import LoadedPushes, load_pushes
+from push_ident.types import PushRecord
+
+if TYPE_CHECKING:
+    from push_ident.api.plots import Picture
+
+__all__ = ["diagnose", "identify", "load", "next_push", "plot", "predict"]
+
+
+def load(*bags: str | PathLike[str], object_id: str = "", camera_in_table: ArrayLike | None = None) -> LoadedPushes:
+    """Read the pushes of one object from bags of the contract; where a bag has no poses, the object is tracked in its depth images.
+
+    Args:
+        bags: folders, `.mcap`, `.db3` or ROS 1 `.bag` files, in the order of the pushes.
+        object_id: the object; empty: the one with the most pushes.
+        camera_in_table: pose of the depth camera in `table`, homogeneous, shape (4, 4), for depth bags without `tf_static`.
+
+    Returns:
+        A sequence of `PushRecord`; a slice of it is again such a sequence. `notes` says what was missing, dropped or assumed.
+
+    Raises:
+        BagError: a bag cannot be read, lacks what is needed, or has another object than the others.
+        InputError: no bag is named.
+    """
+    if not bags:
+        raise InputError("load() needs the path of a bag; there is an example in bags/hammer_depth.")
+    camera = None if camera_in_table is None else np.asarray(camera_in_table, dtype=np.float64)
+    return load_pushes([Path(bag) for bag in bags], object_id=object_id, camera_in_table=camera)
+
+
+def identify(
+    pushes: Sequence[PushRecord],
+    *,
+    total_mass: float | None = None,
+    prior: Prior | None = None,
+    method: str = DEFAULT_SOLVER,
+    max_seconds: float = 30.0,
+) -> Identification:
+    """Fit mass and friction of every cell, with their uncertainty, to pushes of one object.
+
+    Args:
+        pushes: of `load`, or some of them.
+        total_mass: of the object, if it was weighed [kg]. Poses alone do not determine it.
+        prior: nominal values and their standard deviations, before any push.
+        method: name of a solver.
+        max_seconds: longest time of the solve [s].
+
+    Returns:
+        Maps (`model.mass` [kg], `model.friction`, shape (n_cells,), at `model.shape.cells.centres` [m], shape (n_cells, 2), object
+        frame), their `posterior`, and a `status`: look at it before the numbers.
+
+    Raises:
+        InputError: no push, pushes of different objects, or an unknown method.
+    """
+    effects = pushes.nuisances if isinstance(pushes, LoadedPushes) and solver_of(method).capabilities.takes_effects else ()
+    known = _weighed(prior or Prior(), total_mass)
+    return _identify(list(pushes), known, method=method, effects=effects, budget=Budget(max_seconds=max_seconds))
+
+
+def predict(model: Identification | ModelPosterior | str | PathLike[str], pushes: PushRecord | Sequence[PushRecord]) -> Comparison:
+    """Predict recorded pushes from their first poses, and compare their ends with what was observed.
+
+    Args:
+        model: a result of `identify`, its posterior, or the path of a model file.
+        pushes: one or several, with the cells of the model.
+
+    Returns:
+        For each push the predicted poses (`prediction.pose`, shape (n_frames, 3), table frame) with their covariance, the cell error at
+        the end [m], the error that was expected, and whether the end lies in the predicted 90 % region.
+
+    Raises:
+        InputError: no push, or other cells than those of the model.
+        ModelFileError: the file is no model.
+    """
+    if not isinstance(model, Identification | ModelPosterior):
+        _, model = load_model(Path(model))
+    posterior = model.posterior if isinstance(model, Identification) else model
+    return compare_pushes(posterior, [pushes] if isinstance(pushes, PushRecord) else list(pushes))
+
+
+def diagnose(
+    pushes: Sequence[PushRecord],
+    *,
+    total_mass: float | None = None,
+    prior: Prior | None = None,
+    base_effects: Sequence[str] = (),
+    from_camera: bool = False,
+) -> Diagnosis:
+    """Say where simulation and reality differ, which effect that the model lacks causes it, and how far the gap shrinks with it.
+
+    Args:
+        pushes: all that there are; some are held out inside.
+        total_mass: of the object, if it was weighed [kg].
+        prior: nominal values and their standard deviations.
+        base_effects: effects that the base model has already.
+        from_camera: whether poses and outline come from a camera.
+
+    Returns:
+        `verdict`, `sentence`, `effects` with their sizes, `next_push` and more.
+
+    Raises:
+        InputError: no push, pushes of different objects, or an unknown effect.
+    """
+    settings = DiagnosisSettings(
+        prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
+    )
+    return _diagnose(list(pushes), settings)
+
+
+def next_push(model: Identification | ModelPosterior, pusher_radius: float) -> Proposal | None:
+    """The push of an object, with free space around it, after which other pushes would be predicted best.
+
+    Args:
+        model: a result of `identify`, or its posterior.
+        pusher_radius: of the pusher [m].
+
+    Returns:
+        Where to touch and how to push, object frame, with the expected cell error before and after; None where no push would help.
+    """
+    return propose_push(model.posterior if isinstance(model, Identification) else model, pusher_radius)
+
+
+def plot(thing: Any, title: str = "") -> Picture:
+    """Draw what the other functions give, for a notebook or a file.
+
+    Args:
+        thing: pushes, a result of `identify` or its posterior, of `predict`, of `diagnose` or of `next_push`.
+        title: above the figure; a fitting one by default.
+
+    Returns:
+        A figure of matplotlib that notebooks show; `savefig` writes it. Lengths are in millimetres.
+
+    Raises:
+        InputError: there is no figure of such a thing.
+    """
+    from push_ident.api.plots import draw
+
+    return draw(thing, title)
+
+
+def _weighed(prior: Prior, total_mass: float | None) -> Prior:
+    return prior if total_mass is None else replace(prior, total_mass=total_mass, total_mass_std=0.0)

@@ -1,0 +1,311 @@
+"""Figures of pages as SVG that follow the page: its colours, also in the dark, and text that stays readable on a telephone.
+
+A figure is at most as wide as a telephone in units of CSS pixels, and is scaled little; wide pages place figures beside one another.
+Every mark has a `<title>`: browsers show it under the pointer, and screen readers read it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from push_ident.limits import printable
+from push_ident.types import Float64Array
+
+__all__ = [
+    "BLUES", "HEAT", "VIRIDIS", "Arrow", "CellPanel", "Mark", "Row", "Series", "cell_panel", "field_panel", "row_chart", "shade",
+    "text_on",
+]  # fmt: skip
+
+VIRIDIS: Final = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
+"""Ends and steps of a scale that is as bright as its value, also for colour-blind readers (after matplotlib's viridis)."""
+BLUES: Final = ("#f4f7fb", "#c6d6e8", "#8fb0d4", "#4f83bb", "#1f5fa8", "#123a68")
+"""White to blue: from known to unknown."""
+HEAT: Final = ("#fff7e0", "#fdd68a", "#f6a14d", "#e3652f", "#b62a1f")
+"""Light to red: from expected to large."""
+
+_WIDTH: Final = 320.0
+"""Of every figure [units of the drawing]; a telephone is 360 to 430 CSS pixels wide."""
+_TEXT: Final = 12.0
+_MARGIN: Final = 10.0
+_LEGEND: Final = 34.0
+"""Height of the scale under a map."""
+_ROW: Final = 20.0
+_LABEL: Final = 92.0
+"""Width of the labels of rows."""
+_LETTERS: Final = 15
+"""That a label has room for."""
+_TICKS: Final = 4
+_MOST_VECTORS: Final = 400
+"""Of a figure; more would hide one another."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrow:
+    """A push on a map of cells [m]."""
+
+    start: Float64Array
+    end: Float64Array
+    radius: float
+    """Of the pusher."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellPanel:
+    """A map of cells; lengths in metres, object frame."""
+
+    title: str
+    """What the figure shows."""
+    centres: Float64Array
+    """Shape (n_cells, 2)."""
+    size: float
+    outline: Float64Array
+    """Shape (n_vertices, 2)."""
+    values: Float64Array
+    """Of each cell, shape (n_cells,); without cells only the outline is drawn."""
+    unit: str
+    colours: tuple[str, ...] = VIRIDIS
+    region: Float64Array | None = None
+    """A closed line to mark, such as the 90 % region of a centre, shape (n, 2)."""
+    arrow: Arrow | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One kind of mark of a chart of rows."""
+
+    name: str
+    style: str
+    """`dot`, `ring` or `tick`."""
+    colour: str
+    """Of CSS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """One value in a row."""
+
+    series: int
+    """Its place among the series."""
+    value: float
+    """NaN: nothing is drawn."""
+    text: str
+    """Shown under the pointer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a chart."""
+
+    label: str
+    marks: tuple[Mark, ...]
+    bar: float = 0.0
+    """Length of a bar from zero; 0: none."""
+    colour: str = "var(--bar, #9fb8d6)"
+    """Of the bar."""
+
+
+def shade(share: float, colours: Sequence[str]) -> str:
+    """Colour at `share` (0 to 1) of a scale; values that are not finite are grey."""
+    if not math.isfinite(share):
+        return "#b0b0b0"
+    at = min(max(share, 0.0), 1.0) * (len(colours) - 1)
+    low = min(int(at), len(colours) - 2)
+    ends = [[int(colour[k : k + 2], 16) for k in (1, 3, 5)] for colour in colours[low : low + 2]]
+    return "#" + "".join(f"{round(a + (at - low) * (b - a)):02x}" for a, b in zip(*ends, strict=True))
+
+
+def text_on(colour: str) -> str:
+    """Black or white, whichever is easier to read on a colour (relative luminance of WCAG 2, without its gamma)."""
+    red, green, blue = (int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    return "#000000" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.45 else "#ffffff"
+
+
+def cell_panel(panel: CellPanel) -> str:
+    """A map of cells with its scale and a bar of length, in millimetres."""
+    extra = [] if panel.arrow is None else [panel.arrow.start - panel.arrow.radius, panel.arrow.start + panel.arrow.radius, panel.arrow.end]
+    points = np.vstack([panel.outline, *extra])
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = (_WIDTH - 2 * _MARGIN) / float(max(high[0] - low[0], 0.6 * (high[1] - low[1])))
+    height = scale * float(high[1] - low[1]) + 2 * _MARGIN + _LEGEND
+    left = 0.5 * (_WIDTH - scale * float(high[0] - low[0]))
+
+    def place(point: Float64Array) -> tuple[float, float]:
+        return left + scale * float(point[0] - low[0]), _MARGIN + scale * float(high[1] - point[1])
+
+    bottom, top = float(np.nanmin([0.0, *panel.values])), float(np.nanmax([0.0, *panel.values]))
+    parts = []
+    side = scale * panel.size
+    for number, (centre, value) in enumerate(zip(panel.centres, panel.values, strict=True), 1):
+        x, y = place(centre)
+        colour = shade((float(value) - bottom) / (top - bottom or 1.0), panel.colours)
+        at = f"({1e3 * centre[0]:.0f}, {1e3 * centre[1]:.0f}) mm"
+        parts.append(
+            f'<rect x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" width="{side:.1f}" height="{side:.1f}" fill="{colour}">'
+            f"<title>{_clean(f'cell {number} at {at}: {value:.3g} {panel.unit}')}</title></rect>"
+        )
+    parts.append(_line(panel.outline, place, "outline", closed=True))
+    if panel.region is not None:
+        parts.append(_line(panel.region, place, "region", closed=True))
+    if panel.arrow is not None:
+        parts += _arrow(panel.arrow, place, scale)
+    if len(panel.values):
+        parts += _scale_of_colours(panel, bottom, top, height - _LEGEND + 12)
+    parts += _bar_of_length(scale, height - _LEGEND + 12)
+    return _svg(panel.title, height, parts)
+
+
+def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float) -> str:
+    """Small displacements at places of the table, drawn `factor` times as long, in millimetres.
+
+    Args:
+        title: what the figure shows.
+        points: places [m], shape (n, 2).
+        vectors: displacements [m], shape (n, 2).
+        factor: on their length.
+    """
+    shown = slice(None, None, 1 + len(points) // _MOST_VECTORS)
+    points, ends = points[shown], (points + factor * vectors)[shown]
+    low, high = np.vstack([points, ends]).min(axis=0), np.vstack([points, ends]).max(axis=0)
+    scale = (_WIDTH - 2 * _MARGIN) / max(float(np.max(high - low)), 1e-6)
+    height = scale * float(high[1] - low[1]) + 2 * _MARGIN + _LEGEND
+
+    def place(point: Float64Array) -> tuple[float, float]:
+        return _MARGIN + scale * float(point[0] - low[0]), _MARGIN + scale * float(high[1] - point[1])
+
+    parts = []
+    for start, end, vector in zip(points, ends, vectors[shown], strict=True):
+        (x, y), (to_x, to_y) = place(start), place(end)
+        parts.append(
+            f"<g><title>{1e3 * float(np.linalg.norm(vector)):.1f} mm at ({1e3 * start[0]:.0f}, {1e3 * start[1]:.0f}) mm</title>"
+            f'<circle class="at" cx="{x:.1f}" cy="{y:.1f}" r="1.6"/>'
+            f'<line class="vector" x1="{x:.1f}" y1="{y:.1f}" x2="{to_x:.1f}" y2="{to_y:.1f}"/></g>'
+        )
+    parts += _bar_of_length(scale, height - _LEGEND + 12)
+    return _svg(title, height, parts)
+
+
+def _line(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], name: str, *, closed: bool) -> str:
+    where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
+    return f'<{"polygon" if closed else "polyline"} class="{name}" points="{where}"/>'
+
+
+def _arrow(arrow: Arrow, place: Callable[[Float64Array], tuple[float, float]], scale: float) -> list[str]:
+    (x, y), (to_x, to_y) = place(arrow.start), place(arrow.end)
+    angle = math.degrees(math.atan2(to_y - y, to_x - x))
+    radius = max(2.0, scale * arrow.radius)
+    return [
+        f'<circle class="pusher" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"><title>pusher before the push</title></circle>',
+        f'<line class="pusher" x1="{x:.1f}" y1="{y:.1f}" x2="{to_x:.1f}" y2="{to_y:.1f}"/>',
+        f'<path class="tip" d="M0,0 L-10,-4.5 L-10,4.5 Z" transform="translate({to_x:.1f},{to_y:.1f}) rotate({angle:.1f})"/>',
+    ]
+
+
+def _scale_of_colours(panel: CellPanel, low: float, high: float, y: float) -> list[str]:
+    """A strip of colours between its least and its largest value."""
+    steps, x, width = 24, _MARGIN, 130.0
+    strip = [
+        f'<rect x="{x + i * width / steps:.1f}" y="{y:.1f}" width="{width / steps + 0.5:.1f}" height="7" '
+        f'fill="{shade((i + 0.5) / steps, panel.colours)}"/>'
+        for i in range(steps)
+    ]
+    return [
+        *strip,
+        f'<text x="{x:.1f}" y="{y + 19:.1f}">{low:.3g}</text>',
+        f'<text x="{x + width:.1f}" y="{y + 19:.1f}" text-anchor="end">{_clean(f"{high:.3g} {panel.unit}".rstrip())}</text>',
+    ]
+
+
+def _bar_of_length(scale: float, y: float) -> list[str]:
+    """A round length of about a quarter of the figure."""
+    length = _round_below(0.25 * _WIDTH / scale * 1e3)
+    right, left = _WIDTH - _MARGIN, _WIDTH - _MARGIN - scale * 1e-3 * length
+    return [
+        f'<line class="axis" x1="{left:.1f}" y1="{y + 4:.1f}" x2="{right:.1f}" y2="{y + 4:.1f}"/>',
+        f'<text x="{right:.1f}" y="{y + 19:.1f}" text-anchor="end">{length:g} mm</text>',
+    ]
+
+
+def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: str, *, axis: str, limit: float | None = None) -> str:
+    """Values in rows over one horizontal axis that begins at zero.
+
+    Args:
+        title: what the figure shows, for screen readers.
+        rows: from top to bottom.
+        series: kinds of marks, with their names in the legend.
+        unit: of the values.
+        axis: what the axis is.
+        limit: a value to mark by a dashed line.
+    """
+    values = [mark.value for row in rows for mark in row.marks if math.isfinite(mark.value)] + [row.bar for row in rows]
+    top = max([*values, *([limit] if limit else []), 1e-9]) * 1.05
+    width = _WIDTH - _LABEL - 2 * _MARGIN
+    legend = _legend(series)
+    first = _MARGIN + 16.0 * len(legend)
+    bottom = first + _ROW * len(rows)
+
+    def x_of(value: float) -> float:
+        return _LABEL + _MARGIN + width * max(0.0, value) / top
+
+    parts = [part for y, lines in enumerate(legend) for part in _shifted(lines, _MARGIN + 16.0 * y)]
+    step = _round_below(top / _TICKS) or top
+    for k in range(int(top / step) + 1):
+        x = x_of(k * step)
+        parts.append(f'<line class="grid" x1="{x:.1f}" y1="{first:.1f}" x2="{x:.1f}" y2="{bottom:.1f}"/>')
+        parts.append(f'<text x="{x:.1f}" y="{bottom + 14:.1f}" text-anchor="middle">{k * step:g}</text>')
+    if limit is not None:
+        parts.append(f'<line class="limit" x1="{x_of(limit):.1f}" y1="{first:.1f}" x2="{x_of(limit):.1f}" y2="{bottom:.1f}"/>')
+    for number, row in enumerate(rows):
+        y = first + _ROW * (number + 0.5)
+        label = row.label if len(row.label) <= _LETTERS else row.label[: _LETTERS - 1] + "…"
+        parts.append(f'<text x="{_LABEL:.1f}" y="{y + 4:.1f}" text-anchor="end">{_clean(label)}<title>{_clean(row.label)}</title></text>')
+        if row.bar > 0:
+            length = x_of(row.bar) - x_of(0.0)
+            parts.append(f'<rect x="{x_of(0):.1f}" y="{y - 6:.1f}" width="{length:.1f}" height="12" style="fill:{row.colour}"/>')
+        parts += [_mark(series[m.series], x_of(m.value), y, m.text) for m in row.marks if math.isfinite(m.value)]
+    parts.append(
+        f'<text x="{_WIDTH - _MARGIN:.1f}" y="{bottom + 30:.1f}" text-anchor="end">{_clean(f"{axis} [{unit}]" if unit else axis)}</text>'
+    )
+    return _svg(title, bottom + 38.0, parts)
+
+
+def _legend(series: Sequence[Series]) -> list[list[str]]:
+    """One line for each kind of mark."""
+    return [[_mark(one, _MARGIN + 6, 4.0, one.name), f'<text x="{_MARGIN + 18:.1f}" y="8">{_clean(one.name)}</text>'] for one in series]
+
+
+def _shifted(parts: Sequence[str], y: float) -> list[str]:
+    return [f'<g transform="translate(0,{y:.1f})">', *parts, "</g>"]
+
+
+def _mark(series: Series, x: float, y: float, text: str) -> str:
+    title, colour = f"<title>{_clean(text)}</title>", series.colour
+    if series.style == "tick":
+        return f'<rect x="{x - 1.2:.1f}" y="{y - 6:.1f}" width="2.4" height="12" style="fill:{colour}">{title}</rect>'
+    filled = f"fill:{colour}" if series.style == "dot" else f"fill:none;stroke:{colour};stroke-width:1.6"
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.2" style="{filled}">{title}</circle>'
+
+
+def _round_below(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above `value`."""
+    if not value > 0:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
+
+
+def _svg(title: str, height: float, parts: Sequence[str]) -> str:
+    body = "".join(parts)
+    return (
+        f'<svg class="chart" role="img" viewBox="0 0 {_WIDTH:g} {height:.0f}" xmlns="http://www.w3.org/2000/svg" font-size="{_TEXT:g}">'
+        f"<title>{_clean(title)}</title>{body}</svg>"
+    )
+
+
+def _clean(text: str) -> str:
+    return escape(printable(text))

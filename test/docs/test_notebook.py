@@ -1,0 +1,52 @@
+"""The notebook of the documentation runs on the example bag, and its page shows what it stores."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import nbformat
+import pytest
+
+from helpers.paths import ROOT
+
+NOTEBOOK = ROOT / "docs" / "examples" / "bag_to_next_push.ipynb"
+
+
+def tool(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def kinds(cells: list[Any]) -> list[list[str]]:
+    """Of each cell of code what its outputs are, such as a table or a picture."""
+    return [
+        [next(iter(sorted(output.get("data", {"stream": 0})))) for output in cell.outputs] for cell in cells if cell.cell_type == "code"
+    ]
+
+
+def test_notebook_runs_and_gives_outputs_like_those_it_stores() -> None:
+    pytest.importorskip("nbclient")
+    stored, run = nbformat.read(NOTEBOOK, as_version=4), tool("run_notebook").executed(NOTEBOOK)
+    nbformat.validate(run)
+    assert [cell.source for cell in run.cells] == [cell.source for cell in stored.cells]
+    assert kinds(run.cells) == kinds(stored.cells)
+    text = "".join(output.data["text/plain"] for cell in run.cells for output in cell.get("outputs", []) if "data" in output)
+    assert "Identification(converged" in text and "Proposal(touch at" in text
+
+
+def test_page_of_the_notebook_shows_its_pictures_and_tables() -> None:
+    page = tool("document_notebook").document()
+    assert page.count("data:image/png;base64,") == 5
+    assert "<table>" in page and "```python\nfrom pathlib import Path" in page
+
+
+def test_notebook_is_small_and_names_no_folder_of_this_machine() -> None:
+    text = NOTEBOOK.read_text(encoding="utf-8")
+    assert len(text) < 600_000
+    assert str(Path.home()) not in text and "/tmp/" not in text

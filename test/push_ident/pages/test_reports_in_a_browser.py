@@ -1,0 +1,112 @@
+"""Reports in a real browser: readable on a telephone, on a wide screen, in the dark and on paper."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from helpers.browser import Tab, tab
+from helpers.diagnosis import simulated_pushes
+from helpers.objects import hammer, random_records
+from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.report import write_report as write_diagnosis
+from push_ident.identification.identify import identify
+from push_ident.identification.push_errors import push_errors
+from push_ident.identification.report import Provenance, write_report
+
+SMALLEST_TEXT = 11.0
+"""[CSS px]; smaller letters are hard to read."""
+CONTRAST = 4.5
+"""Least ratio of luminances of text and ground (WCAG 2.2, 1.4.3)."""
+MOST_PAGES = {"identification": 3, "diagnosis": 5}
+"""Of A4, for a handful of pushes."""
+
+TEXT_SIZES = """
+[...document.querySelectorAll('svg.chart text, td, th, p, code, figcaption, span')].filter(e => e.textContent.trim()).map(e => {
+  const svg = e.closest('svg');
+  const scale = svg ? svg.getBoundingClientRect().width / svg.viewBox.baseVal.width : 1;
+  return parseFloat(getComputedStyle(e).fontSize) * scale;
+}).reduce((a, b) => Math.min(a, b))
+"""
+OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+HIDDEN = """
+[...document.querySelectorAll('.wide, figure')].filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent.trim().slice(0, 60))
+"""
+CONTRASTS = """
+(() => {
+  const light = text => {
+    const [r, g, b] = text.match(/[\\d.]+/g).map(v => Number(v) / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const ground = e => {
+    for (; e; e = e.parentElement) {
+      const colour = getComputedStyle(e).backgroundColor;
+      if (!colour.startsWith('rgba(0, 0, 0, 0')) return colour;
+    }
+    return 'rgb(255, 255, 255)';
+  };
+  const ratios = [...document.querySelectorAll('svg.chart text, td, th, p, figcaption, h1, h2')].map(e => {
+    const ink = getComputedStyle(e)[e.closest('svg') ? 'fill' : 'color'];
+    const [a, b] = [light(ink), light(ground(e))].sort((x, y) => y - x);
+    return (a + 0.05) / (b + 0.05);
+  });
+  return Math.min(...ratios);
+})()
+"""
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("pages")
+    records = random_records(hammer(3), 6, 3)
+    result = identify(records[:4])
+    errors = (push_errors(result, records, pushes) for pushes in ((0, 1, 2, 3), (4, 5)))
+    sources = tuple(f"bag push {number}" for number in range(1, 5))
+    write_report(folder / "identification.html", result, *errors, Provenance("o1", sources), 0.01)
+    tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
+    write_diagnosis(folder / "diagnosis.html", tilted, object_id="o1", sources=sources)
+    return {path.stem: path for path in folder.glob("*.html")}
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
+    with tab(tmp_path_factory.mktemp("browser")) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [380, 820, 1600])
+@pytest.mark.parametrize("name", ["identification", "diagnosis"])
+def test_page_is_readable(pages: dict[str, Path], browser: Tab, name: str, width: int, dark: bool) -> None:
+    browser.show(pages[name], width, dark=dark)
+    if folder := os.environ.get("PUSH_IDENT_SCREENSHOTS"):
+        (Path(folder) / f"{name}_{width}_{'dark' if dark else 'light'}.png").write_bytes(browser.picture())
+    assert browser.value(OVERFLOW) <= 0
+    assert browser.value(HIDDEN) == []
+    assert browser.value(TEXT_SIZES) >= SMALLEST_TEXT
+    assert browser.value(CONTRASTS) >= CONTRAST
+
+
+@pytest.mark.parametrize("name", ["identification", "diagnosis"])
+def test_page_is_printed_on_few_sheets_also_from_a_dark_screen(pages: dict[str, Path], browser: Tab, name: str) -> None:
+    browser.show(pages[name], 1600, dark=True)
+    assert 1 <= browser.printed_pages() <= MOST_PAGES[name]
+    browser.call("Emulation.setEmulatedMedia", media="print", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    assert browser.value("getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()") == "#1c2430"
+
+
+@pytest.mark.parametrize("name", ["identification", "diagnosis"])
+def test_every_figure_has_a_title_and_its_marks_say_what_they_are(pages: dict[str, Path], browser: Tab, name: str) -> None:
+    browser.show(pages[name], 820)
+    assert browser.value("[...document.querySelectorAll('figure')].every(f => f.querySelector('figcaption').textContent.length > 10)")
+    assert browser.value("[...document.querySelectorAll('svg.chart')].every(s => s.querySelector('title'))")
+    if name == "identification":
+        assert (
+            browser.value(
+                "[...document.querySelectorAll('svg.chart rect title')].filter(t => /^cell 1 at .* mm: /.test(t.textContent)).length"
+            )
+            == 5
+        )

@@ -1,0 +1,134 @@
+"""`import push_ident as pi`: quick to import, short to print, and the same results as the command line."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from IPython.core.formatters import HTMLFormatter
+
+import push_ident as pi
+from helpers.objects import hammer, random_records, square
+from push_ident.bags.records import write_records
+from push_ident.errors import InputError
+from push_ident.identification.model_file import save_model
+from push_ident.identification.result import Identification
+from push_ident.offline.loading import LoadedPushes
+
+LONGEST_REPR = 400
+"""A few lines of a terminal [characters]."""
+
+
+@pytest.fixture(scope="module")
+def pushes(tmp_path_factory: pytest.TempPathFactory) -> LoadedPushes:
+    path = tmp_path_factory.mktemp("bags") / "hammer"
+    write_records(path, random_records(hammer(2), 5, 2))
+    return pi.load(path)
+
+
+@pytest.fixture(scope="module")
+def result(pushes: LoadedPushes) -> Identification:
+    return pi.identify(pushes[:3])
+
+
+def test_import_of_the_package_imports_nothing_that_is_heavy() -> None:
+    heavy = ("cv2", "matplotlib", "numba", "numpy", "rclpy", "scipy", "torch")
+    code = f"import sys, push_ident as pi; assert 'identify' in dir(pi); print(sorted(set({heavy}) & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_use_of_the_package_imports_neither_torch_nor_ros_nor_matplotlib() -> None:
+    code = "import sys, push_ident as pi; pi.identify; print(sorted({'matplotlib', 'rclpy', 'torch'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_every_name_that_is_offered_exists_and_is_documented() -> None:
+    for name in pi.__all__:
+        assert name == "__version__" or "Raises" in (getattr(pi, name).__doc__ or "") or name == "next_push", name
+    with pytest.raises(AttributeError, match=r"no attribute 'identfy'; it offers diagnose, identify"):
+        pi.identfy  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_package_says_that_it_is_typed() -> None:
+    assert (Path(pi.__file__).parent / "py.typed").is_file()
+
+
+def test_slice_of_pushes_is_as_many_pushes_of_the_same_object(pushes: LoadedPushes) -> None:
+    assert len(pushes) == 5 and len(pushes[1:3]) == 2
+    assert pushes[1:3].object_id == pushes.object_id and pushes[1:3][0] is pushes[1]
+
+
+def test_pushes_not_used_are_predicted_by_the_result_and_by_its_file(pushes: LoadedPushes, result: Identification, tmp_path: Path) -> None:
+    predicted = pi.predict(result, pushes[3:])
+    assert len(predicted) == 2 and predicted.mean_cell_error < 0.004
+    save_model(tmp_path / "model.json", result.posterior, object_id="1")
+    again = pi.predict(tmp_path / "model.json", pushes[4])
+    assert again[0].cell_error == pytest.approx(predicted[1].cell_error, abs=1e-6)
+
+
+def test_given_total_mass_is_that_of_the_map(pushes: LoadedPushes) -> None:
+    weighed = pi.identify(pushes[:3], total_mass=0.71)
+    assert weighed.model.total_mass == pytest.approx(0.71) and weighed.posterior.total_mass_identifiable
+
+
+def test_text_of_every_result_is_short(pushes: LoadedPushes, result: Identification) -> None:
+    proposal = pi.next_push(result, pushes[0].pusher.radius)
+    assert proposal is not None and proposal.error_after < proposal.error_before
+    predicted = pi.predict(result, pushes[3:])
+    things = (
+        pushes,
+        pushes[0],
+        pushes[0].shape,
+        result,
+        result.posterior,
+        result.model,
+        result.history[-1],
+        predicted,
+        predicted[0],
+        proposal,
+    )
+    for thing in (*things, result.candidates[0], result.warm_starts[0]):
+        assert len(repr(thing)) < LONGEST_REPR and "\n" not in repr(thing), type(thing)
+
+
+def test_tables_of_results_are_whole_and_escape_foreign_text(pushes: LoadedPushes, result: Identification) -> None:
+    hostile = LoadedPushes("<script>", pushes.records, ["a <b>"])
+    for thing in (hostile, result, pi.predict(result, pushes[3:])):
+        html = HTMLFormatter()(thing)
+        assert html is not None
+        opened: list[str] = []
+
+        class Reader(HTMLParser):
+            def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+                opened.append(tag)  # noqa: B023
+
+            def handle_endtag(self, tag: str) -> None:
+                assert opened.pop() == tag  # noqa: B023
+
+        Reader().feed(html)
+        assert opened == [] and "<script>" not in html
+
+
+def test_every_result_can_be_drawn(pushes: LoadedPushes, result: Identification, tmp_path: Path) -> None:
+    proposal = pi.next_push(result, pushes[0].pusher.radius)
+    for thing in (pushes, pushes[0], result, result.posterior, pi.predict(result, pushes[3:]), proposal):
+        pi.plot(thing, "Title $x$").savefig(tmp_path / "figure.png", dpi=40)
+        assert (tmp_path / "figure.png").stat().st_size > 2000
+    with pytest.raises(InputError, match="no figure of a ndarray"):
+        pi.plot(np.zeros(3))
+
+
+def test_mistakes_are_answered_in_one_line(pushes: LoadedPushes, result: Identification) -> None:
+    with pytest.raises(InputError, match="needs the path of a bag"):
+        pi.load()
+    with pytest.raises(InputError, match="no push to learn from"):
+        pi.identify([])
+    with pytest.raises(InputError, match="no push to predict"):
+        pi.predict(result, [])
+    with pytest.raises(InputError, match="predict bags that share the cells"):
+        pi.predict(result, replace(pushes[0], shape=square()))
