@@ -26,17 +26,15 @@ from typing import Final
 import numpy as np
 from scipy.spatial import KDTree
 
-from push_ident.errors import PlanningError
-from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.planning.belief import Belief
+from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.hold import RISK, EdgeHold
 from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
-from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
 __all__ = ["GoalPlanner", "GoalPush", "PlanStatus"]
@@ -53,12 +51,10 @@ _NEIGHBOURS: Final = 4
 """Second pushes that are looked at for each first one."""
 _PUSH_TRAVEL: Final = 0.1
 """Distance that a further push is expected to cover [m]."""
-_AGAIN: Final = 0.004
-"""A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
 _NEAR: Final = 5.0
 """Error, in units of the tolerance, up to which a push may be the last one and is improved: strokes are that coarse."""
 _WAY: Final = 4
-"""Poses along a push, the first included, at which the object is compared with obstacles."""
+"""Poses along a push, the first included, at which an overhanging object is looked at first."""
 _FALL: Final = 20.0
 """Pushes that a fall is worth: as many as are made for a goal at most."""
 _FRAMES: Final = 8
@@ -142,7 +138,9 @@ class GoalPlanner:
             hold: an edge of the table near the goal, and by how much the object must be held there.
         """
         there = None if hold is None else hold.seen_from(belief.camera)
-        found = self._plan(belief, *_seen_by_the_arm(belief.camera, pose, covariance, goal, obstacles), failed, there)
+        seen = _seen_by_the_arm(belief.camera, pose, covariance, goal)
+        outlines = [transform_points(inverse(belief.camera), outline) for outline in obstacles]
+        found = self._plan(belief, *seen, Surroundings(outlines, failed, there))
         if found.plan is None:
             return found
         return replace(found, end=compose(belief.camera, found.end), ends=compose(belief.camera, found.ends))
@@ -153,9 +151,7 @@ class GoalPlanner:
         pose: Float64Array,
         covariance: Float64Array,
         goal: Goal,
-        obstacles: Sequence[Float64Array],
-        failed: Sequence[PushPlan2D],
-        hold: EdgeHold | None,
+        around: Surroundings,
     ) -> GoalPush:
         """As `plan`, all of it in the table frame of the arm."""
         chance = goal.chance(pose, covariance)
@@ -170,14 +166,14 @@ class GoalPlanner:
         further = _Distance(goal) if self._greedy else _FurtherPushes(library, goal)
         ranked = _ranked(library, further, wanted)
         own = library.strokes
-        present = _Present(hold, self._shape, library.centres, pose)
+        present = _Present(around.hold, self._shape, library.centres, pose)
         candidates: list[tuple[Strokes, int, float]] = []
         motions: list[Float64Array] = []
         for number, k in ranked:
             plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             motion = library.motion[0, number, k]
             every = library.motion[:, number, k]
-            if self._is_possible(plan, pose, motion, obstacles, failed, hold) and present.allows(every):
+            if is_possible(self._shape, self._settings, plan, pose, motion, around) and present.allows(every):
                 candidates.append((own, number, float(library.lengths[k])))
                 motions.append(motion)
             if len(candidates) == _JUDGED:
@@ -190,35 +186,9 @@ class GoalPlanner:
             better = refine(belief.mean, own.picked(number), length, wanted, self._settings)
             if better is not None:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
-                if self._is_possible(plan, pose, better.motion, obstacles, failed, hold):
+                if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
                     candidates.append((better.stroke, 0, better.length))
-        return self._best(belief, further, candidates, pose, covariance, goal, hold)
-
-    def _is_possible(
-        self,
-        plan: PushPlan2D,
-        pose: Float64Array,
-        motion: Float64Array,
-        obstacles: Sequence[Float64Array],
-        failed: Sequence[PushPlan2D],
-        hold: EdgeHold | None,
-    ) -> bool:
-        """Whether a push keeps tool and object within the workspace, touches nothing before, and did not fail before."""
-        if any(np.linalg.norm(plan.contact_point - other.contact_point) < _AGAIN for other in failed):
-            return False
-        way = np.linspace(0.0, 1.0, _WAY)[1:, None] * motion
-        outline, *later = (transform_points(p, self._shape.outline) for p in (pose, *compose(pose, way)))
-        # The tool need not reach what overhangs the table.
-        before, after = (p if hold is None else p[hold.edge.beyond(p) <= 0.0] for p in (outline, later[-1]))
-        if self._settings.excess(after) > self._settings.excess(before):
-            return False
-        if any(_gap(own, other) < self._settings.lowering_gap for own in later for other in obstacles):
-            return False
-        try:
-            check_push(plan, outline, self._settings, obstacles)
-        except PlanningError:
-            return False
-        return True
+        return self._best(belief, further, candidates, pose, covariance, goal, around.hold)
 
     def _best(
         self,
@@ -292,14 +262,14 @@ class GoalPlanner:
 
 
 def _seen_by_the_arm(
-    camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal, obstacles: Sequence[Float64Array]
-) -> tuple[Float64Array, Float64Array, Goal, list[Float64Array]]:
-    """What the camera sees, in the table frame of the arm: pose, covariance, goal, outlines."""
+    camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal
+) -> tuple[Float64Array, Float64Array, Goal]:
+    """What the camera sees, in the table frame of the arm: pose, covariance, goal."""
     away = inverse(camera)
     turn = np.eye(3)
     turn[:2, :2] = rotation(float(away[2]))
     there = Goal(compose(away, goal.pose), goal.position, goal.yaw)
-    return compose(away, pose), turn @ covariance @ turn.T, there, [transform_points(away, outline) for outline in obstacles]
+    return compose(away, pose), turn @ covariance @ turn.T, there
 
 
 def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal) -> list[tuple[int, int]]:
@@ -380,11 +350,6 @@ class _Distance:
         """Root sum of squares of each of the motions, shape (n, 3), in tolerances: shape (n,)."""
         left = np.column_stack([wanted[:, :2], wrap_angle(wanted[:, 2])]) / self._goal.tolerance
         return np.asarray(np.linalg.norm(left, axis=1))
-
-
-def _gap(outline: Float64Array, other: Float64Array) -> float:
-    """Least distance of a vertex of either outline from the other [m]; negative inside."""
-    return float(min(np.min(signed_distance(outline, other)), np.min(signed_distance(other, outline))))
 
 
 def _softly(error: Float64Array) -> Float64Array:
