@@ -74,6 +74,18 @@ class PathGoal:
         """(x, y, yaw) [m, m, rad], shape (3,)."""
         return np.array([self.position, self.position, self.yaw])
 
+    def waypoints(self, spacing: float) -> Float64Array:
+        """Poses that are evenly spread, at most `spacing` [m] of path apart, the end among them, the start not: shape (n, 3).
+
+        Raises:
+            InputError: a spacing that is not positive.
+        """
+        if not (np.isfinite(spacing) and spacing > 0):
+            raise InputError(f"The spacing along the path is {spacing} m, expected a positive number.")
+        n = int(np.ceil(self.length / spacing - 1e-9))
+        places = self.length * np.arange(1, n + 1) / n
+        return np.column_stack([np.interp(places, self.along, column) for column in self.poses.T])
+
     def error(self, pose: Float64Array, done: float, ahead: float) -> tuple[Float64Array, Float64Array]:
         """Where on the path poses are, and how far from it.
 
@@ -125,7 +137,7 @@ def check_path(path: PathGoal, shape: ObjectShape, settings: PushSettings) -> No
         )
 
 
-def read_path(file: Path, speed: float) -> PathGoal:
+def read_path(file: Path, speed: float = 0.05) -> PathGoal:
     """A path from a text file: a line for each pose, `x, y, yaw` in metres and radians; empty lines and those with # are skipped.
 
     Raises:
