@@ -3,7 +3,7 @@
     margin = min over directions u of max over cells on the table of u . (r_i - c)
 
 is the distance of the centre of mass c from the border of the hull of these cells; negative where it lies outside, and the object falls.
-The edge is one part of that border only: a long object that touches the table with a narrow part falls to the side.
+The edge is one part of that border only: an object that is left with a narrow part on the table may fall to the side.
 """
 
 from __future__ import annotations
