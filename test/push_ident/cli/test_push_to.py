@@ -9,7 +9,7 @@ import pytest
 
 from helpers.commands import run_here
 from helpers.objects import hammer
-from push_ident.cli.push_to import GoalReport, GoalText, PushLine, goal_message
+from push_ident.cli.push_to import GoalReport, GoalText, PathReport, PushLine, goal_message, goals_of
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.planning.goal import Goal
@@ -53,6 +53,35 @@ def test_goal_that_is_no_pose_is_refused(text: str) -> None:
         GoalText(text)
     done = run_here("demo", "--goal", text)
     assert done.returncode == 1 and "X,Y,YAW" in done.stderr
+
+
+def test_goals_are_one_pose_or_lie_in_a_row_along_a_path(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(goals_of(0.1, 0.2, 0.3, None, 40.0), [[0.1, 0.2, 0.3]])
+    file = tmp_path / "path.csv"
+    file.write_text("0, 0, 0.5\n0.1, 0, 0.5\n", encoding="utf-8")
+    np.testing.assert_allclose(goals_of(None, None, None, file, 40.0), [[0.1 * k / 3, 0.0, 0.5] for k in (1, 2, 3)])
+    for options, word in (((0.1, 0.2, None, None), "missing"), ((0.1, None, None, file), "beside"), ((0.1, 0.2, np.nan, None), "finite")):
+        with pytest.raises(InputError, match=word):
+            goals_of(*options, 40.0)
+
+
+@pytest.mark.parametrize(("text", "word"), [("1, 2\n", "Line 1"), ("0, 0, 0\n", "no path"), ("0, 0, 0\n0, 0, 0\n", "0.0 mm long")])
+def test_file_that_is_no_path_is_refused_before_the_cell_is_looked_for(tmp_path: Path, text: str, word: str) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text(text, encoding="utf-8")
+    done = run_here("push-to", "--path", str(file))
+    assert done.returncode == 1 and word in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_report_of_a_path_says_how_near_its_goals_the_object_came() -> None:
+    good = [GoalReport(PushToGoal.Result(position_error=e, yaw_error=0.1, pushes=2), [], np.zeros(3)) for e in (0.003, 0.004)]
+    whole = PathReport(good, 2)
+    assert whole.is_reached and whole.content()["rms_position_m"] == pytest.approx(np.sqrt(12.5) * 1e-3)
+    assert whole.content()["n_pushes"] == 4
+    failed = GoalReport(PushToGoal.Result(error_code=-4, position_error=0.1), [], np.zeros(3))
+    part = PathReport([*good, failed], 5)
+    assert not part.is_reached and part.content()["n_reached"] == 2 and not PathReport(good, 3).is_reached
+    assert PathReport([failed], 1).content()["rms_position_m"] is None
 
 
 def test_picture_has_a_panel_for_each_push(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""`push-ident push-to`: push an object of a live cell to a goal pose."""
+"""`push-ident push-to`: push an object of a live cell to a goal pose, or from one to the next along a path."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,11 +19,22 @@ from push_ident.types import Float64Array
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import Pose
+    from rich.status import Status
 
     from push_ident.nodes.client import CellClient
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["GoalReport", "GoalText", "PushLine", "finish", "goal_message", "push_to_command", "push_to_goal"]
+__all__ = [
+    "GoalReport",
+    "GoalText",
+    "PathReport",
+    "PushLine",
+    "finish",
+    "goal_message",
+    "goals_of",
+    "push_to_command",
+    "push_to_goal",
+]
 
 _STATES = ("looking", "exploring push", "planning", "pushing", "learning")
 """What is under way, by the state in the feedback of action/PushToGoal."""
@@ -97,6 +109,52 @@ class GoalReport:
         }
 
 
+class PathReport:
+    """What came of goals in a row along a path: a report for each that was begun, of `n_goals`."""
+
+    def __init__(self, reports: list[GoalReport], n_goals: int) -> None:
+        self.reports, self.n_goals = reports, n_goals
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the object was at each of them."""
+        return len(self.reports) == self.n_goals and all(report.is_reached for report in self.reports)
+
+    def content(self) -> dict[str, Any]:
+        """For JSON: lengths in metres, angles in radians; root mean squares over the goals that were reached."""
+        reached = [report.result for report in self.reports if report.is_reached]
+        rms = np.sqrt(np.mean([(r.position_error**2, r.yaw_error**2) for r in reached], axis=0)) if reached else np.full(2, np.nan)
+        return {
+            "reached": self.is_reached,
+            "n_goals": self.n_goals,
+            "n_reached": len(reached),
+            "n_pushes": sum(int(report.result.pushes) for report in self.reports),
+            "rms_position_m": float(rms[0]) if reached else None,
+            "rms_yaw_rad": float(rms[1]) if reached else None,
+            "goals": [report.content() for report in self.reports],
+        }
+
+
+def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | None, spacing_mm: float) -> Float64Array:
+    """Poses to push to, one after another, shape (n, 3), from the options of the command line.
+
+    Raises:
+        InputError: neither a whole pose nor a path, both, numbers that are not finite, or a file that holds no path.
+    """
+    pose = [value for value in (x, y, yaw) if value is not None]
+    if path is not None:
+        if pose:
+            raise InputError("--path was given beside --x, --y or --yaw; give a path or one pose.")
+        from push_ident.planning.path_goal import read_path
+
+        return read_path(path).waypoints(1e-3 * spacing_mm)
+    if len(pose) < 3:
+        raise InputError("A goal is missing; give --x, --y and --yaw, or a file of poses with --path.")
+    if not np.isfinite(pose).all():
+        raise InputError(f"the goal is ({x}, {y}, {yaw}), expected finite numbers in metres and radians")
+    return np.array([pose])
+
+
 def _codes() -> dict[str, int]:
     from push_ident.planning.goal_ports import GoalCode
 
@@ -149,34 +207,67 @@ def goal_message(
 
 
 def push_to_command(
-    x: Annotated[float, typer.Option(help="Goal of the object's origin in the table frame [m].", show_default=False)],
-    y: Annotated[float, typer.Option(help="Goal of the object's origin in the table frame [m].", show_default=False)],
-    yaw: Annotated[float, typer.Option(help="Goal of the object's turn in the table frame [rad].", show_default=False)],
+    x: Annotated[float | None, typer.Option(help="Goal of the object's origin in the table frame [m].", show_default=False)] = None,
+    y: Annotated[float | None, typer.Option(help="Goal of the object's origin in the table frame [m].", show_default=False)] = None,
+    yaw: Annotated[float | None, typer.Option(help="Goal of the object's turn in the table frame [rad].", show_default=False)] = None,
+    path: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Goals in a row along a path: a line for each pose, x, y, yaw [m, rad].", show_default=False),
+    ] = None,
+    spacing_mm: Annotated[float, typer.Option("--spacing-mm", min=1.0, help="Between the goals along a path [mm].")] = 40.0,
     tolerance_mm: Annotated[float, typer.Option("--tolerance-mm", min=0.1, help="Largest distance from the goal [mm].")] = 20.0,
     tolerance_deg: Annotated[float, typer.Option("--tolerance-deg", min=0.1, help="Largest angle to the goal [degrees].")] = 5.73,
     explore: Annotated[int, typer.Option(min=0, help="Random pushes first; 0: use what is known of the object.")] = 0,
-    max_pushes: Annotated[int, typer.Option("--max-pushes", min=1, help="Most pushes, exploring ones included.")] = 15,
-    time_limit: Annotated[float, typer.Option("--time-limit", min=1.0, help="Longest time [s].")] = 300.0,
+    max_pushes: Annotated[int, typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.")] = 15,
+    time_limit: Annotated[float, typer.Option("--time-limit", min=1.0, help="Longest time for a goal [s].")] = 300.0,
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)] = "",
     json: JsonOption = None,
 ) -> None:
-    """Push an object of a live cell to a goal pose; exit status 0 only where it was reached. Ctrl-C holds the arm."""
-    if not np.isfinite([x, y, yaw]).all():
-        raise InputError(f"the goal is ({x}, {y}, {yaw}), expected finite numbers in metres and radians")
+    """Push an object of a live cell to a goal pose, or along a path; exit status 0 only where it was reached. Ctrl-C holds the arm."""
+    poses = goals_of(x, y, yaw, path, spacing_mm)
     from push_ident.nodes.client import CellClient
 
+    reports: list[GoalReport] = []
     with CellClient() as client, console.status("looking for the cell") as status:
-        goal = goal_message(
-            np.array([x, y, yaw]),
-            object_id=object_id,
-            tolerance_mm=tolerance_mm,
-            tolerance_deg=tolerance_deg,
-            explore=explore,
-            max_pushes=max_pushes,
-            time_limit=time_limit,
-        )
-        report = push_to_goal(client, goal, lambda text: status.update(escape(text)))
-    finish(report, json)
+        for number, pose in enumerate(poses):
+            goal = goal_message(
+                pose,
+                object_id=object_id,
+                tolerance_mm=tolerance_mm,
+                tolerance_deg=tolerance_deg,
+                explore=0 if number else explore,
+                max_pushes=max_pushes,
+                time_limit=time_limit,
+            )
+            prefix = f"goal {number + 1} of {len(poses)}: " if path is not None else ""
+            reports.append(push_to_goal(client, goal, partial(_show, status, prefix)))
+            if not reports[-1].is_reached:
+                break
+    if path is None:
+        finish(reports[0], json)
+    else:
+        _finish_path(PathReport(reports, len(poses)), json)
+
+
+def _show(status: Status, prefix: str, text: str) -> None:
+    status.update(escape(prefix + text))
+
+
+def _finish_path(report: PathReport, json: Path | None) -> None:
+    """Say how a path ended. Raises typer.Exit with status 1 where a goal was not reached."""
+    content = report.content()
+    if json is not None:
+        write_json(json, content)
+    if not report.is_reached:
+        last = report.reports[-1]
+        number = len(report.reports)
+        warn(f"push-ident: {last.content()['code']} at goal {number} of {report.n_goals}: {printable(last.result.error_text)}")
+        raise typer.Exit(1)
+    console.print(
+        f"at the end of the path after {content['n_pushes']} pushes: {1e3 * content['rms_position_m']:.1f} mm and "
+        f"{np.degrees(content['rms_yaw_rad']):.1f}° from its {report.n_goals} goals (root mean square)",
+        highlight=False,
+    )
 
 
 def finish(report: GoalReport, json: Path | None) -> None:

@@ -2,7 +2,7 @@
 
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
 between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives and without effects but that of
-a surface beside its outline.
+a surface beside its outline. The table may have an edge that the object overhangs.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from push_ident.errors import InputError
 from push_ident.physics.body import BodyParameters, check_body, owned
 from push_ident.physics.kernel import kernel
 from push_ident.physics.measurement import StepClock
+from push_ident.physics.overhang import Overhang, TableEdge
 from push_ident.physics.rollout import Numerics, Push, rollout
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.physics.tape import Frames, Tape, new_tape
@@ -36,6 +37,8 @@ class BatchModel(NamedTuple):
     pusher_friction: float
     surface: float = 0.0
     """How far the surface lies outside the outline [m]: the same as a pusher of so much larger a radius."""
+    weight: Float64Array | None = None
+    """Of each cell as a share of the whole, shape (n_cells,); needed at an edge of the table."""
 
 
 class BatchPush(NamedTuple):
@@ -90,7 +93,15 @@ class _Shape(NamedTuple):
 
 @kernel
 def _roll_range(
-    first: int, last: int, shape: _Shape, models: _Models, pushes: _Pushes, eps: float, tape: Tape, poses: Float64Array
+    first: int,
+    last: int,
+    shape: _Shape,
+    models: _Models,
+    pushes: _Pushes,
+    edges: Overhang | None,
+    eps: float,
+    tape: Tape,
+    poses: Float64Array,
 ) -> None:
     """Tasks `first` to `last` of model x push; a push that fails is NaN."""
     n_pushes = pushes.pose.shape[0]
@@ -104,7 +115,11 @@ def _roll_range(
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
-        failed_at, _ = rollout(push, numerics, None, frames, poses[m, p], force[:n], tape, None)
+        if edges is None:
+            failed_at, _ = rollout(push, numerics, None, None, frames, poses[m, p], force[:n], tape, None)
+        else:
+            edge = Overhang(edges.outward, edges.offset, edges.weight[m])
+            failed_at, _ = rollout(push, numerics, None, edge, frames, poses[m, p], force[:n], tape, None)
         if failed_at >= 0:
             poses[m, p] = np.nan
 
@@ -115,6 +130,7 @@ def rollouts(
     pushes: Sequence[BatchPush],
     *,
     step: float,
+    edge: TableEdge | None = None,
     smoothing_speed: float | None = None,
     n_threads: int | None = None,
 ) -> Float64Array:
@@ -125,6 +141,7 @@ def rollouts(
         models: that may be true.
         pushes: all with one pusher, and with one number of frames.
         step: longest time step [s]; the first contact is resolved within its step.
+        edge: of the table; all models have a `weight` then.
         smoothing_speed: of the support friction [m/s]; by default that of `SimulationSettings`.
         n_threads: by default as many as the processor has cores for this process.
 
@@ -143,12 +160,12 @@ def rollouts(
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
     pusher = pushes[0].pusher
     geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
-    in_arrays, of_pushes = _models(shape, models), _pushes(pushes, step)
+    in_arrays, of_pushes, edges = _models(shape, models), _pushes(pushes, step), None if edge is None else _edges(edge, models)
     poses = np.empty((len(models), len(pushes), len(pushes[0].time), 3))
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
 
     def roll(first: int) -> None:
-        _roll_range(first, min(first + _TASKS_A_CALL, n_tasks), geometry, in_arrays, of_pushes, eps, new_tape(0), poses)
+        _roll_range(first, min(first + _TASKS_A_CALL, n_tasks), geometry, in_arrays, of_pushes, edges, eps, new_tape(0), poses)
 
     n_tasks = len(models) * len(pushes)
     threads = n_threads or len(os.sched_getaffinity(0))
@@ -167,6 +184,14 @@ def _models(shape: ObjectShape, models: Sequence[BatchModel]) -> _Models:
         mu=np.array([model.pusher_friction for model in models], dtype=np.float64),
         surface=np.array([model.surface for model in models], dtype=np.float64),
     )
+
+
+def _edges(edge: TableEdge, models: Sequence[BatchModel]) -> Overhang:
+    """The edge and the weights of the cells in all models, shape (n_models, n_cells)."""
+    weights = [model.weight for model in models if model.weight is not None]
+    if len(weights) < len(models):
+        raise InputError("A model has no weights of its cells; at an edge of the table they say who bears the load.")
+    return Overhang(owned(edge.outward), float(edge.offset), owned(weights))
 
 
 def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:

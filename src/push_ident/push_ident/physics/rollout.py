@@ -21,6 +21,7 @@ from push_ident.physics.contact import CONTACT_FIELDS, find_contacts, max_candid
 from push_ident.physics.contact_rows import Rebound, RelativePusher, add_rebound, contact_rows, new_relative_pusher, shift_surface
 from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, NO_MODE, StepContacts, tangent_row
+from push_ident.physics.overhang import Overhang, share_loads
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.step import TableForces, new_step_scratch, step
 from push_ident.physics.step_derivative import EffectDrive, StepBalance, new_effect_drive, step_sensitivity
@@ -208,6 +209,7 @@ def rollout(
     push: Push,
     numerics: Numerics,
     effects: ActiveEffects | None,
+    edge: Overhang | None,
     frames: Frames,
     poses: Float64Array,
     force: Float64Array,
@@ -222,6 +224,7 @@ def rollout(
         push: the push.
         numerics: how.
         effects: effects beside the base model; None compiles to the base model only, at its speed.
+        edge: of the table, where the object may overhang it; then there is no derivative, and there are no effects.
         frames: when to report poses.
         poses: filled with the poses at the frames, shape (n_frames, 3), table frame.
         force: filled with the pusher's force on the object at each step [N], shape (n_steps, 2), table frame.
@@ -266,6 +269,8 @@ def rollout(
             limit = table.limit
         if effects.shifts:
             sum_limits(effects, arms, push.limit, table.inputs)
+    if edge is not None:
+        limit, loaded = push.limit.copy(), np.ones(len(push.limit))
     n_steps, n_frames = push.pusher.shape[0] - 1, frames.step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
@@ -291,6 +296,11 @@ def rollout(
             demand = friction_demand(effects, arms, push.limit, table)
         event = IDLE if untouched and not coasts and demand < 1.0 else MOVED
         if event != IDLE:
+            if edge is not None:
+                # An object that falls keeps its last loads: whoever asks sees by its pose where its centre of mass is.
+                share_loads(edge, arms, state, cos, sin, loaded)
+                for i in range(limit.shape[0]):
+                    limit[i] = loaded[i] * push.limit[i]
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
             contacts = StepContacts(rows, n_contacts, push.mu)
             for k in range(n_contacts):

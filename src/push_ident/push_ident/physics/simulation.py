@@ -430,7 +430,7 @@ def _roll(
         tape = new_tape(n_steps if derive else 0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews)
     pose, force = np.empty((len(frames.step), 3)), np.empty((n_steps, 2))
     scratch = None if active is None else new_effect_scratch(n_cells, active)
-    failed_at, _ = rollout(push, numerics, active, frames, pose, force, tape, scratch)
+    failed_at, _ = rollout(push, numerics, active, None, frames, pose, force, tape, scratch)
     if failed_at >= 0:
         pose[:] = np.nan
         return pose, force, tape, SolveStatus.SIMULATION_FAILED

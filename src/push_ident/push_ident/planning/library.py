@@ -92,6 +92,8 @@ class Library:
     motion: Float64Array
     """Pose of the object after the push in its frame before it, shape (n_models, n_strokes, n_lengths, 3); NaN where a simulation failed.
     The first model is the mean."""
+    centres: Float64Array
+    """Centres of mass of the models [m], shape (n_models, 2), object frame."""
 
     @classmethod
     def of(cls, belief: Belief, own: Strokes, settings: PushSettings, n_draws: int, rng: np.random.Generator) -> Library:
@@ -102,7 +104,9 @@ class Library:
         for tool, heading in zip(own.tool, own.heading(), strict=True):
             path = path_of(tool, heading, float(lengths[-1]), speed, settings)
             pushes.append(BatchPush(path, np.zeros(3), (settings.clearance + lengths) / speed))
-        return cls(own, lengths, rollouts(belief.shape, belief.models(n_draws, rng), pushes, step=_TIME_STEP))
+        models = belief.models(n_draws, rng)
+        centres = np.array([model.body.centre for model in models])
+        return cls(own, lengths, rollouts(belief.shape, models, pushes, step=_TIME_STEP), centres)
 
 
 def path_of(tool: Float64Array, heading: Float64Array, distance: float, speed: float, settings: PushSettings) -> PusherPath:

@@ -10,6 +10,10 @@ true. A push is worth the pushes that are expected after it:
 All strokes and lengths are judged by the mean model, the best by all models, and the best of these in the table frame: those that leave the
 workspace or touch something else first are passed over. Contact, direction and length of a push that may be the last one are then improved
 by the exact derivative, and what is expected of it is taken from more models and from the uncertainty of the pose.
+
+At an edge of the table these last simulations know which cells have left it. A push whose chance p_f to bring the centre of mass nearer to
+the border of its support than the margin is more than `RISK` is not proposed, unless the object is no less at risk where it lies; below
+that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands are not asked.
 """
 
 from __future__ import annotations
@@ -22,17 +26,16 @@ from typing import Final
 import numpy as np
 from scipy.spatial import KDTree
 
-from push_ident.errors import PlanningError
-from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
-from push_ident.physics.batch import BatchPush, rollouts
+from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.planning.belief import Belief
+from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, Goal
+from push_ident.planning.hold import RISK, EdgeHold
 from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
-from push_ident.pushing.sampling import check_push
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import Float64Array, ObjectShape, PusherPath
 
 __all__ = ["GoalPlanner", "GoalPush", "PlanStatus"]
 
@@ -48,12 +51,14 @@ _NEIGHBOURS: Final = 4
 """Second pushes that are looked at for each first one."""
 _PUSH_TRAVEL: Final = 0.1
 """Distance that a further push is expected to cover [m]."""
-_AGAIN: Final = 0.004
-"""A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
 _NEAR: Final = 5.0
 """Error, in units of the tolerance, up to which a push may be the last one and is improved: strokes are that coarse."""
 _WAY: Final = 4
-"""Poses along a push, the first included, at which the object is compared with obstacles."""
+"""Poses along a push, the first included, at which an overhanging object is looked at first."""
+_FALL: Final = 20.0
+"""Pushes that a fall is worth: as many as are made for a goal at most."""
+_FRAMES: Final = 8
+"""Poses along a push at which the margin of an overhanging object is looked at."""
 _TIME_STEP: Final = 1.0 / 120.0
 """Of the simulation of the pushes that are judged last [s]."""
 
@@ -64,6 +69,10 @@ class PlanStatus(Enum):
     PUSH = "a push is proposed"
     ARRIVED = "the object is at the goal"
     UNSURE = "the pose is not known well enough for the tolerance: observe longer, or allow more"
+    UNHELD = (
+        "with what is known, each push might bring the centre of mass too near to the border of its support: push the object a few times "
+        "more on the table, or allow less overhang"
+    )
     UNREACHABLE = "no push within the workspace brings the object nearer: move it to the middle, or choose a nearer goal"
 
 
@@ -81,6 +90,8 @@ class GoalPush:
     """Poses after it under models that may be true, shape (n_models, 3), table frame."""
     expected_pushes: float = np.nan
     """Pushes from now on, this one included."""
+    risk: float = 0.0
+    """Chance that the object is not held by the margin during the push [1]; 0 away from edges."""
 
 
 class GoalPlanner:
@@ -90,10 +101,11 @@ class GoalPlanner:
         shape: of the object.
         settings: limits of pushes and the pusher.
         seed: of the models that are drawn.
+        greedy: look one push ahead only: the one that is expected to end nearest to the goal. What other planners are compared with.
     """
 
-    def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0) -> None:
-        self._shape, self._settings, self._seed = shape, settings, seed
+    def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0, *, greedy: bool = False) -> None:
+        self._shape, self._settings, self._seed, self._greedy = shape, settings, seed, greedy
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._library: Library | None = None
@@ -112,6 +124,7 @@ class GoalPlanner:
         goal: Goal,
         obstacles: Sequence[Float64Array] = (),
         failed: Sequence[PushPlan2D] = (),
+        hold: EdgeHold | None = None,
     ) -> GoalPush:
         """The next push.
 
@@ -122,8 +135,12 @@ class GoalPlanner:
             goal: pose with tolerances.
             obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
             failed: pushes from this pose that did not move the object, or could not be made.
+            hold: an edge of the table near the goal, and by how much the object must be held there.
         """
-        found = self._plan(belief, *_seen_by_the_arm(belief.camera, pose, covariance, goal, obstacles), failed)
+        there = None if hold is None else hold.seen_from(belief.camera)
+        seen = _seen_by_the_arm(belief.camera, pose, covariance, goal)
+        outlines = [transform_points(inverse(belief.camera), outline) for outline in obstacles]
+        found = self._plan(belief, *seen, Surroundings(outlines, failed, there))
         if found.plan is None:
             return found
         return replace(found, end=compose(belief.camera, found.end), ends=compose(belief.camera, found.ends))
@@ -134,8 +151,7 @@ class GoalPlanner:
         pose: Float64Array,
         covariance: Float64Array,
         goal: Goal,
-        obstacles: Sequence[Float64Array],
-        failed: Sequence[PushPlan2D],
+        around: Surroundings,
     ) -> GoalPush:
         """As `plan`, all of it in the table frame of the arm."""
         chance = goal.chance(pose, covariance)
@@ -147,16 +163,19 @@ class GoalPlanner:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         library = self._library_of(belief)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        further = _FurtherPushes(library, goal)
+        further = _Distance(goal) if self._greedy else _FurtherPushes(library, goal)
         ranked = _ranked(library, further, wanted)
         own = library.strokes
+        present = _Present(around.hold, self._shape, library.centres, pose)
         candidates: list[tuple[Strokes, int, float]] = []
         motions: list[Float64Array] = []
         for number, k in ranked:
             plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
-            if self._is_possible(plan, pose, library.motion[0, number, k], obstacles, failed):
+            motion = library.motion[0, number, k]
+            every = library.motion[:, number, k]
+            if is_possible(self._shape, self._settings, plan, pose, motion, around) and present.allows(every):
                 candidates.append((own, number, float(library.lengths[k])))
-                motions.append(library.motion[0, number, k])
+                motions.append(motion)
             if len(candidates) == _JUDGED:
                 break
         if not candidates:
@@ -167,59 +186,37 @@ class GoalPlanner:
             better = refine(belief.mean, own.picked(number), length, wanted, self._settings)
             if better is not None:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
-                if self._is_possible(plan, pose, better.motion, obstacles, failed):
+                if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
                     candidates.append((better.stroke, 0, better.length))
-        return self._best(belief, further, candidates, pose, covariance, goal)
-
-    def _is_possible(
-        self,
-        plan: PushPlan2D,
-        pose: Float64Array,
-        motion: Float64Array,
-        obstacles: Sequence[Float64Array],
-        failed: Sequence[PushPlan2D],
-    ) -> bool:
-        """Whether a push keeps tool and object within the workspace, touches nothing before, and did not fail before."""
-        if any(np.linalg.norm(plan.contact_point - other.contact_point) < _AGAIN for other in failed):
-            return False
-        way = np.linspace(0.0, 1.0, _WAY)[1:, None] * motion
-        outline, *later = (transform_points(p, self._shape.outline) for p in (pose, *compose(pose, way)))
-        if self._settings.excess(later[-1]) > self._settings.excess(outline):
-            return False
-        if any(_gap(own, other) < self._settings.lowering_gap for own in later for other in obstacles):
-            return False
-        try:
-            check_push(plan, outline, self._settings, obstacles)
-        except PlanningError:
-            return False
-        return True
+        return self._best(belief, further, candidates, pose, covariance, goal, around.hold)
 
     def _best(
         self,
         belief: Belief,
-        further: _FurtherPushes,
+        further: _FurtherPushes | _Distance,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
         covariance: Float64Array,
         goal: Goal,
+        hold: EdgeHold | None,
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
         settings, rng = self._settings, np.random.default_rng(self._seed + 1)
-        speed = settings.speed_range[0]
-        pushes = []
-        for own, number, length in candidates:
-            path = path_of(own.tool[number], own.heading()[number], length, speed, settings)
-            pushes.append(BatchPush(path, np.zeros(3), path.time[-1:]))
-        motion = rollouts(self._shape, belief.models(_FINAL_DRAWS, rng), pushes, step=_TIME_STEP)[:, :, 0]
-        motion = np.broadcast_to(motion, (1 + _FINAL_DRAWS, *motion.shape[1:])) if len(motion) == 1 else motion
+        speed, models = settings.speed_range[0], belief.models(_FINAL_DRAWS, rng)
         # The tool goes where the observed pose has it, and the object lies elsewhere by the error of that pose.
         root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
         start = pose + np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
-        ends = compose(start[:, None], motion)
+        ends, margins = self._ends(models, [(own.picked(number), length) for own, number, length in candidates], pose, start, hold)
         wanted = compose(inverse(ends), goal.pose)
         there = _softly(goal.relative_error(ends))
         after = further.after(wanted.reshape(-1, 3)).reshape(there.shape)
-        value = 1.0 + np.mean((1.0 - there) * after, axis=0)
+        centres = np.broadcast_to(np.array([model.body.centre for model in models]), (len(start), 2))
+        present = _Present(hold, self._shape, centres, pose)
+        risk = present.risk(margins)
+        value, allowed = 1.0 + np.mean((1.0 - there) * after, axis=0) + _FALL * risk, risk <= present.allowed
+        if not np.any(allowed):
+            return GoalPush(PlanStatus.UNHELD, goal.chance(pose, covariance), risk=float(np.min(risk)))
+        value = np.where(allowed, value, np.nan)
         if not np.any(np.isfinite(value)):
             return GoalPush(PlanStatus.UNREACHABLE, goal.chance(pose, covariance))
         best = int(np.nanargmin(value))
@@ -231,21 +228,51 @@ class GoalPlanner:
             ends[0, best],
             ends[:, best],
             float(value[best]),
+            float(risk[best]),
         )
+
+    def _ends(
+        self,
+        models: Sequence[BatchModel],
+        pushes: Sequence[tuple[Strokes, float]],
+        pose: Float64Array,
+        start: Float64Array,
+        hold: EdgeHold | None,
+    ) -> tuple[Float64Array, Float64Array]:
+        """Ends of pushes from poses `start` under models, shape (n_models, n_pushes, 3), and the least margin on the way [m], shape
+        (n_models, n_pushes)."""
+        settings, frames = self._settings, 1 if hold is None else _FRAMES
+        speed, batch = settings.speed_range[0], []
+        for own, length in pushes:
+            path = path_of(own.tool[0], own.heading()[0], length, speed, settings)
+            first = 0.0 if hold is None else settings.clearance / speed
+            # Away from an edge the motion does not depend on where the object lies.
+            at = np.zeros(3) if hold is None else pose
+            moved = PusherPath(path.time, transform_points(at, path.position), path.radius)
+            batch.append(BatchPush(moved, at, np.linspace(first, path.time[-1], frames + 1)[1:]))
+        edge = None if hold is None else hold.edge
+        motion = rollouts(self._shape, models, batch, step=_TIME_STEP, edge=edge)
+        motion = np.broadcast_to(motion, (len(start), *motion.shape[1:]))
+        if hold is None:
+            return compose(start[:, None], motion[:, :, 0]), np.full(motion.shape[:2], np.inf)
+        poses = compose(start[:, None, None], compose(inverse(pose), motion))
+        centres = np.broadcast_to(np.array([model.body.centre for model in models]), (len(start), 2))
+        margins = hold.margins(self._shape.cells.centres, centres[:, None, None], poses)
+        return poses[:, :, -1], np.min(margins, axis=2)
 
 
 def _seen_by_the_arm(
-    camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal, obstacles: Sequence[Float64Array]
-) -> tuple[Float64Array, Float64Array, Goal, list[Float64Array]]:
-    """What the camera sees, in the table frame of the arm: pose, covariance, goal, outlines."""
+    camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal
+) -> tuple[Float64Array, Float64Array, Goal]:
+    """What the camera sees, in the table frame of the arm: pose, covariance, goal."""
     away = inverse(camera)
     turn = np.eye(3)
     turn[:2, :2] = rotation(float(away[2]))
     there = Goal(compose(away, goal.pose), goal.position, goal.yaw)
-    return compose(away, pose), turn @ covariance @ turn.T, there, [transform_points(away, outline) for outline in obstacles]
+    return compose(away, pose), turn @ covariance @ turn.T, there
 
 
-def _ranked(library: Library, further: _FurtherPushes, wanted: Goal) -> list[tuple[int, int]]:
+def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal) -> list[tuple[int, int]]:
     """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
     mean = library.motion[0]
     value = _value(further, mean.reshape(1, -1, 3), wanted)
@@ -257,7 +284,7 @@ def _ranked(library: Library, further: _FurtherPushes, wanted: Goal) -> list[tup
     return [(int(first[k] // n_lengths), int(first[k] % n_lengths)) for k in order if np.isfinite(value[k])]
 
 
-def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal) -> Float64Array:
+def _value(further: _FurtherPushes | _Distance, motion: Float64Array, wanted: Goal) -> Float64Array:
     """Pushes expected from now on for each motion, shape (n_models, n_motions, 3), that a push may make: shape (n_motions,)."""
     there = _softly(wanted.relative_error(motion))
     left = compose(inverse(motion), wanted.pose)
@@ -286,9 +313,43 @@ class _FurtherPushes:
         return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
 
 
-def _gap(outline: Float64Array, other: Float64Array) -> float:
-    """Least distance of a vertex of either outline from the other [m]; negative inside."""
-    return float(min(np.min(signed_distance(outline, other)), np.min(signed_distance(other, outline))))
+class _Present:
+    """What an object at the edge risks where it lies, under models with given centres of mass, shape (n_models, 2)."""
+
+    def __init__(self, hold: EdgeHold | None, shape: ObjectShape, centres: Float64Array, pose: Float64Array) -> None:
+        self._hold, self._shape, self._centres, self._pose = hold, shape, centres, pose
+        now = np.full(len(centres), np.inf)
+        if hold is not None:
+            now = hold.margins(shape.cells.centres, centres, np.tile(pose, (len(centres), 1)))
+        self._stands = now >= 0.0 if np.any(now >= 0.0) else np.ones(len(now), dtype=bool)
+        self.allowed = max(RISK, float(self.risk(now)))
+        """Largest risk of a push [1]: one that brings the object back to the table may not be refused for the risk of lying there."""
+
+    def risk(self, margins: Float64Array) -> Float64Array:
+        """Of pushes with given least margins, shape (n_models, ...), under the models by which the object stands where it does: (...)."""
+        if self._hold is None:
+            return np.zeros(margins.shape[1:])
+        return self._hold.risk(margins[self._stands])
+
+    def allows(self, motions: Float64Array) -> bool:
+        """Whether the object is held well enough during a motion, shape (n_models, 3): a first look, at few poses and models."""
+        if self._hold is None:
+            return True
+        way = compose(self._pose, np.linspace(0.0, 1.0, _WAY)[1:, None, None] * motions)
+        margins = self._hold.margins(self._shape.cells.centres, self._centres, way)
+        return bool(self.risk(np.min(margins, axis=0)) <= self.allowed)
+
+
+class _Distance:
+    """What is left to a goal, in tolerances, in place of pushes: who looks one push ahead knows no more."""
+
+    def __init__(self, goal: Goal) -> None:
+        self._goal = goal
+
+    def after(self, wanted: Float64Array) -> Float64Array:
+        """Root sum of squares of each of the motions, shape (n, 3), in tolerances: shape (n,)."""
+        left = np.column_stack([wanted[:, :2], wrap_angle(wanted[:, 2])]) / self._goal.tolerance
+        return np.asarray(np.linalg.norm(left, axis=1))
 
 
 def _softly(error: Float64Array) -> Float64Array:

@@ -31,6 +31,7 @@ __all__ = [
     "add_table",
     "checked_pose",
     "connect",
+    "outline_shape",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -95,6 +96,29 @@ def checked_pose(pose: ArrayLike) -> FloatArray:
     return pose
 
 
+def outline_shape(client: BulletClient, thing: SimObject, growth: float) -> int:
+    """Collision shape of the outline of `thing`, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
+
+    Bullet rounds the edges of a box by its collision margin of 1 mm, which would displace a pusher at a corner by up to 0.4 mm.
+    """
+    height = float(thing.height.max())
+    rectangles = outline_rectangles(thing.cells, thing.cell_size)
+    before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
+    outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
+    convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
+    posts = (thing.outline + (growth - _CORNER_RADIUS) * outward)[convex]
+    centres = [*(centre for centre, _ in rectangles), *posts]
+    shape: int = client.createCollisionShapeArray(
+        shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
+        halfExtents=[[edges[0] / 2 + growth, edges[1] / 2 + growth, height / 2] for _, edges in rectangles]
+        + [[0.0, 0.0, 0.0]] * len(posts),
+        radii=[0.0] * len(rectangles) + [_CORNER_RADIUS] * len(posts),
+        lengths=[0.0] * len(rectangles) + [height] * len(posts),
+        collisionFramePositions=[[float(x), float(y), height / 2] for x, y in centres],
+    )
+    return shape
+
+
 class BulletObject:
     """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
 
@@ -109,7 +133,7 @@ class BulletObject:
         self._support = SupportEffects(thing, effects, gravity) if SupportEffects.needed(effects) else None
         self._friction, self._mass = thing.friction, thing.mass
         n_cells = len(thing)
-        outline = self._outline_shape(outline_growth(effects))
+        outline = outline_shape(client, thing, outline_growth(effects))
         foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
         n_links = _FIRST_CELL_LINK + n_cells
         self.body = client.createMultiBody(
@@ -140,29 +164,6 @@ class BulletObject:
             self.body, OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
         )
         client.setCollisionFilterGroupMask(self.body, OUTLINE_LINK, OUTLINE_GROUP, PUSHER_GROUP)
-
-    def _outline_shape(self, growth: float) -> int:
-        """Collision shape of the outline, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
-
-        Bullet rounds the edges of a box by its collision margin of 1 mm, which would displace a pusher at a corner by up to 0.4 mm.
-        """
-        thing = self._thing
-        height = float(thing.height.max())
-        rectangles = outline_rectangles(thing.cells, thing.cell_size)
-        before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
-        outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
-        convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
-        posts = (thing.outline + (growth - _CORNER_RADIUS) * outward)[convex]
-        centres = [*(centre for centre, _ in rectangles), *posts]
-        shape: int = self._client.createCollisionShapeArray(
-            shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
-            halfExtents=[[edges[0] / 2 + growth, edges[1] / 2 + growth, height / 2] for _, edges in rectangles]
-            + [[0.0, 0.0, 0.0]] * len(posts),
-            radii=[0.0] * len(rectangles) + [_CORNER_RADIUS] * len(posts),
-            lengths=[0.0] * len(rectangles) + [height] * len(posts),
-            collisionFramePositions=[[float(x), float(y), height / 2] for x, y in centres],
-        )
-        return shape
 
     def pose(self) -> FloatArray:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.physics.support import GRAVITY
 from push_ident.types import PusherPath
 from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
+from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.actuation import ToolErrors
@@ -45,16 +46,32 @@ class PushWorld:
         time_step: float = 1.0 / 240.0,
         solver_iterations: int = 50,
         effects: InjectedEffects | None = None,
+        pusher_height: float | None = None,
+        rigid: bool = False,
     ) -> None:
-        """`pusher_radius` [m] > 0, `time_step` [s]. Effects on poses and camera do not act here."""
+        """An object on the table.
+
+        Args:
+            thing: the object.
+            pusher_radius: [m], > 0.
+            time_step: [s].
+            solver_iterations: of the engine.
+            effects: that act; those on poses and camera do not act here.
+            pusher_height: of the contact above the table [m]; half the height of the object by default.
+            rigid: one body that may tilt and fall, without effects, instead of cells that each rest on their own weight.
+        """
         effects = effects or InjectedEffects()
         self.pusher_radius = pusher_radius
         self.time_step = time_step
         self._client = connect(time_step, solver_iterations, GRAVITY, effects)
         self._table = add_table(self._client)
-        self._object = BulletObject(self._client, thing, GRAVITY, effects)
+        self._object: BulletObject | RigidObject
+        if rigid:
+            self._object = RigidObject(self._client, thing, self._table, GRAVITY)
+        else:
+            self._object = BulletObject(self._client, thing, GRAVITY, effects)
         self._tool = ToolErrors(effects, time_step) if ToolErrors.needed(effects) else None
-        self._add_pusher(float(thing.height.max()) / 2, effects)
+        self._add_pusher(float(thing.height.max()) / 2 if pusher_height is None else pusher_height, effects)
         self._still_steps = _SWINGING_STEPS if "compliant_table" in effects or "tether" in effects else 1
         self._force = np.zeros(2)
 
@@ -161,6 +178,11 @@ class PushWorld:
     def object_velocity(self) -> FloatArray:
         """(vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s], shape (3,)."""
         return self._object.velocity()
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the object tips over the edge of the table, or lies beside it; only a rigid one can."""
+        return isinstance(self._object, RigidObject) and self._object.has_fallen
 
     def close(self) -> None:
         """Free the engine."""

@@ -12,12 +12,14 @@ from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped
+from push_ident_sim.studies.common.plate import plate_in_bullet
+from push_ident_sim.studies.common.pushed import IDENTIFIED, TRUTH, UNIFORM, PushedObject
 from push_ident_sim.studies.common.random_objects import random_object
-from push_ident_sim.studies.goals.run import LEVELS, PushedObject, random_goal, reach
+from push_ident_sim.studies.goals.run import LEVELS, random_goal, reach
 
 __all__ = ["STUDY"]
 
-_UNIFORM, _IDENTIFIED, _TRUTH = _KINDS = ("uniform", "identified", "truth")
+_KINDS = (UNIFORM, IDENTIFIED, TRUTH)
 _FIRST = next(iter(LEVELS))
 _SURE: Final = (0.85, 0.95)
 """Of a push that is "90 % sure"."""
@@ -28,7 +30,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     rng = np.random.default_rng([case.model, 1])
     goals = [random_goal(rng) for _ in range(settings.goals)]
     # The same noise for all kinds of model, as far as they push alike.
-    pushed = PushedObject(random_object(np.random.default_rng(case.model)), case.variant, np.random.default_rng([case.model, 2]))
+    thing = plate_in_bullet(random_object(np.random.default_rng(case.model)))
+    pushed = PushedObject(thing, case.variant, np.random.default_rng([case.model, 2]))
     try:
         outcomes = [reach(pushed, goal) for goal in goals]
     finally:
@@ -45,7 +48,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
     by_kind = grouped(results, "variant")
-    main = by_kind.get(_IDENTIFIED, results)
+    main = by_kind.get(IDENTIFIED, results)
     return {
         "success": {kind: {level: _mean(own, "reached", level) for level in LEVELS} for kind, own in by_kind.items()},
         "pushes": {kind: {level: _mean(own, "pushes", level) for level in LEVELS} for kind, own in by_kind.items()},
@@ -100,7 +103,7 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     axes.plot([0, 100], [0, 100], color="0.7", linewidth=1)
     for kind, rows in summary["calibration"].items():
         expected, found = ([100 * row[key] for row in rows] for key in ("expected", "found"))
-        axes.plot(expected, found, marker="o", color=COLOURS["gauss_newton" if kind == _IDENTIFIED else kind], label=kind)
+        axes.plot(expected, found, marker="o", color=COLOURS["gauss_newton" if kind == IDENTIFIED else kind], label=kind)
     axes.set_xlabel("expected chance to end at the goal [%]")
     axes.set_ylabel("pushes that did [%]")
     label_below(axes, 3)

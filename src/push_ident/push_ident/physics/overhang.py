@@ -1,0 +1,146 @@
+"""An object that overhangs the edge of its table: cells beyond the edge bear no load, the others bear its whole weight.
+
+The object is rigid, and rests on its cells as on springs whose stiffness gives each cell its own weight w_i while all are on the table.
+With cells off the table it sinks and tilts a little, so that the loads are
+
+    N_i = w_i max(0, l_0 + l . a_i) on the table, else 0          a_i: cell from the centre of mass
+    sum N_i = W,   sum N_i a_i = 0                                equilibrium
+
+Whatever overhangs, the size of the load and its centre stay the weight and the centre of mass; what changes is its spread, and the
+friction under it. Where the centre of mass lies beyond the outermost cells on the table there is no such load, and the object falls.
+Cells count as on the table by their centres: the object is taken to fall up to half a cell early, which is the careful side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.geometry.se2 import rotation
+from push_ident.physics.kernel import kernel
+from push_ident.types import Float64Array
+
+__all__ = ["Overhang", "TableEdge", "overhung_loads", "share_loads"]
+
+_ITERATIONS: Final = 30
+"""Of Newton's method: the loads are linear between the changes of the cells that bear any, and few change."""
+_EXACT: Final = 1e-9
+"""Remaining force and moment, as shares of the weight, and of the weight at the lever of the farthest cell [1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableEdge:
+    """A straight edge of the table; the table lies where `outward . p <= offset`.
+
+    Raises:
+        InputError: numbers that are not finite, or no direction.
+    """
+
+    outward: Float64Array
+    """Unit vector from the table into the air, shape (2,), table frame; scaled to length 1 here."""
+    offset: float
+    """Distance of the edge from the origin along `outward` [m]."""
+
+    def __post_init__(self) -> None:
+        outward = np.array(self.outward, dtype=np.float64)
+        length = float(np.linalg.norm(outward)) if outward.shape == (2,) else np.nan
+        if not (np.isfinite(length) and length > 0 and np.isfinite(self.offset)):
+            raise InputError(
+                f"The table's edge has the outward direction {self.outward} and the offset {self.offset}, expected two finite numbers that "
+                "are not both zero, and a finite distance in metres."
+            )
+        outward /= length
+        outward.setflags(write=False)
+        object.__setattr__(self, "outward", outward)
+
+    def beyond(self, points: Float64Array) -> Float64Array:
+        """How far points, shape (..., 2), table frame, lie beyond the edge [m]; negative on the table. Shape (...)."""
+        return np.asarray(np.asarray(points) @ self.outward - self.offset)
+
+
+class Overhang(NamedTuple):
+    """The edge and an object, as kernels take them."""
+
+    outward: Float64Array
+    """As in `TableEdge`."""
+    offset: float
+    weight: Float64Array
+    """Of each cell as a share of the whole, shape (n_cells,)."""
+
+
+@kernel
+def share_loads(edge: Overhang, arms: Float64Array, centre: Float64Array, cos: float, sin: float, factor: Float64Array) -> bool:
+    """Fill `factor`, shape (n_cells,), with the load of each cell relative to its own weight.
+
+    `arms`: cells from the centre of mass, shape (2, n_cells), object axes [m]; `centre`: of mass in the table frame, shape (2,) or more;
+    `cos`, `sin`: of the object's yaw. Returns False, and leaves `factor` as it is, where no load on the table holds the object.
+    """
+    n_cells = arms.shape[1]
+    across, along = cos * edge.outward[0] + sin * edge.outward[1], -sin * edge.outward[0] + cos * edge.outward[1]
+    room = edge.offset - edge.outward[0] * centre[0] - edge.outward[1] * centre[1]
+    n_on, reach = 0, 0.0
+    for i in range(n_cells):
+        n_on += across * arms[0, i] + along * arms[1, i] <= room
+        reach = max(reach, math.hypot(arms[0, i], arms[1, i]))
+    if n_on == n_cells:
+        factor[:] = 1.0
+        return True
+    if room <= 0.0 or reach == 0.0:
+        return False
+    unknown, residual, matrix = np.array([1.0, 0.0, 0.0]), np.empty(3), np.empty((3, 3))
+    for _ in range(_ITERATIONS):
+        residual[0], residual[1], residual[2] = -1.0, 0.0, 0.0
+        matrix[:] = 0.0
+        for i in range(n_cells):
+            if across * arms[0, i] + along * arms[1, i] <= room:
+                x, y = arms[0, i] / reach, arms[1, i] / reach
+                load = unknown[0] + unknown[1] * x + unknown[2] * y
+                if load > 0.0:
+                    w = edge.weight[i]
+                    residual[0] += w * load
+                    residual[1] += w * load * x
+                    residual[2] += w * load * y
+                    matrix[0, 0] += w
+                    matrix[0, 1] += w * x
+                    matrix[0, 2] += w * y
+                    matrix[1, 1] += w * x * x
+                    matrix[1, 2] += w * x * y
+                    matrix[2, 2] += w * y * y
+        if max(abs(residual[0]), abs(residual[1]), abs(residual[2])) < _EXACT:
+            for i in range(n_cells):
+                on = across * arms[0, i] + along * arms[1, i] <= room
+                load = unknown[0] + (unknown[1] * arms[0, i] + unknown[2] * arms[1, i]) / reach
+                factor[i] = load if on and load > 0.0 else 0.0
+            return True
+        for j in range(3):
+            # Cells in one line leave a direction open in which nothing presses.
+            matrix[j, j] += 1e-9 * max(matrix[0, 0], 1e-9)
+            for k in range(j):
+                matrix[j, k] = matrix[k, j]
+        unknown -= np.linalg.solve(matrix, residual)
+        if not math.isfinite(unknown[0] + unknown[1] + unknown[2]):
+            return False
+    return False
+
+
+def overhung_loads(edge: TableEdge, cells: Float64Array, mass: Float64Array, pose: Float64Array) -> Float64Array | None:
+    """Load of each cell as a share of the object's weight, shape (n_cells,), or None where the object falls.
+
+    Args:
+        edge: of the table.
+        cells: centres [m], shape (n_cells, 2), object frame.
+        mass: of each cell [kg], shape (n_cells,).
+        pose: of the object in the table frame (x, y, yaw), shape (3,).
+    """
+    weight = np.asarray(mass, dtype=np.float64) / np.sum(mass)
+    centre = weight @ cells
+    factor = np.ones(len(weight))
+    in_table = np.asarray(pose[:2] + rotation(float(pose[2])) @ centre)
+    arms = np.ascontiguousarray((cells - centre).T)
+    overhang = Overhang(edge.outward.copy(), float(edge.offset), weight)
+    held = share_loads(overhang, arms, in_table, float(np.cos(pose[2])), float(np.sin(pose[2])), factor)
+    return weight * factor if held else None

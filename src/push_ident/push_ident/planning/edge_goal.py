@@ -1,0 +1,116 @@
+"""A goal at the edge of the table: the object shall overhang it, to be grasped there, and stay on the table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.belief import Belief
+from push_ident.planning.goal import Goal
+from push_ident.planning.goal_ports import GoalCode, GoalRefusedError
+from push_ident.planning.hold import RISK, EdgeHold
+from push_ident.pushing.push import PushSettings
+from push_ident.types import Float64Array
+
+__all__ = ["EdgeGoal", "pregrasp"]
+
+_TURNS: Final = 72
+"""Headings that are compared."""
+_DRAWS: Final = 32
+"""Models that the margin is taken from."""
+_ROOM: Final = 0.5
+"""Of the tolerance of position, by which the centre of mass lies further inside than it must where that is possible [1]."""
+_LEVER: Final = 0.1
+"""Distance that a turn by one radian is worth [m], where the nearest pre-grasp pose is looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeGoal:
+    """Overhang an edge of the table by `overhang`, held on the table by at least `held`.
+
+    Raises:
+        InputError: a number that is not finite or positive, with the remedy.
+    """
+
+    edge: TableEdge | None
+    """Table frame; None where it is not known, which is refused."""
+    overhang: float = 0.04
+    """Of the outline beyond the edge [m]."""
+    held: float = 0.01
+    """Least distance of the centre of mass from the border of what supports it [m], see `EdgeHold.margin`."""
+    yaw: float | None = None
+    """Heading of the pre-grasp pose [rad]; None: the nearest that is held."""
+    position: float = 0.02
+    """Largest distance from the pre-grasp pose [m]."""
+    turn: float = float(np.radians(15.0))
+    """Largest angle to it [rad]."""
+
+    def __post_init__(self) -> None:
+        for name, value, low in (("overhang", self.overhang, 1e-3), ("held", self.held, 0.0)):
+            if not (np.isfinite(value) and low <= value <= 1.0):
+                raise InputError(f"The {name} at the edge is {value} m, expected {low:g} to 1 m.")
+        if self.yaw is not None and not np.isfinite(self.yaw):
+            raise InputError(f"The heading at the edge is {self.yaw}, expected a finite number of radians, or none for the nearest.")
+
+
+def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushSettings) -> tuple[Goal, EdgeHold]:
+    """The pre-grasp pose that is nearest to a pose, shape (3,), and what holds the object there.
+
+    Raises:
+        GoalRefusedError: the edge is not known, the workspace does not reach it, or the object would not be held there, as far as is known.
+    """
+    if goal.edge is None:
+        raise GoalRefusedError(GoalCode.INVALID_GOAL, "the table's edge is not known; give its place and its outward direction.")
+    hold, shape = EdgeHold(goal.edge, goal.held), belief.shape
+    models = belief.models(_DRAWS, np.random.default_rng(0))
+    centres = np.array([model.body.centre for model in models])
+    turns = np.array([goal.yaw]) if goal.yaw is not None else pose[2] + 2 * np.pi * np.arange(_TURNS) / _TURNS
+    poses = np.array([_at_edge(goal, goal.edge, shape.outline, pose, turn, settings) for turn in turns])
+    margins = np.array([hold.margins(shape.cells.centres, centre, poses) for centre in centres])
+    risk, mean = hold.risk(margins), margins.mean(axis=0)
+    inside = np.array([_is_within(goal.edge, settings, transform_points(place, shape.outline)) for place in poses])
+    if not np.any(inside):
+        raise GoalRefusedError(
+            GoalCode.OUTSIDE_WORKSPACE,
+            f"no pose that overhangs the edge by {1e3 * goal.overhang:.0f} mm keeps the object within the workspace {settings.workspace} "
+            "m; choose another edge or heading, or widen the workspace.",
+        )
+    held = inside & (risk <= RISK)
+    if not np.any(held):
+        best = int(np.argmax(np.where(inside, mean, -np.inf)))
+        raise GoalRefusedError(
+            GoalCode.UNREACHABLE,
+            f"with an overhang of {1e3 * goal.overhang:.0f} mm the centre of mass would be {1e3 * mean[best]:.0f} mm (standard deviation "
+            f"{1e3 * float(margins[:, best].std()):.0f} mm) inside its support, not surely the {1e3 * goal.held:.0f} mm of the goal; "
+            "allow less overhang, or push the object a few times more so that its centre of mass is known better.",
+        )
+    roomy = held & (mean >= goal.held + _ROOM * goal.position)
+    far = np.linalg.norm(poses[:, :2] - pose[:2], axis=1) + _LEVER * np.abs(wrap_angle(poses[:, 2] - pose[2]))
+    best = int(np.argmin(np.where(roomy if np.any(roomy) else held, far, np.inf)))
+    return Goal(poses[best], goal.position, goal.turn), hold
+
+
+def _at_edge(
+    goal: EdgeGoal, edge: TableEdge, outline: Float64Array, pose: Float64Array, turn: float, settings: PushSettings
+) -> Float64Array:
+    """The pose with a heading whose outline overhangs the edge as wanted, beside where the object is: shape (3,)."""
+    turned = outline @ rotation(float(turn)).T
+    out = edge.offset + goal.overhang - float(np.max(turned @ edge.outward))
+    along = np.array([-edge.outward[1], edge.outward[0]])
+    x_min, x_max, y_min, y_max = settings.workspace
+    corners = np.array([[x, y] for x in (x_min, x_max) for y in (y_min, y_max)]) @ along
+    side = turned @ along
+    room = (float(np.min(corners) - np.min(side)), float(np.max(corners) - np.max(side)))
+    beside = float(np.clip(pose[:2] @ along, *room)) if room[0] <= room[1] else float(np.mean(room))
+    return np.array([*(out * edge.outward + beside * along), turn])
+
+
+def _is_within(edge: TableEdge, settings: PushSettings, outline: Float64Array) -> bool:
+    """Whether what is on the table lies within the workspace of the tool."""
+    on_table = outline[edge.beyond(outline) <= 0.0]
+    return len(on_table) > 0 and settings.excess(on_table) <= 0.0

@@ -1,0 +1,138 @@
+"""One object in Bullet that is a single rigid body with six degrees of freedom: it tilts, and falls over an edge.
+
+Its feet are spheres below the cells, each with the friction of its cell. The engine's contacts share the load among them; on an even table
+that is one of many shares in equilibrium, not the weight of each cell, which is why experiments on even tables take `BulletObject`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet as bullet
+from numpy.typing import ArrayLike, NDArray
+from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
+
+from push_ident_sim.engines.bullet.bullet_object import CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, TABLE_GROUP, outline_shape
+from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
+from push_ident_sim.objects import SimObject
+
+__all__ = ["RigidObject"]
+
+FloatArray = NDArray[np.float64]
+
+_FOOT_RADIUS = 0.002
+"""[m]"""
+_FOOT_MASS = 1e-6
+"""Of a link that carries a foot [kg]: the body has the mass."""
+_FALLEN = 0.1
+"""Angle by which an object leans that falls [rad]: while it is held it tilts by less than 0.01."""
+
+
+class RigidObject:
+    """A `SimObject` standing on the table of one engine, as `BulletObject`; all poses in the `table` frame."""
+
+    def __init__(self, client: BulletClient, thing: SimObject, table: int, gravity: float) -> None:
+        """Put the object at (0, 0, 0), at rest."""
+        self._client, self._thing, self._table, self._gravity = client, thing, table, gravity
+        total = float(thing.mass.sum())
+        self._height = float(thing.mass @ thing.height / total) / 2
+        self._centre: FloatArray = thing.mass @ thing.cells / total
+        arms = thing.cells - self._centre
+        across = thing.mass @ (arms**2 + thing.cell_size**2 / 12.0)
+        upright = float(thing.mass @ thing.height**2) / 12.0
+        foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
+        n = len(thing)
+        self.body: int = client.createMultiBody(
+            baseMass=total,
+            baseCollisionShapeIndex=outline_shape(client, thing, 0.0),
+            baseInertialFramePosition=[*self._centre, self._height],
+            linkMasses=[_FOOT_MASS] * n,
+            linkCollisionShapeIndices=[foot] * n,
+            linkVisualShapeIndices=[-1] * n,
+            linkPositions=[[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
+            linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n,
+            linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n,
+            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n,
+            linkParentIndices=[0] * n,
+            linkJointTypes=[bullet.JOINT_FIXED] * n,
+            linkJointAxis=[[0, 0, 1]] * n,
+        )
+        inertia = [across[1] + upright, across[0] + upright, across[0] + across[1]]
+        client.changeDynamics(
+            self.body,
+            -1,
+            localInertiaDiagonal=inertia,
+            lateralFriction=thing.pusher_friction,
+            restitution=0.0,
+            linearDamping=0.0,
+            angularDamping=0.0,
+        )
+        client.setCollisionFilterGroupMask(self.body, -1, OUTLINE_GROUP, PUSHER_GROUP)
+        for link, friction in enumerate(thing.friction.tolist()):
+            client.changeDynamics(self.body, link, lateralFriction=friction, restitution=0.0, localInertiaDiagonal=[1e-12] * 3)
+            client.setCollisionFilterGroupMask(self.body, link, CELL_GROUP, TABLE_GROUP)
+
+    def _state(self) -> tuple[FloatArray, FloatArray]:
+        position, turn = self._client.getBasePositionAndOrientation(self.body)
+        return np.array(position), np.reshape(self._client.getMatrixFromQuaternion(turn), (3, 3))
+
+    def pose(self) -> FloatArray:
+        """True (x, y, yaw) of the object frame, shape (3,)."""
+        centre, turn = self._state()
+        return np.array([*(centre - turn @ [*self._centre, self._height])[:2], np.arctan2(turn[1, 0], turn[0, 0])])
+
+    def velocity(self) -> FloatArray:
+        """True (vx, vy, yaw rate) of the object frame, shape (3,)."""
+        linear, angular = self._client.getBaseVelocity(self.body)
+        arm = -self._state()[1][:2, :2] @ self._centre
+        return np.array([linear[0] - angular[2] * arm[1], linear[1] + angular[2] * arm[0], angular[2]])
+
+    @property
+    def lean(self) -> float:
+        """Angle between the object's and the table's normal [rad]."""
+        return float(np.arccos(np.clip(self._state()[1][2, 2], -1.0, 1.0)))
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether it tips over an edge, or lies below the table."""
+        return self.lean > _FALLEN
+
+    def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate)."""
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        arm = np.array([[cosine, -sine], [sine, cosine]]) @ self._centre
+        vx, vy, rate = np.asarray(velocity, dtype=np.float64)
+        turn = [0.0, 0.0, float(np.sin(pose[2] / 2)), float(np.cos(pose[2] / 2))]
+        self._client.resetBasePositionAndOrientation(self.body, [*(pose[:2] + arm).tolist(), self._height], turn)
+        self._client.resetBaseVelocity(self.body, [vx - rate * arm[1], vy + rate * arm[0], 0.0], [0.0, 0.0, rate])
+
+    def start_push(self) -> None:
+        """Nothing is remembered of a push."""
+
+    def set_pushes_done(self, n_pushes: int) -> None:
+        """No effects act here."""
+
+    def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
+        """Apply, for the next time step, the correction of Bullet's cone friction to Coulomb's law."""
+        thing = self._thing
+        centre, turn = self._state()
+        arms = (thing.cells - self._centre) @ turn[:2, :2].T
+        linear, angular = self._client.getBaseVelocity(self.body)
+        limit = thing.friction * self.cell_loads(self._table)
+        velocity = np.array([linear[0], linear[1], angular[2]])
+        wrench = cone_friction_correction(arms, thing.mass, thing.cell_size, limit, velocity)
+        self._client.applyExternalForce(self.body, -1, [wrench[0], wrench[1], 0.0], centre.tolist(), bullet.WORLD_FRAME)
+        self._client.applyExternalTorque(self.body, -1, [0.0, 0.0, wrench[2]], bullet.WORLD_FRAME)
+
+    def cell_loads(self, table: int) -> FloatArray:
+        """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
+        loads = np.zeros(len(self._thing))
+        for contact in self._client.getContactPoints(self.body, table):
+            loads[contact[3]] += contact[9]
+        return loads
+
+    def force_of(self, pusher: int, link: int) -> FloatArray:
+        """Force on the outline of one link of the body `pusher` in the last step [N], shape (3,)."""
+        force = np.zeros(3)
+        for contact in self._client.getContactPoints(self.body, pusher, -1, link):
+            force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
+        return force

@@ -1,0 +1,1 @@
+"""Experiment: objects pushed to many goals in a row."""

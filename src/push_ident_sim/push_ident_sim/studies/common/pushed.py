@@ -1,0 +1,131 @@
+"""One object that is pushed in Bullet from one goal to the next, as a camera sees it, and what a model of one kind says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from push_ident.geometry.se2 import transform_points
+from push_ident.identification.identify import identify
+from push_ident.identification.result import prior_posterior
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.belief import Belief
+from push_ident.planning.planner import GoalPlanner
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.sampling import sample_push
+from push_ident.types import Float64Array, PushRecord
+from push_ident_sim.engines.bullet.push_world import PushWorld
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.objects import SimObject
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, observe_motion, path_of_plan, true_model
+
+__all__ = ["GREEDY", "IDENTIFIED", "KINDS", "TABLE", "TRUTH", "UNIFORM", "PushedObject"]
+
+KINDS = UNIFORM, IDENTIFIED, TRUTH, GREEDY = ("uniform", "identified", "truth", "greedy")
+"""What is known: nothing (equal cells, nothing learned), what pushes have shown, everything. `greedy`: what pushes have shown, by a planner
+that looks one push ahead."""
+TABLE = np.array([0.8, 0.7])
+"""Half the sides of the table [m]."""
+_EXPLORING = 3
+"""Random pushes before the first goal."""
+_MOST_EXPLORING = 6
+"""Random pushes of one object."""
+_LEARNED = 10
+"""Pushes that identification learns from, at most: later ones add little to what is known."""
+_LASTING = np.array([7e-4, 7e-4, 6e-3])
+"""Standard deviation of the errors of a pose at rest that no further frame lessens [m, m, rad]: perception in the simulated cell
+(`CameraPolicy.floor_position`, `floor_yaw`)."""
+_REST = 0.4
+"""Before and after each push [s]."""
+
+
+class PushedObject:
+    """An object in Bullet, observed by a camera, and what a model of one kind says of it.
+
+    Args:
+        thing: the true one.
+        kind: one of `KINDS`.
+        rng: of exploring pushes and of noise.
+        rigid: one body that may tilt and fall, instead of cells that each rest on their own weight.
+        pushes: limits of the pushes; by default those of the paper's experiments.
+    """
+
+    def __init__(
+        self, thing: SimObject, kind: str, rng: np.random.Generator, *, rigid: bool = False, pushes: PushSettings | None = None
+    ) -> None:
+        self._truth_settings, self._noise, self._rng, self._kind = TruthSettings(), CameraNoise(), rng, kind
+        self.settings = pushes or self._truth_settings.pushes
+        self._world = PushWorld(thing, self.settings.pusher_radius, time_step=self._truth_settings.time_step, rigid=rigid)
+        self.truth = true_model(thing)
+        self.centre: Float64Array = self.truth.mass @ self.truth.shape.cells.centres / self.truth.total_mass
+        """True centre of mass [m], shape (2,), object frame."""
+        self.pose: Float64Array = np.zeros(3)
+        """The true one, shape (3,)."""
+        self._records: list[PushRecord] = []
+        self.belief = Belief.certain(self.truth) if kind == TRUTH else Belief.of(prior_posterior(self.truth.shape))
+        self.planner = GoalPlanner(self.truth.shape, self.settings, greedy=kind == GREEDY)
+        if self._learns:
+            for _ in range(_EXPLORING):
+                # As on the paper's table, wherever later pushes may go.
+                self._record(self._move(sample_push(self.truth.shape, self.pose, rng, self._truth_settings.pushes)))
+            self._learn()
+        self._explored = _EXPLORING
+
+    @property
+    def _learns(self) -> bool:
+        return self._kind in (IDENTIFIED, GREEDY)
+
+    def explore(self, pushes: PushSettings) -> TrueMotion | None:
+        """Make one more random push, and learn from it; None where all that are allowed were made, or nothing is learned."""
+        if not self._learns or self._explored >= _MOST_EXPLORING:
+            return None
+        self._explored += 1
+        motion = self._move(sample_push(self.truth.shape, self.pose, self._rng, pushes))
+        self._record(motion)
+        self._learn()
+        return motion
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._world.close()
+
+    def observe(self) -> tuple[Float64Array, Float64Array]:
+        """Pose as perceived at rest, shape (3,), and its covariance, shape (3, 3)."""
+        n = int(_REST * self._noise.rate)
+        frame = np.array([self._noise.position_std, self._noise.position_std, self._noise.yaw_std])
+        std = np.hypot(frame / np.sqrt(n), _LASTING)
+        return self.pose + std * self._rng.normal(size=3), np.diag(std**2)
+
+    def push(self, plan: PushPlan2D, edge: TableEdge | None = None) -> TrueMotion:
+        """Make a push and learn from it; not where the object overhangs an edge, which identification knows nothing of."""
+        motion = self._move(plan)
+        outlines = transform_points(motion.pose[[0, -1]], self.truth.shape.outline)
+        on_table = edge is None or bool(np.all(edge.beyond(outlines) <= 0.0))
+        if self._learns and on_table and len(self._records) < _LEARNED:
+            self._record(motion)
+            self._learn()
+        return motion
+
+    @staticmethod
+    def duration(motion: TrueMotion) -> float:
+        """Of a push with the rests before and after it [s]."""
+        return float(motion.time[-1]) + 2 * _REST
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the object tipped over an edge, or its centre of mass is beyond the table."""
+        return self._world.has_fallen or bool(np.any(np.abs(transform_points(self.pose, self.centre[None])[0]) > TABLE))
+
+    def _move(self, plan: PushPlan2D) -> TrueMotion:
+        path = path_of_plan(plan, self._truth_settings)
+        motion = self._world.push(self.pose, path, pushes_done=len(self._records))
+        self.pose = motion.pose[-1]
+        return motion
+
+    def _record(self, motion: TrueMotion) -> None:
+        observed = observe_motion(motion, self.settings.pusher_radius, self._noise, self._rng)
+        self._records.append(PushRecord("o1", self.truth.shape, *observed))
+
+    def _learn(self) -> None:
+        result = identify(self._records)
+        if not result.status.is_failure:
+            self.belief = Belief.of(result.posterior)

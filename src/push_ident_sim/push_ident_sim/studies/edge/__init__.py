@@ -1,0 +1,1 @@
+"""Experiment: objects pushed out over the edge of the table."""

@@ -1,0 +1,1 @@
+"""Experiment: objects pushed along paths."""
