@@ -8,6 +8,7 @@ from push_ident.physics.effect import (
     Effect,
     EffectParameter,
     OnContact,
+    OnForces,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
@@ -23,6 +24,7 @@ PLACES = {
     OnPusherFriction: "on the pusher's friction coefficient",
     OnTimes: "on the times of measured poses",
     OnPoses: "on measured poses",
+    OnForces: "on measured forces of the pusher; poses do not show it",
 }
 HEAD = """# Effects
 

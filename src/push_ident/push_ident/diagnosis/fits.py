@@ -13,6 +13,7 @@ from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
+from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
@@ -39,7 +40,10 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
 
     Raises InputError where there is no push, or pushes of different objects.
     """
-    unknowns = Unknowns(records[0].shape, settings.base_prior, effects=settings.base_effects, effect_std=settings.effect_std)
+    # Errors of a force sensor are looked for at their own size, not at that which a tare leaves.
+    effect_std = {name: [p.scale for p in EFFECTS[name].parameters] for name in FORCE_CAUSES} | settings.effect_std
+    prior = settings.base_prior.felt_in(records)
+    unknowns = Unknowns(records[0].shape, prior, effects=settings.base_effects, effect_std=effect_std)
 
     def problem_at(amplitude: float) -> FitProblem:
         return FitProblem(records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics)

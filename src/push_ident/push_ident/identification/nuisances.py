@@ -1,6 +1,9 @@
-"""Errors of a measurement that are unknowns beside the object: of the outline that a camera traced, and of where the camera stands."""
+"""Errors of a measurement that are unknowns beside the object: of the outline that a camera traced, of where the camera stands, and of a
+force sensor."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 
@@ -11,12 +14,16 @@ from push_ident.types import Float64Array, ObjectShape
 __all__ = ["measured_std", "nuisances_of"]
 
 
+_FORCE_OFFSET: Final = "force_offset"
+"""Effect of a force sensor that was not tared well."""
+
+
 def nuisances_of(shape: ObjectShape, prior: Prior) -> tuple[str, ...]:
     """Effects that are unknown by how shape and poses were measured, whatever the object is.
 
     Pushes show where an outline that a camera traced really is, and where the camera stands with respect to the pusher.
     """
-    return tuple(name for name in CAMERA_ERRORS if np.any(measured_std(name, shape, prior) > 0))
+    return tuple(name for name in (*CAMERA_ERRORS, _FORCE_OFFSET) if np.any(measured_std(name, shape, prior) > 0))
 
 
 def measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
@@ -24,5 +31,7 @@ def measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
     effect = EFFECTS[name]
     if effect.moves_outline:
         return np.full(len(effect.parameters), shape.outline_error or 0.0)
+    if name == _FORCE_OFFSET:
+        return np.full(len(effect.parameters), prior.force_offset_std)
     stated = {"m": prior.camera_position_std, "rad": prior.camera_heading_std} if effect.is_camera_error else {}
     return np.array([stated.get(parameter.unit, 0.0) for parameter in effect.parameters])

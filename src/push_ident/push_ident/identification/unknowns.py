@@ -16,7 +16,8 @@ more friction would change the friction of the whole object.
 Effects that the base model leaves out (`physics/effects/`) may be unknowns too: each parameter is its nominal value plus z_e times its
 prior standard deviation.
 
-The total mass M scales every force and changes no motion, so M is no unknown here: see `total_mass`.
+The total mass M scales every force and changes no motion. It is an unknown, M = M_0 exp(m), where forces are measured; motions are
+simulated at M_0.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ _PREFERENCE_STD: Final = 0.7
 """Prior standard deviation of the logarithm of the load that a foot prefers [-]; statics alone gives that of three feet."""
 _FOOT_WIDTH: Final = (0.3, 0.3)
 """Width of a foot: the least one, at which a foot between cells still has its place, and the median beyond it, in cells [-]."""
+_GIVEN_STD: Final = 1e-3
+"""Standard deviation of the logarithm of a total mass that counts as given [-]: no scale of a force sensor is better."""
 _FROZEN_PRECISION: Final = 1e8
 """Precision about zero of a frozen unknown, in units of its prior: a standard deviation of 1e-4 prior standard deviations, below any
 effect on a motion. A finite number keeps one layout of the vector for free and frozen unknowns."""
@@ -139,8 +142,9 @@ class Mechanics:
 
 class Unknowns:
     """The unknowns `z` of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_places`, `foot_width`,
-    `foot_preferences`, `effects`, `friction_scale` and `pusher_friction`. There is no
-    `pressure_map` where its prior standard deviation is 0 or the object stands on feet; without feet there are no blocks of feet.
+    `foot_preferences`, `effects`, `friction_scale`, `pusher_friction` and `total_mass`. There is no
+    `pressure_map` where its prior standard deviation is 0 or the object stands on feet; without feet there are no blocks of feet, and
+    without measured forces no `total_mass`.
 
     Args:
         shape: outline and cells of the object.
@@ -197,6 +201,7 @@ class Unknowns:
                 ),
                 Block.of("friction_scale", prior.friction_std),
                 Block.of("pusher_friction", prior.pusher_friction_std),
+                Block.of("total_mass", np.full(int(prior.force_offset_std > 0), max(prior.total_mass_std, _GIVEN_STD))),
             )
         )
 
@@ -339,6 +344,10 @@ class Unknowns:
         free = self.effects.values + std * z[self.slice_of("effects")]
         return np.clip(free, low, high), np.where((free >= low) & (free <= high), std, 0.0)
 
+    def effect_slope(self, z: Float64Array) -> Float64Array:
+        """Derivative of the values of the effects by their own unknowns, shape (n_values,): 0 beyond a bound."""
+        return self._effect_values(z)[1]
+
     @property
     def map_remainder(self) -> Float64Array:
         """Prior variance of a unit map that the modes leave out, shape (n_cells,): posteriors add it back."""
@@ -466,6 +475,11 @@ class Unknowns:
         z[self.slice_of("friction_scale")] = scale / prior.friction_std
         z[self.slice_of("pusher_friction")] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
         return z
+
+    def mass_factor(self, z: Float64Array) -> float:
+        """Total mass over the nominal one, 1 where no forces are measured."""
+        own = self.block("total_mass")
+        return float(np.exp(own.std @ z[self.slice_of("total_mass")]))
 
     def mechanics(self, z: Float64Array) -> Mechanics:
         """The moving body at `z`, shape (size,), and its derivative by `z`."""

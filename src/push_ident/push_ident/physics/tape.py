@@ -98,6 +98,7 @@ def new_tape(
     n_inputs, n_columns = N_FIXED_INPUTS + n_memory + n_values, BLOCK_EFFECTS + n_memory + n_values + n_sums
     return Tape(
         np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, n_columns)), np.zeros((n_steps if forces else 0, 3, n_columns)),
-        np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros(n_steps), np.zeros((n_steps if skewed else 0, 2)),
+        np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros(n_steps),
+        np.zeros((n_steps if skewed else 0, 2)),
         np.zeros((n_steps, n_memory, n_inputs)),
     )  # fmt: skip

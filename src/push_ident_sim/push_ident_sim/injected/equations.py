@@ -12,7 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.effect import Body, Cell, Effect, Load, OnContact, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
+from push_ident.physics.effect import (
+    Body,
+    Cell,
+    Effect,
+    Load,
+    OnContact,
+    OnForces,
+    OnPoses,
+    OnPusherFriction,
+    OnPusherPath,
+    OnTable,
+    OnTimes,
+)
 from push_ident.physics.effects import EFFECTS
 from push_ident_sim.injected.catalogue import INJECTED
 from push_ident_sim.injected.values import InjectedEffects
@@ -25,6 +37,7 @@ __all__ = [
     "contact_quantity",
     "driven_place",
     "pusher_friction",
+    "reported_forces",
     "reported_poses",
     "times_of_poses",
 ]
@@ -89,6 +102,14 @@ def reported_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
         assert isinstance(effect.acts, OnPoses)
         pose = np.ascontiguousarray(effect.acts.see(values.astype(np.complex128), pose.astype(np.complex128)).real)
     return pose
+
+
+def reported_forces(effects: InjectedEffects, force: FloatArray) -> FloatArray:
+    """What is reported of true forces [N], shape (n, 2), table frame, under such effects."""
+    for effect, values in _injected(effects, OnForces):
+        assert isinstance(effect.acts, OnForces)
+        force = np.ascontiguousarray(effect.acts.feel(values.astype(np.complex128), force.astype(np.complex128)).real)
+    return force
 
 
 def times_of_poses(effects: InjectedEffects, time: FloatArray) -> FloatArray:
