@@ -7,27 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, random_records
+from helpers.objects import hammer, random_records, with_forces
 from push_ident.identification.forces import observe_forces
 from push_ident.identification.identify import identify
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
-from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import simulate
-from push_ident.types import Float64Array, ObjectModel, PushRecord, WrenchTrack
-
-RATE = 100.0
-"""Of the force sensor [Hz]."""
-
-
-def with_wrench(record: PushRecord, truth: ObjectModel, *, offset: tuple[float, float] = (0.0, 0.0), std: float = 0.05) -> PushRecord:
-    """The same push with the forces of the true model, of a sensor with noise and an offset."""
-    rng = np.random.default_rng(len(record.poses.time))
-    edges = np.arange(record.pusher.time[0] - 0.2, record.pusher.time[-1], 1 / RATE)
-    motion = simulate(truth, PushScenario(record.pusher, record.poses.pose[0], record.poses.time[-1:], force_time=edges))
-    force = np.diff(motion.impulse, axis=0) * RATE
-    return replace(record, wrench=WrenchTrack(edges[1:], force + offset + std * rng.normal(size=force.shape)))
+from push_ident.types import Float64Array, WrenchTrack
 
 
 def test_forces_become_means_over_windows_with_their_noise() -> None:
@@ -53,7 +39,7 @@ def test_a_window_without_a_sample_says_nothing() -> None:
 
 def problem_with_forces(effects: tuple[str, ...]) -> tuple[FitProblem, Float64Array]:
     truth = hammer(1)
-    records = [with_wrench(r, truth) for r in random_records(truth, 2, 1)]
+    records = [with_forces(r, truth) for r in random_records(truth, 2, 1)]
     problem = FitProblem(records, Unknowns(records[0].shape, Prior().felt_in(records), effects=effects))
     return problem, 0.3 * np.random.default_rng(0).normal(size=problem.size)
 
@@ -72,7 +58,7 @@ def test_gradient_with_forces_equals_central_differences() -> None:
 
 def test_total_mass_and_friction_of_the_object_are_known_together_better_than_each() -> None:
     truth = hammer(2)
-    records = [with_wrench(r, truth) for r in random_records(truth, 4, 2)]
+    records = [with_forces(r, truth) for r in random_records(truth, 4, 2)]
     posterior = identify(records).posterior
     scale, mass = (posterior.unknowns.slice_of(name).start for name in ("friction_scale", "total_mass"))
     std = np.array([posterior.unknowns.block(name).std[0] for name in ("friction_scale", "total_mass")])
@@ -86,8 +72,8 @@ def test_total_mass_and_friction_of_the_object_are_known_together_better_than_ea
 def test_an_offset_of_the_sensor_is_found_and_leaves_the_maps_alone() -> None:
     truth = hammer(2)
     records = random_records(truth, 4, 2)
-    good = identify([with_wrench(r, truth) for r in records]).posterior
-    stale = identify([with_wrench(r, truth, offset=(0.6, -0.4)) for r in records]).posterior
+    good = identify([with_forces(r, truth) for r in records]).posterior
+    stale = identify([with_forces(r, truth, {"force_offset": [0.6, -0.4]}) for r in records]).posterior
     found = stale.effects.values[stale.effects.slice_of("force_offset")]
     assert found == pytest.approx([0.6, -0.4], abs=0.1)
     change = stale.model.mass * stale.model.friction - good.model.mass * good.model.friction
