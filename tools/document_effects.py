@@ -9,6 +9,7 @@ from push_ident.physics.effect import (
     EffectParameter,
     OnContact,
     OnForces,
+    OnForceTimes,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
@@ -25,6 +26,7 @@ PLACES = {
     OnTimes: "on the times of measured poses",
     OnPoses: "on measured poses",
     OnForces: "on measured forces of the pusher; poses do not show it",
+    OnForceTimes: "on the times of measured forces; poses do not show it",
 }
 HEAD = """# Effects
 

@@ -107,13 +107,14 @@ def random_records(model: ObjectModel, n: int, seed: int, *, noise: float = 1.0)
 
 def with_forces(record: PushRecord, model: ObjectModel, effects: dict[str, list[float]] | None = None, *, std: float = 0.05) -> PushRecord:
     """The same push with the forces of the true model, as a sensor measures them at 100 Hz with noise of `std` [N]."""
-    from push_ident.physics.effect_values import effect_values, measured_forces
+    from push_ident.physics.effect_values import effect_values, force_times, measured_forces
     from push_ident.physics.scenario import PushScenario
     from push_ident.physics.simulation import SimulationSettings, simulate
 
     rng = np.random.default_rng(len(record.poses.time))
     edges = np.arange(record.pusher.time[0] - 0.2, record.pusher.time[-1], 0.01)
-    scenario = PushScenario(record.pusher, record.poses.pose[0], record.poses.time[-1:], record.order, edges)
+    times = force_times(effect_values(effects), edges)[0]
+    scenario = PushScenario(record.pusher, record.poses.pose[0], record.poses.time[-1:], record.order, times)
     motion = simulate(model, scenario, settings=SimulationSettings(step=1 / 960), effects=effects)
     force = measured_forces(effect_values(effects), np.diff(motion.impulse, axis=0) / 0.01)[0]
     return replace(record, wrench=WrenchTrack(edges[1:], force + std * rng.normal(size=force.shape)))

@@ -45,7 +45,7 @@ def problem_with_forces(effects: tuple[str, ...]) -> tuple[FitProblem, Float64Ar
 
 
 def test_gradient_with_forces_equals_central_differences() -> None:
-    problem, x = problem_with_forces(("force_offset", "force_scale", "table_tilt", "pusher_friction"))
+    problem, x = problem_with_forces(("force_offset", "force_scale", "force_delay", "table_tilt", "pusher_friction"))
     gradient, own = problem.evaluate(x).gradient, problem.unknowns
     chosen = [0, 5, 41, 60, *range(own.slice_of("effects").start, problem.size)]
     for i in chosen:
@@ -77,6 +77,17 @@ def test_an_offset_of_the_sensor_is_found_and_leaves_the_maps_alone() -> None:
     found = stale.effects.values[stale.effects.slice_of("force_offset")]
     assert found == pytest.approx([0.6, -0.4], abs=0.1)
     change = stale.model.mass * stale.model.friction - good.model.mass * good.model.friction
+    assert np.abs(change).max() < np.max(good.mass_friction_std)
+
+
+def test_late_forces_are_found_and_leave_the_maps_alone() -> None:
+    truth = hammer(2)
+    records = random_records(truth, 4, 2)
+    good = identify([with_forces(r, truth) for r in records]).posterior
+    late = identify([with_forces(r, truth, {"force_delay": [0.03]}) for r in records]).posterior
+    (found,) = late.effects.values[late.effects.slice_of("force_delay")]
+    assert found == pytest.approx(0.03, abs=0.004)
+    change = late.model.mass * late.model.friction - good.model.mass * good.model.friction
     assert np.abs(change).max() < np.max(good.mass_friction_std)
 
 

@@ -18,6 +18,8 @@ from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
 
+_BASE_WITH_FORCES: Final = ("force_delay",)
+"""Effects that belong to the base model where forces are measured: contacts that give delay them, and nothing is wrong."""
 _MAX_ITERATIONS: Final = 40
 """Of a fit that starts from another one."""
 _MAX_BASE_ITERATIONS: Final = 150
@@ -43,7 +45,8 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
     # Errors of a force sensor are looked for at their own size, not at that which a tare leaves.
     effect_std = {name: [p.scale for p in EFFECTS[name].parameters] for name in FORCE_CAUSES} | settings.effect_std
     prior = settings.base_prior.felt_in(records)
-    unknowns = Unknowns(records[0].shape, prior, effects=settings.base_effects, effect_std=effect_std)
+    late = [name for name in _BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
+    unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
     def problem_at(amplitude: float) -> FitProblem:
         return FitProblem(records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from push_ident.identification.observation import NoiseModel
-from push_ident.physics.effect_values import EffectValues, measured_forces
+from push_ident.physics.effect_values import EffectValues, force_times, measured_forces
+from push_ident.physics.simulation import Motion
 from push_ident.types import Float64Array, PushRecord, WrenchTrack
 
 __all__ = ["ForceObservation", "observe_forces"]
@@ -38,6 +39,10 @@ class ForceObservation:
     std: Float64Array
     """Standard deviation of each component, the discrepancy of the model included [N], shape (n,); infinite where nothing was measured."""
 
+    def times(self, effects: EffectValues) -> Float64Array:
+        """When the forces at `edges` were measured [s], shape (n + 1,)."""
+        return force_times(effects, self.edges)[0]
+
     def residual(self, simulated: Float64Array) -> Float64Array:
         """Whitened difference between simulated forces, shape (n, 2), and the measured ones."""
         return np.asarray((simulated - self.force) / self.std[:, None])
@@ -46,31 +51,35 @@ class ForceObservation:
         """Forces that a sensor would measure [N], shape (n, 2).
 
         Args:
-            impulse: of the pusher until each of `edges` [N s], shape (n + 1, 2).
+            impulse: of the pusher until each of `times` [N s], shape (n + 1, 2).
             factor: of the total mass over that of the simulation.
             effects: those on forces act.
         """
         return measured_forces(effects, factor * np.diff(impulse, axis=0) / np.diff(self.edges)[:, None])[0]
 
     def derivative(
-        self, impulse: Float64Array, by_impulse: Float64Array, factor: float, effects: EffectValues
+        self, motion: Motion, by_impulse: Float64Array, factor: float, effects: EffectValues
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Derivative of `residual(simulated(...))`.
 
         Args:
-            impulse, factor, effects: as of `simulated`.
+            motion: simulated, with the impulse at `times`.
+            factor, effects: as of `simulated`.
             by_impulse: derivative of the impulse by some unknowns, shape (n + 1, 2, n_unknowns).
 
         Returns:
             By these unknowns, shape (n, 2, n_unknowns); by the logarithm of the factor, shape (n, 2); by the values of the effects as far
-            as they act on forces, shape (n, 2, n_values).
+            as they act on forces and their times, shape (n, 2, n_values).
         """
         length = np.diff(self.edges)[:, None]
-        force = factor * np.diff(impulse, axis=0) / length
+        force = factor * np.diff(motion.impulse, axis=0) / length
         _, by_force, by_value = measured_forces(effects, force)
         whitened = by_force / self.std[:, None, None]
         own = whitened @ (factor * np.diff(by_impulse, axis=0) / length[:, :, None])
-        return own, np.einsum("nij,nj->ni", whitened, force), np.moveaxis(by_value, 0, 2) / self.std[:, None, None]
+        _, by_time = force_times(effects, self.edges)
+        moved = factor * np.diff(by_time[:, :, None] * motion.force_at, axis=1) / length
+        values = np.moveaxis(by_value, 0, 2) / self.std[:, None, None] + np.einsum("nij,vnj->niv", whitened, moved)
+        return own, np.einsum("nij,nj->ni", whitened, force), values
 
 
 def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> ForceObservation | None:

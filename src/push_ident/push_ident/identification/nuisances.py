@@ -14,8 +14,8 @@ from push_ident.types import Float64Array, ObjectShape
 __all__ = ["measured_std", "nuisances_of"]
 
 
-_FORCE_OFFSET: Final = "force_offset"
-"""Effect of a force sensor that was not tared well."""
+_OF_FORCES: Final = ("force_offset", "force_delay")
+"""Errors that every force sensor has."""
 
 
 def nuisances_of(shape: ObjectShape, prior: Prior) -> tuple[str, ...]:
@@ -23,7 +23,7 @@ def nuisances_of(shape: ObjectShape, prior: Prior) -> tuple[str, ...]:
 
     Pushes show where an outline that a camera traced really is, and where the camera stands with respect to the pusher.
     """
-    return tuple(name for name in (*CAMERA_ERRORS, _FORCE_OFFSET) if np.any(measured_std(name, shape, prior) > 0))
+    return tuple(name for name in (*CAMERA_ERRORS, *_OF_FORCES) if np.any(measured_std(name, shape, prior) > 0))
 
 
 def measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
@@ -31,7 +31,7 @@ def measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
     effect = EFFECTS[name]
     if effect.moves_outline:
         return np.full(len(effect.parameters), shape.outline_error or 0.0)
-    if name == _FORCE_OFFSET:
-        return np.full(len(effect.parameters), prior.force_offset_std)
+    if name in _OF_FORCES and prior.force_offset_std > 0:
+        return np.array([prior.force_offset_std if parameter.unit == "N" else parameter.scale for parameter in effect.parameters])
     stated = {"m": prior.camera_position_std, "rad": prior.camera_heading_std} if effect.is_camera_error else {}
     return np.array([stated.get(parameter.unit, 0.0) for parameter in effect.parameters])

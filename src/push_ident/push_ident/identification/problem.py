@@ -230,7 +230,7 @@ class FitProblem:
     def _scenario(self, x: Float64Array, push: int) -> PushScenario:
         record = self.records[push]
         forces = self.forces[push]
-        force_time = np.zeros(0) if forces is None else forces.edges
+        force_time = np.zeros(0) if forces is None else forces.times(self.unknowns.effects_at(self.object_unknowns(x)))
         return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order, force_time)
 
     def respond(self, x: Float64Array, push: int) -> tuple[Motion, StepResponse | None]:
@@ -401,10 +401,10 @@ class FitProblem:
              np.zeros((len(observed.edges), 2, self.unknowns_of_push - _POSE))],
             axis=2,
         )  # fmt: skip
-        factor = unknowns.mass_factor(self.object_unknowns(x))
-        jacobian, by_factor, by_value = observed.derivative(motion.impulse, by_unknowns, factor, mechanics.effects)
+        z = self.object_unknowns(x)
+        jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, unknowns.mass_factor(z), unknowns.effects_at(z))
         jacobian[:, :, unknowns.slice_of("total_mass")] += by_factor[:, :, None] * unknowns.block("total_mass").std
-        jacobian[:, :, unknowns.slice_of("effects")] += by_value * unknowns.effect_slope(self.object_unknowns(x))
+        jacobian[:, :, unknowns.slice_of("effects")] += by_value * unknowns.effect_slope(z)
         return jacobian.reshape(2 * len(observed.force), -1)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:

@@ -124,6 +124,7 @@ class Mechanics:
     body: BodyParameters
     pusher_friction: float
     effects: EffectValues
+    """Those that poses show."""
     derivative: Float64Array
     """d(body parameters, limits of the cells, values of the effects) / dz, shape (8 + n_cells + n_values, size), rows as the columns of
     `Motion.jacobian`."""
@@ -490,11 +491,12 @@ class Unknowns:
         moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
         d_mass, d_friction = self._log_derivatives(z, model)
         values, d_values = self._effect_values(z)
-        n_cells, n_values = len(weight), len(values)
+        shown = np.array([not effect.needs_forces for effect in self.effects.effects for _ in effect.parameters], dtype=bool)
+        n_cells, n_values = len(weight), int(np.sum(shown))
         derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, self.size))
         derivative[PARAM_CENTRE : PARAM_CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
         derivative[PARAM_INERTIA] = body.mass * ((weight * moment) @ d_mass)
         derivative[PARAM_LIMIT : PARAM_LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
         derivative[PARAM_MU, self.slice_of("pusher_friction")] = model.pusher_friction * self.prior.pusher_friction_std
-        derivative[PARAM_LIMIT + n_cells :, self.slice_of("effects")] = np.diag(d_values)
-        return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values), derivative)
+        derivative[PARAM_LIMIT + n_cells :, self.slice_of("effects")] = np.diag(d_values)[shown]
+        return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values).of_poses, derivative)

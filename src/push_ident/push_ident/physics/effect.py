@@ -23,8 +23,8 @@ from push_ident.errors import InputError
 
 __all__ = [
     "MAPS", "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation",
-    "ExportAs", "Law", "Load", "Memory", "OnContact", "OnForces", "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes",
-    "Rival", "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
+    "ExportAs", "Law", "Load", "Memory", "OnContact", "OnForceTimes", "OnForces", "OnPoses", "OnPusherFriction", "OnPusherPath",
+    "OnTable", "OnTimes", "Rival", "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
@@ -253,6 +253,14 @@ class OnForces:
 
 
 @dataclass(frozen=True, slots=True)
+class OnForceTimes:
+    """Acts on the times at which forces of the pusher are measured."""
+
+    move: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """move(values, time): time of measurement of the force that is reported for `time` [s], shape (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
 class Memory:
     """Numbers that an effect carries from step to step; 0 at the start of a push."""
 
@@ -270,7 +278,7 @@ class Effect:
     """In one sentence."""
     equation: str
     parameters: tuple[EffectParameter, ...]
-    acts: OnTable | OnContact | OnPusherPath | OnPusherFriction | OnTimes | OnPoses | OnForces
+    acts: OnTable | OnContact | OnPusherPath | OnPusherFriction | OnTimes | OnPoses | OnForces | OnForceTimes
     law: Law
     signature: str
     """Its trace in the residuals of the base model."""
@@ -323,7 +331,7 @@ class Effect:
     @property
     def needs_forces(self) -> bool:
         """Whether poses do not show it at all."""
-        return isinstance(self.acts, OnForces)
+        return isinstance(self.acts, OnForces | OnForceTimes)
 
     @property
     def moves_outline(self) -> bool:

@@ -16,6 +16,7 @@ from push_ident.physics.effect import (
     Effect,
     EffectParameter,
     OnForces,
+    OnForceTimes,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
@@ -75,7 +76,15 @@ class EffectValues:
     @property
     def of_motion(self) -> EffectValues:
         """Those that change how things move; the others change what is reported."""
-        own = [effect for effect in self.effects if not isinstance(effect.acts, OnPoses | OnForces)]
+        return self._but(OnPoses, OnForces, OnForceTimes)
+
+    @property
+    def of_poses(self) -> EffectValues:
+        """Those that poses show: all but errors of measured forces, with which nothing is simulated."""
+        return self._but(OnForces, OnForceTimes)
+
+    def _but(self, *places: type) -> EffectValues:
+        own = [effect for effect in self.effects if not isinstance(effect.acts, places)]
         values = [self.values[self.slice_of(effect.name)] for effect in own]
         return EffectValues(tuple(effect.name for effect in own), np.concatenate([np.zeros(0), *values]))
 
@@ -190,6 +199,12 @@ def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float6
     """Times [s] at which the poses reported for `time` were measured, shape (n_frames,), and their derivative by the values, shape
     (n_values, n_frames)."""
     return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnTimes)], effects, time)
+
+
+def force_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Times [s] at which the forces reported for `time` were measured, shape (n,), and their derivative by the values, shape (n_values,
+    n)."""
+    return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnForceTimes)], effects, time)
 
 
 def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:

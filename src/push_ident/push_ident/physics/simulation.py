@@ -96,6 +96,8 @@ class Motion:
     impulse: Float64Array
     """Of the pusher on the object from the start until each `PushScenario.force_time` [N s], shape (n_forces, 2), table frame: differences
     over their time are mean forces. NaN where the simulation failed."""
+    force_at: Float64Array
+    """Force at each `PushScenario.force_time`, by which the impulse grows [N], shape (n_forces, 2), table frame."""
     impulse_jacobian: Float64Array
     """Its derivative, shape (n_forces, 2, columns of `jacobian`)."""
 
@@ -375,7 +377,7 @@ def _run(
     if status is not SolveStatus.SIMULATION_FAILED:
         impulse = _impulse_until(impulses, force * clock.lengths[:, None])
     no_derivative = np.empty((len(scenario.time), 3, 0)), np.empty((len(scenario.force_time), 2, 0))
-    motion = Motion(scenario.time, pose, no_derivative[0], clock.middles, force, status, impulse, no_derivative[1])
+    motion = Motion(scenario.time, pose, no_derivative[0], clock.middles, force, status, impulse, force[impulses.step], no_derivative[1])
     diamond = settings.friction_cone == "pyramid"
     eps = FINAL_NU if diamond else settings.smoothing_speed
     chain = Chain(tape, push.centre, push.arms, diamond, eps, clock.lengths, times.frames, force)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from push_ident.physics.effect import Effect, OnContact, OnForces, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
+from push_ident.physics.effect import Effect, OnContact, OnForces, OnForceTimes, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter, Part
 
@@ -27,6 +27,7 @@ _PARTS: dict[type, Part] = {
     OnTimes: "camera",
     OnPoses: "poses",
     OnForces: "forces",
+    OnForceTimes: "forces",
 }
 """What an effect acts on that is injected through its equation."""
 _WIDEST = 10.0

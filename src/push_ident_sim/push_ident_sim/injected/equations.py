@@ -19,6 +19,7 @@ from push_ident.physics.effect import (
     Load,
     OnContact,
     OnForces,
+    OnForceTimes,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
@@ -39,6 +40,7 @@ __all__ = [
     "pusher_friction",
     "reported_forces",
     "reported_poses",
+    "times_of_forces",
     "times_of_poses",
 ]
 
@@ -116,6 +118,14 @@ def times_of_poses(effects: InjectedEffects, time: FloatArray) -> FloatArray:
     """When the poses were measured that are reported for `time` [s], shape (n,), under such effects."""
     for effect, values in _injected(effects, OnTimes):
         assert isinstance(effect.acts, OnTimes)
+        time = np.ascontiguousarray(effect.acts.move(values.astype(np.complex128), time.astype(np.complex128)).real)
+    return time
+
+
+def times_of_forces(effects: InjectedEffects, time: FloatArray) -> FloatArray:
+    """When the forces were measured that are reported for `time` [s], shape (n,), under such effects."""
+    for effect, values in _injected(effects, OnForceTimes):
+        assert isinstance(effect.acts, OnForceTimes)
         time = np.ascontiguousarray(effect.acts.move(values.astype(np.complex128), time.astype(np.complex128)).real)
     return time
 
