@@ -10,6 +10,7 @@ import pytest
 from helpers.objects import hammer, random_records, with_forces
 from push_ident.identification.forces import observe_forces
 from push_ident.identification.identify import identify
+from push_ident.identification.online import OnlineIdentifier
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
@@ -89,6 +90,19 @@ def test_late_forces_are_found_and_leave_the_maps_alone() -> None:
     assert found == pytest.approx(0.03, abs=0.004)
     change = late.model.mass * late.model.friction - good.model.mass * good.model.friction
     assert np.abs(change).max() < np.max(good.mass_friction_std)
+
+
+def test_pushes_that_are_summed_up_keep_what_their_forces_said() -> None:
+    truth = hammer(2)
+    records = [with_forces(r, truth) for r in random_records(truth, 4, 2)]
+    online = OnlineIdentifier(OnlineIdentifier.new(truth.shape), window=2)
+    masses = [online.add(record).posterior.total_mass for record in records]
+    past = online.state.past
+    assert past is not None and past.n_pushes == 2 and online.state.prior.force_offset_std > 0
+    assert masses[-1].std < 0.7 * masses[0].std
+    assert abs(masses[-1].value - truth.total_mass) < 3.0 * masses[-1].std
+    # A push without forces goes on in the same unknowns.
+    assert online.add(random_records(truth, 5, 2)[4]).posterior.unknowns.block("total_mass").size == 1
 
 
 def test_pushes_without_forces_are_fitted_as_before() -> None:

@@ -2,7 +2,8 @@
 
 A mean over a window averages the noise of the sensor and what hands and contacts shake, and its model is a difference of impulses, which
 the engine gives with its exact derivative. What the samples scatter from one to the next is the noise of the sensor. The model itself is
-wrong by a share of the force, since no law of friction is exact; the windows of a push share this discrepancy.
+wrong by a share of the force, since no law of friction is exact; the windows of a push share this discrepancy. Where a force comes
+or goes it takes its time, which a rigid contact does not.
 """
 
 from __future__ import annotations
@@ -98,7 +99,15 @@ def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> Force
     force = sums / np.maximum(count, 1)[:, None]
     sensor = np.hypot(_scatter(wrench) / np.sqrt(np.maximum(count, 1)), noise.floor_force)
     discrepancy = noise.force_discrepancy * np.linalg.norm(force, axis=1) * np.sqrt(max(1.0, n / _SHARING))
-    return ForceObservation(edges, force, np.where(measured, np.hypot(sensor, discrepancy), np.inf))
+    rise = min(1.0, noise.force_rise / (edges[1] - edges[0])) * _jumps(force)
+    std = np.sqrt(sensor**2 + discrepancy**2 + rise**2)
+    return ForceObservation(edges, force, np.where(measured, std, np.inf))
+
+
+def _jumps(force: Float64Array) -> Float64Array:
+    """Largest difference of each window to its neighbours [N], shape (n,), of forces of shape (n, 2)."""
+    jump = np.r_[0.0, np.linalg.norm(np.diff(force, axis=0), axis=1), 0.0]
+    return np.asarray(np.maximum(jump[:-1], jump[1:]))
 
 
 def _scatter(wrench: WrenchTrack) -> float:
