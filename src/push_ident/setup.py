@@ -13,7 +13,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
         (f"share/{package}/launch", sorted(glob("launch/*.launch.py"))),
-        (f"share/{package}/config", sorted(glob("config/*"))),
+        (f"share/{package}/config", sorted(glob("config/*.*"))),
+        (f"share/{package}/config/robots", sorted(glob("config/robots/*.yaml"))),
     ],
     # What is needed to run stands in package.xml (rosdep) and in requirements/ (pip).
     install_requires=["setuptools"],

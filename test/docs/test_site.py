@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md", "changelog/README.md")
-ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "perception.yaml")
+ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
 PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "**Consequences**: ")
 

@@ -11,15 +11,16 @@ from pathlib import Path
 import pytest
 
 from helpers.commands import run_here
-from push_ident.cli.overrides import Overrides
-from push_ident.cli.supervisor import node_commands
+from push_ident.cli.overrides import Overrides, overrides_of
+from push_ident.cli.supervisor import node_commands, node_names
 
-OWN = "push_executor_node:\n  ros__parameters:\n    push_speed: 0.031\n/**:\n  ros__parameters:\n    own: 7\n"
+OWN = "/**/push_executor_node:\n  ros__parameters:\n    push_speed: 0.031\n/**:\n  ros__parameters:\n    own: 7\n"
 
 
 def test_own_file_and_names_reach_a_node_and_count_more_than_the_installed_ones(tmp_path: Path) -> None:
     file = tmp_path / "own.yaml"
     file.write_text(OWN)
+    assert overrides_of([file], (), node_names("arm")).files == (file,)
     overrides = Overrides((file,), ("joint_states:=/arm/joint_states", "other_node:tool:=/x"))
     executor = next(node for node in node_commands("arm", overrides=overrides) if node.name == "push_executor_node")
     program = """

@@ -135,3 +135,15 @@ def test_rows_that_follow_from_a_list_of_names_are_declared_too(context, capfd):
 def test_asking_for_an_unknown_parameter_names_the_known_ones(make):
     with pytest.raises(KeyError, match="speed, count"):
         make()[1]["sped"]
+
+
+def test_list_with_one_number_for_each_joint_has_any_length_but_none_outside_its_range(context):
+    row = Parameter("posture", [0.0] * 7, "one per joint [rad]", -6.3, 6.3, any_length=True)
+    values = ([0.1] * 6, [0.1] * 8)
+    for number, value in enumerate(values):
+        node = Node(f"arm_{number}", context=context, parameter_overrides=[RosParameter("posture", value=value)], enable_rosout=False)
+        try:
+            assert Parameters(node, (row,))["posture"] == value
+        finally:
+            node.destroy_node()
+    assert row.fault([]) == "expected at least one value" and row.fault([0.1] * 5 + [7.0]) == "expected -6.3 to 6.3"

@@ -21,6 +21,7 @@ from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.overrides import overrides_of
 from push_ident.cli.restart import RestartPolicy
+from push_ident.cli.robot import RobotOption, robot_for
 from push_ident.cli.supervisor import Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se3 import quaternion_of_pose
@@ -54,6 +55,7 @@ def up_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder that keeps objects and maps for the next start. Default: none.", show_default=False),
     ] = None,
+    robot: RobotOption = None,
     params: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Parameter file of ROS 2 for the nodes; may be repeated.", show_default=False)
     ] = None,
@@ -66,19 +68,26 @@ def up_command(
 
     A node that dies is started again after a pause of 1 s, doubled up to 30 s while it dies early; the maps go on where they were.
     """
-    overrides = overrides_of(params or (), remap or (), node_names(kind.value))
+    names = node_names(kind.value)
+    chosen = None if robot is None else robot_for(kind.value, robot)
+    # Of two rules for one name ROS takes the first: those of the command line come before those of the robot.
+    overrides = overrides_of(params or (), [*(remap or ()), *(chosen.remaps if chosen else ())], names)
     perception = True
     if kind is CellKind.replay and bag is not None:
         perception = not read_bag(bag).has_poses
+    extra = [name for name, wanted in (("bag_recorder_node", record is not None), ("viewer_node", view)) if wanted]
     with TemporaryDirectory(prefix="push_ident_") as until_the_end:
         folder: dict[str, object] = {"state_directory": str((state or Path(until_the_end)).resolve())}
-        own = {name: folder for name in ("perception_node", "identification_node") if perception or name != "perception_node"}
+        own = {} if chosen is None else chosen.parameters(Path(until_the_end), extra)
+        for name in ("perception_node", "identification_node") if perception else ("identification_node",):
+            own.setdefault(name, {}).update(folder)
         if sensor is not None:
             if kind is not CellKind.sim:
                 raise InputError(f"--sensor is a model of the simulated camera, and `up {kind.value}` has none.")
-            own["sim_cell_node"] = {"sensor": sensor}
+            own.setdefault("sim_cell_node", {})["sensor"] = sensor
         if record is not None:
-            own["bag_recorder_node"] = {"numbered": True}  # started again after its death, it must not refuse what it has written
+            # Started again after its death, it must not refuse what it has written.
+            own.setdefault("bag_recorder_node", {})["numbered"] = True
         commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=own, overrides=overrides)
         show_view(view)
         # A bag that is played again from its start would be another recording.
@@ -194,9 +203,24 @@ _PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "open
 
 def doctor_command(
     seconds: Annotated[float, typer.Option(min=0.5, help="How long to listen.")] = 4.0,
+    robot: RobotOption = None,
+    spacing: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Distance of the places at which pushes are planned, with --robot [m].")
+    ] = 0.05,
+    out: OutOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Report installed packages, the ROS in use, live topics, and what is missing."""
+    """Report installed packages, the ROS in use, live topics, and what is missing; or check a robot file.
+
+    With --robot only that file is checked: joints, limits, frames, reach of the workspace, and the cell that runs, if one does. --out then
+    gets the picture of the reach. The exit status is 1 where something is wrong.
+    """
+    if robot is not None:
+        from push_ident.cli.robot_doctor import examine_robot
+
+        raise typer.Exit(examine_robot(robot, spacing=spacing, seconds=seconds, out=out, json=json))
+    if out is not None:
+        raise InputError("--out gets the picture of the reach of a robot; give --robot FILE, or take it out.")
     problems: list[str] = []
     installed: dict[str, str | None] = {}
     for name in _PACKAGES:

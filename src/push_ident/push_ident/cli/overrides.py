@@ -67,7 +67,7 @@ def _check_file(file: Path, nodes: Sequence[str]) -> None:
     if not isinstance(content, dict) or not content:
         raise InputError(f"--params {file}: holds no nodes, expected `NODE:` with `ros__parameters:` below it.")
     for name, below in content.items():
-        if str(name) != _EVERY_NODE and str(name).strip("/") not in nodes:
+        if str(name) != _EVERY_NODE and str(name).removeprefix(_EVERY_NODE).strip("/") not in nodes:
             raise InputError(f"--params {file}: names the node {plain_text(str(name))}, expected /** or one of {', '.join(nodes)}.")
         if not isinstance(below, dict) or not isinstance(below.get("ros__parameters"), dict):
             raise InputError(f"--params {file}: {plain_text(str(name))} has no `ros__parameters:` with parameters below it.")

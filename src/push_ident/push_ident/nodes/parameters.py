@@ -37,6 +37,21 @@ class Parameter:
     read_only: bool = False
     choices: tuple[str, ...] = ()
     """The strings allowed; empty allows all."""
+    any_length: bool = False
+    """For a list of numbers with one for each joint: its length is that of the arm, which is not known here."""
+
+    def has_type(self, value: Any) -> bool:
+        """Whether `value`, from a file, has the type of the default."""
+        if not isinstance(self.default, list):
+            return type(value) is type(self.default)
+        return isinstance(value, list) and all(type(item) is type(self.default[0]) for item in value)
+
+    def expected_type(self, value: Any) -> str:
+        """What is expected in place of a value of another type."""
+        if isinstance(self.default, list):
+            return f"expected a list of {type(self.default[0]).__name__}" if self.default else "expected a list"
+        write = f", write {float(value)}" if isinstance(self.default, float) and isinstance(value, int) else ""
+        return f"expected {type(self.default).__name__}{write}"
 
     def fault(self, value: Any) -> str:
         """Why `value` is refused; empty when it is fine."""
@@ -45,7 +60,9 @@ class Parameter:
         if isinstance(self.default, list):
             if isinstance(self.default[0], str):
                 return ""
-            if len(value) != len(self.default):
+            if self.any_length and not value:
+                return "expected at least one value"
+            if not self.any_length and len(value) != len(self.default):
                 return f"expected {len(self.default)} values, got {len(value)}"
             values = list(value)
         else:
@@ -139,14 +156,7 @@ class Parameters:
             self._node.declare_parameter(row.name, row.default, row.descriptor())
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             value = self._overrides()[row.name].value
-            if isinstance(error, InvalidParameterValueException):
-                why = row.fault(value) or str(error)
-            elif isinstance(row.default, list):
-                why = f"expected a list of {type(row.default[0]).__name__}" if row.default else "expected a list"
-            else:
-                why = f"expected {type(row.default).__name__}"
-                if isinstance(row.default, float) and isinstance(value, int):
-                    why += f", write {float(value)}"
+            why = (row.fault(value) or str(error)) if isinstance(error, InvalidParameterValueException) else row.expected_type(value)
             raise InputError(f"Parameter {row.name} of {self._node.get_name()} is {value!r}: {why} ({row.description}).") from None
 
     def _overrides(self) -> dict[str, RosParameter]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
+from push_ident.limits import plain_text
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.cell.robot import robot_description
 from push_ident_sim.objects import SimObject
@@ -150,12 +151,14 @@ class DepthCamera:
         pose_camera_in_table: FloatArray,
         intrinsics: CameraIntrinsics = INTRINSICS,
         distortion: float = 0.0,
+        description: str | None = None,
     ) -> None:
         """`sim_object` lies before it; the pose (4, 4) and the intrinsics are those that it really has.
 
         Args:
             distortion: Coefficient k of a radial distortion [-]: the ray of a pixel at the distance r from the principal point, both in
                 focal lengths, is that of a camera without distortion at r (1 + k r^2).
+            description: URDF of the arm before it; None: the iiwa.
         """
         self.intrinsics = intrinsics
         self.pose_camera_in_table = np.array(pose_camera_in_table, dtype=np.float64)
@@ -166,7 +169,7 @@ class DepthCamera:
         self._slack = int(np.ceil(abs(distortion) * corner**3 / intrinsics.fx**2))
         self._meshes: dict[int, tuple[SimObject, Mesh]] = {}
         self.sim_object = sim_object
-        self._links = _robot_meshes(robot_description())
+        self._links = _robot_meshes(description or robot_description())
 
     @property
     def sim_object(self) -> SimObject:
@@ -350,6 +353,16 @@ def _robot_meshes(description: str) -> dict[str, Mesh]:
     return links
 
 
+def _hull(file: Path) -> Any:
+    """Coarse convex hull of a mesh."""
+    import open3d
+
+    if not file.is_file():
+        raise InputError(f"The robot description has the mesh {plain_text(str(file))}, which is no file; install the package that has it.")
+    hull, _ = open3d.io.read_triangle_mesh(file).compute_convex_hull()
+    return hull.simplify_quadric_decimation(_TRIANGLES_PER_LINK)
+
+
 def _solid_mesh(collision: ET.Element) -> Mesh:
     import open3d
 
@@ -363,11 +376,14 @@ def _solid_mesh(collision: ET.Element) -> Mesh:
         mesh = open3d.geometry.TriangleMesh.create_cylinder(
             float(solid.attrib["radius"]), float(solid.attrib["length"]), resolution=32, split=1
         )
+    elif solid.tag == "sphere":
+        mesh = open3d.geometry.TriangleMesh.create_sphere(float(solid.attrib["radius"]), resolution=10)
     elif solid.tag == "mesh":
-        hull, _ = open3d.io.read_triangle_mesh(Path(solid.attrib["filename"])).compute_convex_hull()
-        mesh = hull.simplify_quadric_decimation(_TRIANGLES_PER_LINK)
+        mesh = _hull(Path(solid.attrib["filename"]))
+        scale = np.array(solid.attrib.get("scale", "1 1 1").split(), dtype=np.float64)
+        mesh.transform(np.diag([*scale, 1.0]))
     else:
-        raise InputError(f"The robot description has a {solid.tag}, expected box, cylinder or mesh.")
+        raise InputError(f"The robot description has a {solid.tag}, expected box, cylinder, sphere or mesh.")
     origin = collision.find("origin")
     placed = np.eye(4)
     if origin is not None:

@@ -1,11 +1,17 @@
-"""Description of the arm with its hand, rooted in the `table` frame."""
+"""The arm with its hand or tool, rooted in the `table` frame: the one that every cell has, or that of a robot file."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+
+from push_ident.errors import InputError
+from push_ident.limits import plain_text
+from push_ident.pushing.robot.description import PUSHER_LINK, cell_description, read_urdf
+from push_ident.pushing.robot.robot_file import read_robot
 
 __all__ = [
     "BASE_POSITION",
@@ -14,8 +20,12 @@ __all__ = [
     "JOINT_NAMES",
     "PUSHER_LENGTH",
     "PUSHER_RADIUS",
+    "CellRobot",
     "bullet_description",
+    "cell_robot",
+    "iiwa_with_hand",
     "robot_description",
+    "robot_from_file",
 ]
 
 JOINT_NAMES = tuple(f"lbr_iiwa_joint_{i}" for i in range(1, 8))
@@ -30,8 +40,72 @@ CONTACT_LINK = "hand_contact"
 """Only in Bullet: what touches the object in place of the cylinder."""
 _CONTACT_ABOVE_TIP = 0.004
 """[m]: low enough for the flattest object at the height at which the tool pushes."""
+_WRIST = ("lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7")
+_WRIST_JOINTS = 3
+"""Joints of the wrist of an arm."""
 HOME = (0.0, 1.001, 0.0, -1.923, 0.0, 0.2176, 0.0)
 """Joint positions [rad] with the tip 0.28 m above the middle of the workspace, tool down."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellRobot:
+    """An arm that stands in the simulated cell."""
+
+    description: str
+    """URDF, root link `table`, with absolute paths of meshes."""
+    joint_names: tuple[str, ...]
+    """In the order in which the arm reports them."""
+    start: tuple[float, ...]
+    """Posture at the start [rad], one value per joint."""
+    neutral: tuple[float, ...]
+    """Posture over the workspace with the tool down [rad]."""
+    pusher_link: str
+    """Link of the cylinder that pushes: origin at its upper end, z down."""
+    pusher_radius: float
+    """[m]"""
+    pusher_length: float
+    """[m]"""
+    low_links: tuple[str, ...]
+    """Links that collide with the table: those of the tool and of the wrist."""
+
+
+@cache
+def iiwa_with_hand() -> CellRobot:
+    """The arm of every cell that names no other."""
+    description = robot_description()
+    low = [name for name in _link_names(description) if name.startswith("hand_") or name in _WRIST]
+    return CellRobot(description, JOINT_NAMES, HOME, HOME, "hand_pusher", PUSHER_RADIUS, PUSHER_LENGTH, tuple(low))
+
+
+def cell_robot(file: str) -> CellRobot:
+    """The arm of a robot file; without one the iiwa. Raises InputError where the file cannot be used."""
+    return robot_from_file(Path(file)) if file else iiwa_with_hand()
+
+
+def robot_from_file(path: Path) -> CellRobot:
+    """The arm of a robot file, parked at its home. Raises InputError where the file cannot be used."""
+    robot = read_robot(path)
+    joints, tool = robot.file.joints, robot.file.tool
+    urdf = read_urdf(robot)
+    if missing := urdf.missing_meshes:
+        raise InputError(f"{urdf.path}: the mesh {plain_text(missing[0])} is no file; install the package that has it, or source it.")
+    chain = urdf.chain(tool.link)
+    # What hangs on the third joint from the end may come down to the table.
+    moving = [joint.get("name", "") for joint in chain if joint.get("type") != "fixed"][-_WRIST_JOINTS:]
+    first = next((i for i, joint in enumerate(chain) if joint.get("name") in moving), 0)
+    wrist = {child.get("link", "") for joint in chain[first:] if (child := joint.find("child")) is not None}
+    description = _with_masses(cell_description(robot, urdf))
+    low = [name for name in _link_names(description) if name in wrist or name.startswith("tool_")]
+    return CellRobot(
+        description,
+        tuple(joints.names),
+        tuple(joints.home),
+        tuple(joints.neutral),
+        PUSHER_LINK,
+        tool.pusher_radius,
+        tool.pusher_height,
+        tuple(low),
+    )
 
 
 @cache
@@ -62,22 +136,36 @@ def robot_description() -> str:
     return ET.tostring(robot, encoding="unicode", xml_declaration=True)
 
 
-def bullet_description(*, turning_finger: bool = False) -> str:
-    """The same with a ball in the pusher that touches objects in its place, on a fixed joint or on one that turns about the tool's axis.
+def bullet_description(arm: CellRobot, *, turning_finger: bool = False) -> str:
+    """Description with a ball in the pusher that touches objects in its place, on a fixed joint or on one that turns about the tool's axis.
 
     A ball touches an upright wall where the cylinder would, but in one point. Of the contacts along a cylinder Bullet keeps some with the
     normal that the wall had before it turned, and the pusher drags.
     """
-    robot = ET.fromstring(robot_description())
+    robot = ET.fromstring(arm.description)
     link = ET.SubElement(robot, "link", name=CONTACT_LINK)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value="0.01")
     ET.SubElement(inertial, "inertia", ixx="1e-6", ixy="0", ixz="0", iyy="1e-6", iyz="0", izz="1e-6")
-    ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "sphere", radius=str(PUSHER_RADIUS))
-    joint = _fixed_joint(robot, f"{CONTACT_LINK}_joint", "hand_pusher", CONTACT_LINK, f"0 0 {PUSHER_LENGTH - _CONTACT_ABOVE_TIP}")
+    ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "sphere", radius=str(arm.pusher_radius))
+    at = f"0 0 {arm.pusher_length - _CONTACT_ABOVE_TIP}"
+    joint = _fixed_joint(robot, f"{CONTACT_LINK}_joint", arm.pusher_link, CONTACT_LINK, at)
     if turning_finger:
         joint.set("type", "continuous")
         ET.SubElement(joint, "axis", xyz="0 0 1")
+    return ET.tostring(robot, encoding="unicode", xml_declaration=True)
+
+
+def _link_names(description: str) -> list[str]:
+    return [link.attrib["name"] for link in ET.fromstring(description).findall("link")]
+
+
+def _with_masses(description: str) -> str:
+    """Give links without inertia a mass of zero."""
+    robot = ET.fromstring(description)
+    for link in robot.findall("link"):
+        if link.find("inertial") is None:
+            _massless(link)
     return ET.tostring(robot, encoding="unicode", xml_declaration=True)
 
 

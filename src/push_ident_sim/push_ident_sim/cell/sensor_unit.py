@@ -87,18 +87,21 @@ class Sensor:
         motion = camera_in_table @ np.linalg.inv(reported @ self._model.extrinsics_error(self._seed))
         return np.array([*motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])])
 
-    def camera(self, thing: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None) -> DepthCamera:
+    def camera(
+        self, thing: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None, description: str | None = None
+    ) -> DepthCamera:
         """Camera with the true lens and the true pose of this unit.
 
         Args:
             thing: What lies before it.
             reported: Its pose in `table` as it is published, shape (4, 4).
             intrinsics: True ones but for the distortion; None: the published ones.
+            description: URDF of the arm before it; None: the iiwa.
         """
         pinhole = intrinsics or self.intrinsics
         if not self._model:
-            return DepthCamera(thing, reported, pinhole)
-        return DepthCamera(thing, reported @ self._model.extrinsics_error(self._seed), pinhole, self._model.distortion)
+            return DepthCamera(thing, reported, pinhole, description=description)
+        return DepthCamera(thing, reported @ self._model.extrinsics_error(self._seed), pinhole, self._model.distortion, description)
 
     def look(self, camera: DepthCamera, pose_object: ArrayLike, robot_link_poses: dict[str, FloatArray]) -> View | DepthImage:
         """What lies before `camera`, for `read`: the plain sensor needs no more than depth. Arguments as of `DepthCamera.render`."""

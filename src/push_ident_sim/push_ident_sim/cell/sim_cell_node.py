@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import queue
-import sys
 import threading
 import time
 from collections import defaultdict, deque
@@ -48,7 +47,7 @@ from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.run import run_node
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera
-from push_ident_sim.cell.robot import robot_description
+from push_ident_sim.cell.robot import cell_robot
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import PLAIN, SENSOR_NAMES
 from push_ident_sim.cell.trajectory import JointTrajectory
@@ -78,6 +77,7 @@ PARAMETERS: Final = (
     Parameter("start_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the object frame at the start" + _SPAWNED, -3.2, 3.2),
     Parameter("pusher_friction", 0.3, "friction coefficient of the pusher on the object" + _SPAWNED, 0.0, 2.0),
     Parameter("real_time_factor", 1.0, "largest number of simulated seconds per second; 0: no limit", 0.0, 100.0),
+    Parameter("robot", "", "robot file of the arm; empty: an iiwa with a closed hand", read_only=True),
     Parameter("time_step", 1.0 / 240.0, "of the simulation [s]", 1e-3, 1e-2, read_only=True),
     Parameter("state_rate", 100.0, "of joint states, wrench and clock, in simulated time [Hz]", 10.0, 240.0, read_only=True),
     Parameter("camera_rate", 15.0, "of depth images, in simulated time [Hz]; 0: no camera", 0.0, 60.0, read_only=True),
@@ -154,7 +154,9 @@ class _SimCell(Component):
         values = self._settings.as_dict()
         effects = InjectedEffects.of({name: values[_EFFECT + name] for name in INJECTED})
         thing = _object_of(values)
-        self._world = CellWorld(thing, WorldConfig(time_step=values["time_step"], effects=effects), pose=values["start_pose"])
+        config = WorldConfig(time_step=values["time_step"], effects=effects)
+        robot = cell_robot(values["robot"])
+        self._world = CellWorld(thing, config, pose=values["start_pose"], robot=robot)
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
         self._state_period, self._truth_period = 1.0 / values["state_rate"], 1.0 / values["truth_rate"]
         self._state_rng, self._camera_rng, self._luck, self._truth_rng = np.random.default_rng(values["noise_seed"]).spawn(4)
@@ -163,7 +165,7 @@ class _SimCell(Component):
         if values["camera_rate"] > 0:
             check_rendered(effects)
             reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
-            self._camera = self._sensor.camera(thing, *true_camera(effects, reported, self._sensor.intrinsics))
+            self._camera = self._sensor.camera(thing, *true_camera(effects, reported, self._sensor.intrinsics), robot.description)
         (self._dropped,) = effects["dropped_frames"]
         self._wrench_noise = float(values["wrench_noise"])
         self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
@@ -182,7 +184,7 @@ class _SimCell(Component):
             self._pose_pub = node.create_publisher(PoseWithCovarianceStamped, topic + "pose", 10)
             self._cells_pub = node.create_publisher(OccupancyGrid, topic + "cells", _LATCHED)
             self._outline_pub = node.create_publisher(PolygonStamped, topic + "outline", _LATCHED)
-        self._description_pub.publish(String(data=robot_description()))
+        self._description_pub.publish(String(data=robot.description))
         self._publish_object(values["seed"])
 
         self._commanded = node.resolve_topic_name("joint_trajectory")
@@ -496,7 +498,3 @@ def _truth_json(thing: SimObject, seed: int) -> str:
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT."""
     return run_node(SimCellNode, args=args, yields=False)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

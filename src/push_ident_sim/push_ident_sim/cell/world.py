@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident_sim.cell.robot import CONTACT_LINK, HOME, JOINT_NAMES, bullet_description, robot_description
+from push_ident_sim.cell.robot import CONTACT_LINK, CellRobot, bullet_description, iiwa_with_hand
 from push_ident_sim.engines.bullet.bullet_object import (
     ARM_GROUP,
     OUTLINE_GROUP,
@@ -62,22 +62,30 @@ _PAUSE = 0.5
 class CellWorld:
     """The cell at one moment; all poses in the `table` frame. Not safe to share between threads."""
 
-    def __init__(self, sim_object: SimObject, config: WorldConfig | None = None, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Put the object at `pose` (x, y, yaw) [m, m, rad] and the arm at its home."""
+    def __init__(
+        self,
+        sim_object: SimObject,
+        config: WorldConfig | None = None,
+        *,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
+        robot: CellRobot | None = None,
+    ) -> None:
+        """Put the object at `pose` (x, y, yaw) [m, m, rad] and the arm at its start; `robot`: another arm than the iiwa."""
+        self.robot = robot or iiwa_with_hand()
         self.object = sim_object
         self.config = config or WorldConfig()
-        self.joint_names = JOINT_NAMES
+        self.joint_names = self.robot.joint_names
         self._start_pose = checked_pose(pose)
         effects = self.config.effects
         self._client = connect(self.config.time_step, self.config.solver_iterations, self.config.gravity, effects)
         self._table = add_table(self._client)
         self._add_robot()
-        self._tool = _DrivenTool(effects, self.config.time_step) if ToolErrors.needed(effects) else None
+        self._tool = _DrivenTool(effects, self.config.time_step, self.robot) if ToolErrors.needed(effects) else None
         self._thing = BulletObject(self._client, sim_object, self.config.gravity, effects)
         self._thing.place(self._start_pose)
         self._thing.start_push()
         self._n_steps = 0
-        self.set_joint_targets(HOME, np.zeros(len(HOME)))
+        self.set_joint_targets(self.robot.start, np.zeros(len(self.joint_names)))
         self._impulse = np.zeros(3)
         self._impulse_steps = 0
         self._force = np.zeros(3)
@@ -89,7 +97,7 @@ class CellWorld:
     def _add_robot(self) -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "robot.urdf"
-            path.write_text(bullet_description(turning_finger="rolling_finger" in self.config.effects))
+            path.write_text(bullet_description(self.robot, turning_finger="rolling_finger" in self.config.effects))
             # Without this flag a cylinder becomes a prism, which is no smooth pusher.
             self._robot = self._client.loadURDF(str(path), useFixedBase=True, flags=bullet.URDF_USE_IMPLICIT_CYLINDER)
         infos = [self._client.getJointInfo(self._robot, i) for i in range(self._client.getNumJoints(self._robot))]
@@ -104,16 +112,15 @@ class CellWorld:
         for index in range(-1, len(infos)):
             self._client.changeDynamics(self._robot, index, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
             self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, 0)
-        for name, index in link_index.items():
-            if name.startswith("hand_") or name in {"lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7"}:
-                self._client.setCollisionFilterGroupMask(self._robot, index, ARM_GROUP, TABLE_GROUP)
+        for name in self.robot.low_links:
+            self._client.setCollisionFilterGroupMask(self._robot, link_index[name], ARM_GROUP, TABLE_GROUP)
         self._client.setCollisionFilterGroupMask(self._robot, self._contact_link, PUSHER_GROUP, OUTLINE_GROUP)
         bounce = 1.0 if restitution(self.config.effects) > 0.0 else 0.0
         self._client.changeDynamics(self._robot, self._contact_link, lateralFriction=1.0, restitution=bounce)
         if "rolling_finger" in self.config.effects:
             torque = bearing_torque(self.config.effects)
             self._client.setJointMotorControl2(self._robot, self._contact_link, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
-        for joint, position in zip(self._arm_joints, HOME, strict=True):
+        for joint, position in zip(self._arm_joints, self.robot.start, strict=True):
             self._client.resetJointState(self._robot, joint, position)
 
     # --- time ----------------------------------------------------------------------------------------------------------
@@ -149,13 +156,13 @@ class CellWorld:
     # --- arm -----------------------------------------------------------------------------------------------------------
 
     def joint_state(self) -> tuple[FloatArray, FloatArray]:
-        """Positions [rad] and velocities [rad/s] that the arm reports, each shape (7,), in the order of `joint_names`."""
+        """Positions [rad] and velocities [rad/s] that the arm reports, each shape (n_joints,), in the order of `joint_names`."""
         states = self._client.getJointStates(self._robot, self._arm_joints)
         position, velocity = np.array([s[0] for s in states]), np.array([s[1] for s in states])
         return (position, velocity) if self._tool is None else self._tool.reported(position, velocity)
 
     def set_joint_targets(self, position: ArrayLike, velocity: ArrayLike) -> None:
-        """Where the arm should be after the next step [rad] and how fast it should then move [rad/s], each shape (7,)."""
+        """Where the arm should be after the next step [rad] and how fast it should then move [rad/s], each shape (n_joints,)."""
         position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
         n_joints = len(self.joint_names)
         if position.shape != (n_joints,) or velocity.shape != (n_joints,) or not np.all(np.isfinite([position, velocity])):
@@ -248,11 +255,11 @@ class CellWorld:
 class _DrivenTool:
     """Moves the arm so that the lowered tool is where the effects on it place it, not where the arm reports it."""
 
-    def __init__(self, effects: InjectedEffects, time_step: float) -> None:
+    def __init__(self, effects: InjectedEffects, time_step: float, robot: CellRobot) -> None:
         self._errors = ToolErrors(effects, time_step)
         self._time_step = time_step
-        self._kinematics = ArmKinematics(robot_description(), neutral=HOME)
-        self._bend = self._bend_rate = np.zeros(len(HOME))
+        self._kinematics = ArmKinematics(robot.description, neutral=robot.neutral)
+        self._bend = self._bend_rate = np.zeros(len(robot.joint_names))
         """True minus reported joint positions [rad], and its rate of change [rad/s]."""
 
     def driven(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -56,6 +56,9 @@ PARAMETERS: Final = (
     *_SETTINGS,
     *_ACCURACY,
     Parameter(
+        "robot_description_file", "", "URDF of the arm, root link `table`; empty: taken from the topic robot_description", read_only=True
+    ),
+    Parameter(
         "extrinsics", "parameters", "where the poses of all cameras come from", choices=("parameters", "tf", "calibrate"), read_only=True
     ),
     Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),

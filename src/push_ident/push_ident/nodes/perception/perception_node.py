@@ -39,6 +39,7 @@ from push_ident.nodes.convert import (
     shape_to_msgs,
 )
 from push_ident.nodes.convert_refusals import refusals_to_msg
+from push_ident.nodes.description_file import description_in
 from push_ident.nodes.listeners import await_listener
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.perception.camera_publisher import CameraPublisher
@@ -120,9 +121,12 @@ class _Perception(Component):
         self._add_cameras()
         self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(JointState, "joint_states", self._on_joints, qos_profile_sensor_data)
+        description = self._configured["robot_description_file"]
+        if description:
+            self._robot.arm_shape = ArmShape(description_in(description), self._configured["link_radius"])
         for kind, topic, callback in (
             (SolidPrimitive, "pusher/shape", self._on_tool_shape),
-            (String, "robot_description", self._on_description),
+            *(() if description else ((String, "robot_description", self._on_description),)),
         ):
             name = self._node.resolve_topic_name(topic)
             events = SubscriptionEventCallbacks(incompatible_qos=lambda info, name=name: self._on_incompatible(name, info))

@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.convert import stamp_from_msg, stamp_to_msg
+from push_ident.nodes.description_file import description_in
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.ports import ArmState
@@ -119,11 +120,7 @@ class ArmPort:
         self.n_dropped = 0
         self._publisher = node.create_publisher(JointTrajectoryMsg, "joint_trajectory", 10)
         if description_file:
-            try:
-                with open(description_file, encoding="utf-8") as file:
-                    self._use(file.read())
-            except OSError as error:
-                raise InputError(f"Parameter robot_description_file: {error}.") from None
+            self._use(description_in(description_file))
         else:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             node.create_subscription(String, "robot_description", self._on_description, latched, callback_group=callback_group)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any, Final, TypeVar
 
+from push_ident.errors import InputError
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.execution import ExecutionSettings
@@ -32,8 +33,16 @@ PARAMETERS: Final = (
         "robot_description_file", "", "URDF of the arm, root link `table`; empty: taken from the topic robot_description", read_only=True
     ),
     Parameter("tip_frame", "tool_tip", "link at the bottom centre of the pusher, z down the tool", read_only=True),
-    Parameter("neutral_posture", _NEUTRAL, "posture that the arm's free axes drift to [rad], one per joint", -6.3, 6.3, read_only=True),
-    Parameter("home_posture", _HOME, "posture between pushes, out of the camera's view [rad], one per joint", -6.3, 6.3),
+    Parameter(
+        "neutral_posture",
+        _NEUTRAL,
+        "posture that the arm's free axes drift to [rad], one per joint",
+        -6.3,
+        6.3,
+        read_only=True,
+        any_length=True,
+    ),
+    Parameter("home_posture", _HOME, "posture between pushes, out of the camera's view [rad], one per joint", -6.3, 6.3, any_length=True),
     Parameter("pusher_radius", 0.018, "radius of the cylinder that pushes [m]", 0.001, 0.1, read_only=True),
     Parameter("pusher_height", 0.080, "height of the cylinder that pushes [m]", 0.001, 0.5, read_only=True),
     Parameter("workspace", [-0.20, 0.20, -0.25, 0.25], "x_min, x_max, y_min, y_max of the lowered tool in `table` [m]", -2.0, 2.0),
@@ -58,10 +67,11 @@ PARAMETERS: Final = (
     Parameter("max_joint_velocity", 1.3, "cap on every joint's velocity [rad/s]", 0.01, 5.0),
     Parameter(
         "joint_acceleration_limits",
-        [10.0] * len(_HOME),
-        "largest acceleration on the whole path, one per joint, as max_acceleration in joint_limits.yaml [rad/s^2]",
+        [10.0],
+        "largest acceleration on the whole path, one per joint or one for all, as max_acceleration in joint_limits.yaml [rad/s^2]",
         0.1,
         200.0,
+        any_length=True,
     ),
     Parameter("max_joint_acceleration", 5.0, "cap on every joint's acceleration on all moves but the push [rad/s^2]", 0.1, 50.0),
     Parameter("settle", 0.3, "pause with the tool lowered before the push [s]", 0.0, 10.0),
@@ -97,6 +107,9 @@ PARAMETERS: Final = (
 
 def execution_settings(values: dict[str, Any]) -> ExecutionSettings:
     """The settings that parameters give: fields have the names of parameters; raises InputError when the values contradict each other."""
+    home, neutral = values["home_posture"], values["neutral_posture"]
+    if len(home) != len(neutral):
+        raise InputError(f"home_posture has {len(home)} joints and neutral_posture {len(neutral)}; give one angle per joint in both.")
     push = _chosen(PushSettings, {**values, **{name: values[parameter] for name, parameter in _OTHER_NAMES.items()}})
     motion = _chosen(MotionSettings, {**values, "home": values["home_posture"]})
     return ExecutionSettings(push=push, motion=motion, limits=_chosen(WatchLimits, values), **_arguments(ExecutionSettings, values))

@@ -1,0 +1,176 @@
+"""`--robot FILE` of `up` and `doctor`: what is written, what the nodes get, what a running cell shows, and the exit status."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from helpers.commands import run_here
+from helpers.domains import own_domain
+from helpers.robots import changed, robot_path
+from helpers.spinning import spinning
+from push_ident.cli.overrides import overrides_of
+from push_ident.cli.robot import robot_for
+from push_ident.cli.robot_live import find_live
+from push_ident.cli.robot_parameters import check_parameters
+from push_ident.cli.supervisor import node_commands, node_names
+from push_ident.pushing.robot.finding import Level
+from push_ident.pushing.robot.robot_file import read_robot
+
+COARSE = ("--spacing", 0.4, "--seconds", 0.5)
+
+
+class Driver(Node):
+    """Driver of an arm and of a camera, with the names of the UR5e's file."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__("driver", context=context)
+        file = read_robot(robot_path("ur5e")).file
+        self.joints = JointState(name=["finger_joint", *reversed(file.joints.names)], position=[0.0, *reversed(file.joints.home)])
+        self.frame = file.camera.frame
+        self._states = self.create_publisher(JointState, "joint_states", 10)
+        self._images = self.create_publisher(Image, file.topics["depth/image_rect"], qos_profile_sensor_data)
+        self._infos = self.create_publisher(CameraInfo, file.topics["depth/camera_info"], qos_profile_sensor_data)
+        self.create_subscription(JointTrajectory, file.topics["joint_trajectory"], lambda msg: None, 10)
+        self.create_timer(0.05, self._tick)
+
+    def _tick(self) -> None:
+        self._states.publish(self.joints)
+        image = Image(height=8, width=16, encoding="16UC1", step=32, data=[0xE8, 0x03] * 128)
+        info = CameraInfo(height=8, width=16, k=[8.5, 0.0, 7.5, 0.0, 7.2, 3.5, 0.0, 0.0, 1.0])
+        image.header.frame_id = info.header.frame_id = self.frame
+        image.header.stamp = info.header.stamp = self.get_clock().now().to_msg()
+        self._infos.publish(info)
+        self._images.publish(image)
+
+
+@pytest.fixture(scope="module")
+def domain() -> int:
+    return own_domain()
+
+
+@pytest.fixture
+def on_domain(domain: int, monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    return domain
+
+
+@pytest.fixture
+def driver(on_domain: int) -> Iterator[Driver]:
+    with spinning(Driver, on_domain) as node:
+        yield node
+
+
+def test_right_file_ends_well_says_that_no_cell_runs_and_leaves_picture_and_files_for_the_nodes(on_domain: int, tmp_path: Path) -> None:
+    done = run_here("doctor", "--robot", robot_path("ur5e"), *COARSE, "--out", tmp_path / "out", "--json", tmp_path / "found.json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert content["reach"]["along_x"] == [[0, 0], [0, 0]] and content["robot"] == "ur5e"
+    unchecked = [finding for finding in content["findings"] if finding["level"] == "not checked"]
+    assert [finding["about"] for finding in unchecked] == ["arm", "camera"] and "nothing publishes on" in unchecked[0]["what"]
+    assert (tmp_path / "out" / "reach.png").read_bytes().startswith(b"\x89PNG")
+    parameters = tmp_path / "out" / "parameters.yaml"
+    overrides_of([parameters], (), node_names("arm"))  # `up --params` takes it ...
+    program = """
+import sys, json, rclpy
+rclpy.init(args=sys.argv)
+node = rclpy.create_node("push_executor_node", automatically_declare_parameters_from_overrides=True)
+print(json.dumps([list(node.get_parameter("home_posture").value), node.get_parameter("robot_description_file").value]))
+"""
+    call = [sys.executable, "-c", program, "--ros-args", "--params-file", str(parameters)]  # ... and so does a node
+    ran = subprocess.run(call, capture_output=True, text=True, timeout=60, check=True, env={**os.environ, "HOME": str(tmp_path)})
+    assert json.loads(ran.stdout) == [[1.3, -1.58, 1.754, -1.745, -1.5708, 0.0], str(tmp_path / "out" / "robot.urdf")]
+
+
+def test_wrong_file_ends_with_status_1_and_all_that_is_wrong(on_domain: int, tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
+        content["joints"]["home"][1] = 0.5
+        content["joints"]["velocity"][0] = 9.0
+
+    done = run_here("doctor", "--robot", changed(tmp_path, change), *COARSE, "--json", tmp_path / "found.json")
+    assert done.returncode == 1
+    findings = json.loads((tmp_path / "found.json").read_text())["findings"]
+    wrong = [finding["what"] for finding in findings if finding["level"] == "wrong" and finding["about"] == "limits"]
+    assert len(wrong) == 2 and "joints.velocity of shoulder_pan_joint" in wrong[0] and "joints.home has shoulder_lift_joint" in wrong[1]
+    assert any(finding["about"] == "reach" and finding["level"] == "not checked" for finding in findings)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (("doctor", "--robot", "nothing.yaml"), "cannot be read"),
+        (("doctor", "--out", "out"), "give --robot FILE"),
+        (("up", "replay", "bag", "--robot", robot_path("ur5e")), "a replay has none"),
+    ],
+)
+def test_command_that_cannot_be_meant_is_told_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[object, ...], reason: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run_here(*command)
+    assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_parameters_of_a_node_that_there_is_not_are_told(tmp_path: Path) -> None:
+    done = run_here("up", "arm", "--robot", changed(tmp_path, lambda c: c["parameters"].update(push_executer_node={})))
+    assert done.returncode == 1 and "has the node push_executer_node" in done.stderr
+
+
+def test_values_that_the_nodes_would_refuse_are_found(tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
+        content["tool"]["pusher_height"] = 0.7
+        content["parameters"]["push_executor_node"] = {"push_sped": 0.1, "free_speed": 1}
+
+    assert [finding.level for finding in check_parameters(read_robot(robot_path("ur5e")))] == [Level.OK]
+    texts = [finding.text for finding in check_parameters(read_robot(changed(tmp_path, change)))]
+    assert len(texts) == 3, texts
+    assert any("push_executor_node.pusher_height is 0.7" in text and "expected 0.001 to 0.5" in text for text in texts)
+    assert any("no parameter push_sped; did you mean push_speed?" in text for text in texts)
+    assert any("free_speed is 1" in text and "expected float, write 1.0" in text for text in texts)
+
+
+def test_hand_of_the_real_cell_is_not_asked_for_in_the_simulated_one(tmp_path: Path) -> None:
+    path = changed(tmp_path, lambda c: c["tool"].update(hand="robotiq_3f"))
+    hands = {kind: robot_for(kind, path).parameters(tmp_path, ())["push_executor_node"]["hand"] for kind in ("arm", "sim")}
+    assert hands == {"arm": "robotiq_3f", "sim": "none"}
+
+
+def test_nodes_of_a_real_cell_get_description_postures_and_topics_and_the_simulated_one_the_file(tmp_path: Path) -> None:
+    real, simulated = robot_for("arm", robot_path("ur5e")), robot_for("sim", robot_path("ur5e"))
+    assert "depth/image_rect:=/camera/camera/depth/image_rect_raw" in real.remaps and simulated.remaps == ()
+    values = real.parameters(tmp_path, ())
+    assert values["push_executor_node"]["robot_description_file"] == str(tmp_path / "robot.urdf")
+    assert '<link name="tool_tip"' in (tmp_path / "robot.urdf").read_text()
+    commands = {command.name: command.argv for command in node_commands("sim", parameters=simulated.parameters(tmp_path, ()))}
+    assert f'robot:="{robot_path("ur5e")}"' in commands["sim_cell_node"]
+    assert "home_posture:=[1.3, -1.58, 1.754, -1.745, -1.5708, 0.0]" in commands["push_executor_node"]
+    assert not any("robot_description_file" in word for word in commands["push_executor_node"])
+
+
+def test_running_arm_and_camera_are_compared_with_the_file(driver: Driver) -> None:
+    robot = read_robot(robot_path("ur5e"))
+    findings = find_live(robot, None, 2.0)
+    assert {(finding.about, finding.level) for finding in findings} == {("arm", Level.OK), ("camera", Level.OK)}, findings
+    driver.joints = JointState(name=["A1", "A2"], position=[0.0, 0.0])
+    driver.frame = "camera_link"
+    wrong = [finding.text for finding in find_live(robot, None, 2.0) if finding.level is Level.WRONG]
+    assert len(wrong) == 2 and "no joint shoulder_pan_joint" in wrong[0] and "it has A1, A2" in wrong[0]
+    assert "its images are in the frame camera_link; expected camera.frame, camera_depth_optical_frame" in wrong[1]
+
+
+def test_controller_that_does_not_listen_is_wrong(driver: Driver, tmp_path: Path) -> None:
+    robot = read_robot(changed(tmp_path, lambda c: c["topics"].update(joint_trajectory="/another/joint_trajectory")))
+    wrong = [finding.text for finding in find_live(robot, None, 2.0) if finding.level is Level.WRONG]
+    assert len(wrong) == 1 and "nobody listens to /another/joint_trajectory" in wrong[0]

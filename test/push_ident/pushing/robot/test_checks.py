@@ -1,0 +1,128 @@
+"""What the check of a robot file finds, and where an arm can push."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.robots import NAMES, changed, robot_path
+from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.pushing.robot.checks import check_reach, check_robot
+from push_ident.pushing.robot.finding import Finding, Level
+from push_ident.pushing.robot.reach import Outcome, Reach, find_reach
+from push_ident.pushing.robot.reach_picture import draw_reach
+from push_ident.pushing.robot.robot_file import Robot, motion_settings, push_settings, read_robot
+
+
+def checked(path: Path) -> tuple[Robot, list[Finding], ArmKinematics | None]:
+    robot = read_robot(path)
+    return robot, *check_robot(robot)
+
+
+def reach_of(path: Path, spacing: float) -> Reach:
+    robot, _, kinematics = checked(path)
+    assert kinematics is not None
+    return find_reach(kinematics, motion_settings(robot), push_settings(robot), spacing=spacing)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_examples_are_right_and_reach_all_of_their_workspace(name: str) -> None:
+    robot, findings, kinematics = checked(robot_path(name))
+    assert kinematics is not None
+    assert {finding.about for finding in findings} == {"description", "frames", "joints", "limits", "posture", "camera"}
+    reach = reach_of(robot_path(name), 0.2)
+    findings += check_reach(reach, push_settings(robot).workspace)
+    assert [finding.text for finding in findings if finding.level is not Level.OK] == []
+    assert reach.largest == pytest.approx(robot.file.workspace)
+
+
+def renamed(content: dict[str, Any]) -> None:
+    content["joints"]["names"][2] = "elbow"
+
+
+def without_the_elbow(content: dict[str, Any]) -> None:
+    joints = content["joints"]
+    for name, values in joints.items():
+        if len(values) == 6:
+            joints[name] = values[:2] + values[3:]
+
+
+def in_another_order(content: dict[str, Any]) -> None:
+    names = content["joints"]["names"]
+    names[0], names[1] = names[1], names[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "about", "texts"),
+    [
+        (renamed, "joints", ("no joint elbow", "elbow_joint", "correct joints.names")),
+        (without_the_elbow, "joints", ("elbow_joint moves between base_link and the tool", "add it")),
+        (in_another_order, "joints", ("another order", "shoulder_pan_joint, shoulder_lift_joint")),
+        (lambda c: c["joints"]["names"].__setitem__(0, "wrist_3-flange"), "joints", ("wrist_3-flange is a fixed joint",)),
+        (lambda c: c["tool"].update(link="tool1"), "frames", ("no link tool1", "tool0", "correct it")),
+        (lambda c: c["description"].update(root="flange"), "frames", ("description.root is flange", "base_link")),
+        (lambda c: c.pop("base"), "frames", ("base is missing",)),
+        (lambda c: c["joints"]["upper"].__setitem__(2, 7.0), "limits", ("joints.upper of elbow_joint is 7.0", "3.142", "narrow it")),
+        (lambda c: c["joints"]["velocity"].__setitem__(0, 9.0), "limits", ("joints.velocity of shoulder_pan_joint is 9.0", "3.142")),
+        (lambda c: c["joints"]["lower"].__setitem__(4, 4.0), "limits", ("wrist_2_joint has limits 4.000 to 3.140 rad",)),
+        (lambda c: c["joints"]["home"].__setitem__(1, 0.2), "limits", ("joints.home has shoulder_lift_joint at 0.200 rad", "change")),
+        (lambda c: c["joints"]["neutral"].__setitem__(3, -0.3), "posture", ("degrees from straight down", "the tool upright")),
+        (lambda c: c["joints"]["home"].__setitem__(1, -1.1), "posture", ("home: tip at", "free_height", "raise joints.home")),
+        (lambda c: c["camera"].update(position=[0.55, 1.2, 0.85]), "camera", ("out of its view", "turn or raise")),
+        (lambda c: c["camera"].update(position=[0.55, 0.0, -0.85]), "camera", ("above the table",)),
+    ],
+)
+def test_mistake_is_found_with_what_is_expected_and_what_to_do(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object], about: str, texts: tuple[str, ...]
+) -> None:
+    _, findings, _ = checked(changed(tmp_path, change))
+    wrong = [finding for finding in findings if finding.level is Level.WRONG and finding.about == about]
+    assert any(all(text in finding.text for text in texts) for finding in wrong), [finding.text for finding in findings]
+
+
+def test_arm_that_rests_in_front_of_the_camera_is_told(tmp_path: Path) -> None:
+    _, findings, _ = checked(changed(tmp_path, lambda c: c["joints"].update(home=c["joints"]["neutral"])))
+    assert any("the arm at home hides" in finding.what and finding.level is Level.WARNING for finding in findings)
+
+
+def test_joint_without_end_needs_limits_in_the_file(tmp_path: Path) -> None:
+    from push_ident.pushing.robot.description import read_urdf
+
+    urdf = read_urdf(read_robot(robot_path("ur5e")))
+    text = urdf.path.read_text().replace('name="wrist_3_joint" type="revolute"', 'name="wrist_3_joint" type="continuous"')
+    (tmp_path / "arm.urdf").write_text(text)
+
+    def change(content: dict[str, Any]) -> None:
+        content["description"] = {"file": "arm.urdf", "root": "base_link"}  # a copy without its meshes
+        del content["joints"]["lower"], content["joints"]["upper"]
+
+    _, findings, kinematics = checked(changed(tmp_path, change))
+    assert kinematics is None
+    assert [finding.what for finding in findings if finding.about == "limits"] == ["wrist_3_joint turns without end"]
+    assert any("meshes are no files" in finding.what and finding.level is Level.WARNING for finding in findings)
+
+
+def test_places_that_the_arm_cannot_push_at_are_told_and_drawn_and_a_smaller_workspace_is_proposed(tmp_path: Path) -> None:
+    path = changed(tmp_path, lambda c: c.update(workspace=[0.0, 0.45, -0.15, 0.15]))
+    robot = read_robot(path)
+    reach = reach_of(path, 0.15)
+    assert reach.outcome.shape == (2, 4, 3)
+    assert np.all(reach.outcome[1, -1] == Outcome.UNREACHABLE) and np.all(reach.outcome[:, 0] == Outcome.POSSIBLE)
+    findings = list(check_reach(reach, push_settings(robot).workspace))
+    assert reach.largest is not None and reach.largest[1] < 0.45
+    texts = [finding.text for finding in findings if finding.level is Level.WRONG]
+    assert any("pushes along y are possible at 75 %" in text and "the largest workspace without a gap" in text for text in texts)
+    assert any("the tool cannot reach (0.4" in text for text in texts)
+    assert draw_reach(reach, robot).startswith(b"\x89PNG")
+
+
+def test_push_beyond_the_acceleration_of_the_joints_is_a_limit_and_not_out_of_reach(tmp_path: Path) -> None:
+    path = changed(tmp_path, lambda c: c["parameters"]["push_executor_node"].update(acceleration=2.0))
+    reach = reach_of(path, 0.4)
+    assert np.all(reach.outcome[0] == Outcome.LIMIT)
+    assert not any(finding.level is Level.WRONG for finding in check_reach(reach, push_settings(read_robot(path)).workspace))
+    assert all(outcome is Outcome.LIMIT and "would accelerate" in reason for outcome, reason in reach.reasons)
