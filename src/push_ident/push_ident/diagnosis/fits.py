@@ -18,7 +18,7 @@ from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
 
-_BASE_WITH_FORCES: Final = ("force_delay",)
+_BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)
 """Effects that belong to the base model where forces are measured: contacts that give delay them, and nothing is wrong."""
 _MAX_ITERATIONS: Final = 40
 """Of a fit that starts from another one."""

@@ -86,11 +86,8 @@ def identify(
         raise InputError("There is no push to learn from; give at least one push record.")
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
-    prior = (prior or Prior()).seen_by(record.poses.camera for record in records)
     earlier = earlier or Earlier()
-    # What is summed up counts in the unknowns that it has.
-    if solver.capabilities.takes_effects and earlier.past is None:
-        prior = prior.felt_in(records)
+    prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options = _prepared(records, prior, effects, options or FitOptions())
     meter = Meter(budget, on_progress)
@@ -114,6 +111,13 @@ def identify(
         candidates=fit.candidates,
         explanation=explanation,
     )
+
+
+def _measured(prior: Prior, records: Sequence[PushRecord], takes_forces: bool) -> Prior:
+    """The prior with the accuracies of camera and force sensor. Pushes that are summed up count in the unknowns that they have: no forces
+    join them."""
+    prior = prior.seen_by(record.poses.camera for record in records)
+    return prior.felt_in(records) if takes_forces else prior
 
 
 def _prepared(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], options: FitOptions) -> FitOptions:

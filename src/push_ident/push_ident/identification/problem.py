@@ -404,7 +404,7 @@ class FitProblem:
         z = self.object_unknowns(x)
         jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, unknowns.mass_factor(z), unknowns.effects_at(z))
         jacobian[:, :, unknowns.slice_of("total_mass")] += by_factor[:, :, None] * unknowns.block("total_mass").std
-        jacobian[:, :, unknowns.slice_of("effects")] += by_value * unknowns.effect_slope(z)
+        jacobian[:, :, unknowns.slice_of("effects")] += by_value * unknowns.effect_values(z)[1]
         return jacobian.reshape(2 * len(observed.force), -1)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:

@@ -336,18 +336,14 @@ class Unknowns:
 
     def effects_at(self, z: Float64Array) -> EffectValues:
         """The effects with their values at `z`; values beyond a bound are clipped to it."""
-        return self.effects.with_values(self._effect_values(z)[0])
+        return self.effects.with_values(self.effect_values(z)[0])
 
-    def _effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Values of the effects and their derivative by their own unknowns, each shape (n_values,)."""
+    def effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Values of the effects and their derivative by their own unknowns, 0 beyond a bound, each shape (n_values,)."""
         low, high = (np.array([getattr(p, name) for p in self.effects.parameters]) for name in ("low", "high"))
         std = self.effect_std
         free = self.effects.values + std * z[self.slice_of("effects")]
         return np.clip(free, low, high), np.where((free >= low) & (free <= high), std, 0.0)
-
-    def effect_slope(self, z: Float64Array) -> Float64Array:
-        """Derivative of the values of the effects by their own unknowns, shape (n_values,): 0 beyond a bound."""
-        return self._effect_values(z)[1]
 
     @property
     def map_remainder(self) -> Float64Array:
@@ -490,7 +486,7 @@ class Unknowns:
         arms = self.shape.cells.centres - body.centre
         moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
         d_mass, d_friction = self._log_derivatives(z, model)
-        values, d_values = self._effect_values(z)
+        values, d_values = self.effect_values(z)
         shown = np.array([not effect.needs_forces for effect in self.effects.effects for _ in effect.parameters], dtype=bool)
         n_cells, n_values = len(weight), int(np.sum(shown))
         derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, self.size))

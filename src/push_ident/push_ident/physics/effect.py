@@ -140,6 +140,9 @@ class EffectParameter:
     camera_std: float | None = None
     """Accuracy of a calibrated camera: the standard deviation with which the effect belongs to the base model where a camera traced the
     outline, about `nominal`. None where it does not belong there."""
+    sensor_std: float | None = None
+    """Accuracy of a force sensor that was tared: the standard deviation with which the effect belongs to the base model of identification
+    where forces are measured. None where it does not belong there."""
 
 
 class Law(Enum):
@@ -332,6 +335,16 @@ class Effect:
     def needs_forces(self) -> bool:
         """Whether poses do not show it at all."""
         return isinstance(self.acts, OnForces | OnForceTimes)
+
+    @property
+    def is_sensor_error(self) -> bool:
+        """Whether it belongs to the base model of identification where forces are measured."""
+        return any(parameter.sensor_std is not None for parameter in self.parameters)
+
+    @property
+    def delays_forces(self) -> bool:
+        """Whether it acts on the times of measured forces."""
+        return isinstance(self.acts, OnForceTimes)
 
     @property
     def moves_outline(self) -> bool:

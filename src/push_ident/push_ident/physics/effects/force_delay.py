@@ -15,7 +15,7 @@ EFFECT = Effect(
     name="force_delay",
     what="Forces are measured before the time that they are reported for.",
     equation="F_reported(t) = F(t - delta)",
-    parameters=(EffectParameter("delta", "s", "age of a reported force", scale=0.02, typical=0.02, low=-0.5, high=0.5),),
+    parameters=(EffectParameter("delta", "s", "age of a reported force", scale=0.02, typical=0.02, low=-0.5, high=0.5, sensor_std=0.02),),
     acts=OnForceTimes(_move),
     law=Law.EXACT,
     signature="Forces rise after the object has begun to move, by the same time in every push.",

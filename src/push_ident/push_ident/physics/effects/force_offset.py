@@ -16,8 +16,8 @@ EFFECT = Effect(
     what="Measured forces are displaced by a constant force, in directions fixed in the table.",
     equation="F_reported = F + (x, y)",
     parameters=(
-        EffectParameter("x", "N", "offset along the table's x axis", scale=1.0, typical=1.0, low=-100.0, high=100.0),
-        EffectParameter("y", "N", "offset along the table's y axis", scale=1.0, typical=1.0, low=-100.0, high=100.0),
+        EffectParameter("x", "N", "offset along the table's x axis", scale=1.0, typical=1.0, low=-100.0, high=100.0, sensor_std=0.1),
+        EffectParameter("y", "N", "offset along the table's y axis", scale=1.0, typical=1.0, low=-100.0, high=100.0, sensor_std=0.1),
     ),
     acts=OnForces(_feel),
     law=Law.EXACT,
