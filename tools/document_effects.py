@@ -8,6 +8,8 @@ from push_ident.physics.effect import (
     Effect,
     EffectParameter,
     OnContact,
+    OnForces,
+    OnForceTimes,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
@@ -23,6 +25,8 @@ PLACES = {
     OnPusherFriction: "on the pusher's friction coefficient",
     OnTimes: "on the times of measured poses",
     OnPoses: "on measured poses",
+    OnForces: "on measured forces of the pusher; poses do not show it",
+    OnForceTimes: "on the times of measured forces; poses do not show it",
 }
 HEAD = """# Effects
 

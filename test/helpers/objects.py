@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from push_ident.geometry.outline import outline_of_cells, signed_distance
-from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
 
 def hammer_shape(size: float = 0.011) -> ObjectShape:
@@ -101,3 +103,18 @@ def random_records(model: ObjectModel, n: int, seed: int, *, noise: float = 1.0)
         if np.linalg.norm(end[:2] - pose[:2]) > 0.01 or abs(end[2] - pose[2]) > 0.1:
             records.append(record_of(model, pusher, pose, rng, noise=noise))
     return records
+
+
+def with_forces(record: PushRecord, model: ObjectModel, effects: dict[str, list[float]] | None = None, *, std: float = 0.05) -> PushRecord:
+    """The same push with the forces of the true model, as a sensor measures them at 100 Hz with noise of `std` [N]."""
+    from push_ident.physics.effect_values import effect_values, force_times, measured_forces
+    from push_ident.physics.scenario import PushScenario
+    from push_ident.physics.simulation import SimulationSettings, simulate
+
+    rng = np.random.default_rng(len(record.poses.time))
+    edges = np.arange(record.pusher.time[0] - 0.2, record.pusher.time[-1], 0.01)
+    times = force_times(effect_values(effects), edges)[0]
+    scenario = PushScenario(record.pusher, record.poses.pose[0], record.poses.time[-1:], record.order, times)
+    motion = simulate(model, scenario, settings=SimulationSettings(step=1 / 960), effects=effects)
+    force = measured_forces(effect_values(effects), np.diff(motion.impulse, axis=0) / 0.01)[0]
+    return replace(record, wrench=WrenchTrack(edges[1:], force + std * rng.normal(size=force.shape)))

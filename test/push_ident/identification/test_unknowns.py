@@ -33,7 +33,9 @@ def test_blocks_follow_each_other_and_cover_the_vector() -> None:
         "effects",
         "friction_scale",
         "pusher_friction",
+        "total_mass",
     ]
+    assert unknowns.block("total_mass").size == 0
     places = np.concatenate([np.arange(unknowns.size)[unknowns.slice_of(block.name)] for block in unknowns.blocks])
     assert places.tolist() == list(range(unknowns.size))
     assert (unknowns.slice_of("mass_map"), unknowns.slice_of("friction_map"), unknowns.maps) == (slice(0, 4), slice(8, 12), slice(0, 12))

@@ -13,10 +13,13 @@ from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
+from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
 
+_BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)
+"""Effects that belong to the base model where forces are measured: contacts that give delay them, and nothing is wrong."""
 _MAX_ITERATIONS: Final = 40
 """Of a fit that starts from another one."""
 _MAX_BASE_ITERATIONS: Final = 150
@@ -39,7 +42,11 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
 
     Raises InputError where there is no push, or pushes of different objects.
     """
-    unknowns = Unknowns(records[0].shape, settings.base_prior, effects=settings.base_effects, effect_std=settings.effect_std)
+    # Errors of a force sensor are looked for at their own size, not at that which a tare leaves.
+    effect_std = {name: [p.scale for p in EFFECTS[name].parameters] for name in FORCE_CAUSES} | settings.effect_std
+    prior = settings.base_prior.felt_in(records)
+    late = [name for name in _BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
+    unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
     def problem_at(amplitude: float) -> FitProblem:
         return FitProblem(records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics)

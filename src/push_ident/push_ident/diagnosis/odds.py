@@ -23,7 +23,7 @@ from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.selection import RivalFit, Selection
 from push_ident.diagnosis.something_else import SomethingElse
 from push_ident.physics.effect import Law
-from push_ident.physics.effects import CAUSES, EFFECTS
+from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 
 __all__ = ["SOMETHING_ELSE", "Explanation", "OutsideEvidence", "Probabilities", "explanations_of", "is_outside", "probabilities_of"]
 
@@ -152,7 +152,9 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
         return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if name in e.causes)))
 
     nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
-    effects = {name: of(name) for name in CAUSES if name not in base_effects}
+    considered = {name for explanation in explanations for name in explanation.causes}
+    names = (*CAUSES, *(name for name in FORCE_CAUSES if name in considered))
+    effects = {name: of(name) for name in names if name not in base_effects}
     return Probabilities(nothing, of(SOMETHING_ELSE), effects)
 
 

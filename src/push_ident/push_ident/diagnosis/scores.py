@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.identification.fit import Fit
-from push_ident.physics.effects import CAUSES, EFFECTS
+from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
 
 __all__ = ["EffectInformation", "EffectScore", "clipped_start", "effect_information", "score_effects"]
@@ -55,12 +55,13 @@ def effect_information(fit: Fit, names: Sequence[str] = ()) -> EffectInformation
 
     Args:
         fit: converged.
-        names: of the effects; by default all that name a cause.
+        names: of the effects; by default all that name a cause which these pushes can show.
 
     Returns:
         None where the pushes cannot be simulated.
     """
-    absent = [name for name in names or CAUSES if name not in fit.names]
+    visible = (*CAUSES, *FORCE_CAUSES) if fit.problem.feels else CAUSES
+    absent = [name for name in names or visible if name not in fit.names]
     before = fit.unknowns
     unknowns = before.with_effects((*fit.names, *absent))
     problem = fit.problem.of(unknowns)

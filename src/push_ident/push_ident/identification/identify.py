@@ -22,7 +22,7 @@ from push_ident.identification.result import Checkpoint, Identification, ModelPo
 from push_ident.identification.solver import FitTask, MapFit
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
-from push_ident.identification.total_mass import with_measured_forces
+from push_ident.identification.total_mass import with_total_mass
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
 
@@ -65,7 +65,7 @@ def identify(
 
     Args:
         records: pushes of one object. The two end poses of a push are enough.
-        prior: nominal values and their standard deviations. Its accuracy of the camera is that of the records unless it states one.
+        prior: nominal values and standard deviations; accuracies of camera and force sensor are of the records unless it has them.
         method: name of a solver in `SOLVERS`.
         effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`),
             beside those of `nuisances_of`.
@@ -85,9 +85,10 @@ def identify(
         raise InputError("There is no push to learn from; give at least one push record.")
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
-    prior = (prior or Prior()).seen_by(record.poses.camera for record in records)
+    earlier = earlier or Earlier()
+    prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
-    options, earlier = _prepared(records, prior, effects, options or FitOptions()), earlier or Earlier()
+    options = _prepared(records, prior, effects, options or FitOptions())
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
@@ -109,6 +110,13 @@ def identify(
         candidates=fit.candidates,
         explanation=explanation,
     )
+
+
+def _measured(prior: Prior, records: Sequence[PushRecord], takes_forces: bool) -> Prior:
+    """The prior with the accuracies of camera and force sensor. Pushes that are summed up count in the unknowns that they have: no forces
+    join them."""
+    prior = prior.seen_by(record.poses.camera for record in records)
+    return prior.felt_in(records) if takes_forces else prior
 
 
 def _prepared(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], options: FitOptions) -> FitOptions:
@@ -137,7 +145,7 @@ def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOption
 def _checked(
     fit: MapFit, explanation: Explanation, prior: Prior, effects: Sequence[str], past: Summary | None
 ) -> tuple[ModelPosterior, SolveStatus]:
-    """The posterior with the measured forces; the prior where the pushes cannot be simulated, explained, or never touch the object."""
+    """The posterior with its total mass; the prior where the pushes cannot be simulated, explained, or never touch the object."""
     problem, status = fit.problem, fit.status
     if status is not SolveStatus.SIMULATION_FAILED and not any(o.touched for o in problem.observations):
         status = SolveStatus.NO_CONTACT
@@ -145,7 +153,7 @@ def _checked(
     if status.is_failure:
         same = prior.on_feet(past.feet) if past else prior  # pushes that are summed up count in these unknowns
         return ModelPosterior.of_prior(Unknowns(problem.unknowns.shape, same, effects=effects)), status
-    return with_measured_forces(fit.posterior, problem, fit.x, past.log_forces.tolist() if past else ()), status
+    return with_total_mass(fit.posterior), status
 
 
 def _checkpoints(problem: FitProblem) -> tuple[Checkpoint, ...]:

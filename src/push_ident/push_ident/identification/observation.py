@@ -68,6 +68,12 @@ class NoiseModel:
     """Model discrepancy of position by travel, of a predicted pose [-]."""
     model_discrepancy_yaw: float = 0.03
     """Model discrepancy of yaw by travel, of a predicted pose [rad/m]."""
+    floor_force: float = 0.02
+    """Least standard deviation of a mean force: offset and hysteresis that a tare leaves [N]."""
+    force_discrepancy: float = 0.1
+    """Model discrepancy of a mean force by its size, of a window in a fit [-]: the windows of a push share it."""
+    force_rise: float = 0.02
+    """Time within which a force may come or go where the model has it at once [s]: contacts that give, and filters of sensors."""
     single_frame_inflation: float | None = None
     """Factor on the stated standard deviation of a pose at rest with one frame only, which no other frame checks [-]. None: `UNCHECKED`,
     unless a solver sets it by the pushes."""

@@ -107,10 +107,10 @@ class OnlineIdentifier:
         """State of an object whose model is known already: further pushes add to it."""
         unknowns, mass = posterior.unknowns, posterior.total_mass
         prior = posterior.prior
-        if posterior.total_mass_identifiable:
+        if posterior.total_mass_identifiable and unknowns.block("total_mass").size == 0:
             prior = replace(prior, total_mass=mass.value, total_mass_std=mass.std / mass.value)
         known = Quadratic.beyond_unit_normal(posterior.z, posterior.covariance)
-        past = Summary(0, unknowns.modes, known, prior.feet, np.array([]), has_prior=True)
+        past = Summary(0, unknowns.modes, known, prior.feet, has_prior=True)
         return OnlineState(unknowns.shape, prior, (), past, (), posterior, None)
 
     @property
@@ -141,15 +141,17 @@ class OnlineIdentifier:
 
     def _solve(self, records: tuple[PushRecord, ...], past: Summary | None, starts: tuple[WarmStart, ...]) -> Identification:
         """Fit these pushes together with the summed up ones, and keep the result."""
-        state = self.state
+        state, prior = self.state, self.state.prior
+        if past is None and prior != (prior := prior.felt_in(records)):
+            starts = ()  # they lack the total mass
         effects = state.posterior.effects.names if self._solver.capabilities.takes_effects else ()
         earlier = Earlier(starts, past)
         result = identify(
-            records, state.prior, method=self._solver.name, effects=effects, options=self._options, budget=self._budget, earlier=earlier
+            records, prior, method=self._solver.name, effects=effects, options=self._options, budget=self._budget, earlier=earlier
         )
         self.result, self.posterior, self._under_way = result, result.posterior, None
         self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, self._options.noise))
-        self.state = OnlineState(state.shape, state.prior, records, past, result.warm_starts, result.posterior, result.status)
+        self.state = OnlineState(state.shape, prior, records, past, result.warm_starts, result.posterior, result.status)
         return result
 
     def drop_update(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.types import CameraAccuracy, Float64Array
+from push_ident.types import CameraAccuracy, Float64Array, PushRecord
 
 __all__ = ["MapPrior", "Prior"]
 
@@ -20,6 +20,8 @@ _EVEN_MASS_STD: Final = 0.1
 """Of the mass of a cell of an object on feet: it moves the centre of mass by a hundredth of the object [-]."""
 _EVEN_FRICTION_STD: Final = 0.05
 """Of the friction of a cell of an object on feet: all feet slide on one table [-]."""
+_FORCE_OFFSET_STD: Final = 0.1
+"""Of a force sensor that was tared: what drift and cables leave [N]."""
 _MAPS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
 
 
@@ -77,6 +79,9 @@ class Prior:
     """Standard deviation of the place at which the camera sees the origin of the table frame, along x and y [m]; 0: it is exact."""
     camera_heading_std: float = 0.0
     """Standard deviation of the rotation of the camera about the normal of the table [rad]; 0: it is exact."""
+    force_offset_std: float = 0.0
+    """Standard deviation of a constant error of measured forces along x and y [N]; 0: no forces are used. Where they are, the total mass,
+    which poses do not show, is an unknown beside the others."""
     feet: int = 0
     """Number of feet of unknown place that bear the load; 0: the whole base does. There is no map of the load then."""
 
@@ -85,7 +90,7 @@ class Prior:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"Prior.{name} is {value}, expected a positive number.")
-        for name in ("total_mass_std", "camera_position_std", "camera_heading_std", *_MAPS):
+        for name in ("total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *_MAPS):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
@@ -102,6 +107,12 @@ class Prior:
             camera_position_std=max((camera.position for camera in stated), default=0.0),
             camera_heading_std=max((camera.heading for camera in stated), default=0.0),
         )
+
+    def felt_in(self, records: Iterable[PushRecord]) -> Prior:
+        """The same prior for pushes of which forces were measured, with the offset of a tared sensor unless it has one itself."""
+        if self.force_offset_std > 0 or all(record.wrench is None for record in records):
+            return self
+        return replace(self, force_offset_std=_FORCE_OFFSET_STD)
 
     def at_amplitude(self, amplitude: float) -> Prior:
         """The same prior with the standard deviations of the maps multiplied by `amplitude`."""

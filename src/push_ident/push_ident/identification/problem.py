@@ -7,7 +7,8 @@ are in units of their prior standard deviation, so that the cost is
 
     sum_frames (n + 3)/2 log(1 + |W (y - f(x) - s d)|^2 / n) + 1/2 |z|^2 + 1/2 |d|^2 + past(z),      n = `TAILS`
 
-where the quadratic `past` replaces pushes that are no longer simulated. Frozen unknowns have a quadratic of their own.
+Where forces are measured and the prior uses them, their means over windows (`forces.py`) are measurements too, of a like cost. The
+quadratic `past` replaces pushes that are no longer simulated. Frozen unknowns have a quadratic of their own.
 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
 the maps with it.
@@ -27,6 +28,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.identification.budget import Budget, Meter
+from push_ident.identification.forces import ForceObservation, observe_forces
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknowns
@@ -121,6 +123,8 @@ class FitProblem:
         self.noise = noise
         self.unknowns = unknowns
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
+        is_used = unknowns.prior.force_offset_std > 0
+        self.forces: list[ForceObservation | None] = [observe_forces(record, noise) if is_used else None for record in records]
         self.settings = settings or SimulationSettings()
         self.meter = meter or _unlimited()
         self.past = past or Quadratic.zero(unknowns.size)
@@ -140,10 +144,15 @@ class FitProblem:
     def without(self, pushes: Collection[int]) -> FitProblem:
         """The same problem without some pushes, given by their numbers, and with an unlimited budget."""
         rest = copy(self)
-        for name in ("records", "observations", "first_scale", "steps"):
+        for name in ("records", "observations", "forces", "first_scale", "steps"):
             setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
         rest.meter = _unlimited()
         return rest
+
+    @property
+    def feels(self) -> bool:
+        """Whether forces are among the measurements."""
+        return any(forces is not None for forces in self.forces)
 
     @property
     def layout(self) -> Layout:
@@ -220,7 +229,9 @@ class FitProblem:
 
     def _scenario(self, x: Float64Array, push: int) -> PushScenario:
         record = self.records[push]
-        return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order)
+        forces = self.forces[push]
+        force_time = np.zeros(0) if forces is None else forces.times(self.unknowns.effects_at(self.object_unknowns(x)))
+        return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order, force_time)
 
     def respond(self, x: Float64Array, push: int) -> tuple[Motion, StepResponse | None]:
         """One push at `x`, shape (size,), and how its poses change under small forces; None where its simulation fails."""
@@ -277,24 +288,32 @@ class FitProblem:
         return np.einsum("fij,fj->fi", observed.whitening, motion.pose + self.displacement(x, push) - observed.pose)
 
     def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
-        """Robust cost of whitened residuals, and the weight of each frame's square in it, shape (n_frames,)."""
+        """Robust cost of whitened residuals, shape (n, size), and the weight of the square of each row in it, shape (n,)."""
         size2 = np.sum(residual**2, axis=1)
-        return 0.5 * (TAILS + 3) * float(np.sum(np.log1p(size2 / TAILS))), self.frame_weight(residual)
+        return 0.5 * (TAILS + residual.shape[1]) * float(np.sum(np.log1p(size2 / TAILS))), self.frame_weight(residual)
 
     @staticmethod
     def frame_weight(residual: Float64Array) -> Float64Array:
-        """Weight of the square of each frame in the cost, of whitened residuals of shape (..., n_frames, 3)."""
-        return np.asarray((TAILS + 3) / (TAILS + np.sum(residual**2, axis=-1)))
+        """Weight of the square of each row in the cost, of whitened residuals of shape (..., n, size)."""
+        return np.asarray((TAILS + residual.shape[-1]) / (TAILS + np.sum(residual**2, axis=-1)))
 
     def cost(self, x: Float64Array) -> float:
         """Cost at `x`, without derivative: one simulation per push. Infinite where a simulation failed."""
         return self.cost_of(x, self.simulate(x))
+
+    def force_residual(self, x: Float64Array, motion: Motion, push: int) -> Float64Array:
+        """Whitened difference between the forces of a push simulated at `x` and the measured ones, shape (n_windows, 2)."""
+        observed, z = self.forces[push], self.object_unknowns(x)
+        if observed is None:
+            return np.zeros((0, 2))
+        return observed.residual(observed.simulated(motion.impulse, self.unknowns.mass_factor(z), self.unknowns.effects_at(z)))
 
     def cost_of(self, x: Float64Array, motions: Sequence[Motion]) -> float:
         """Cost of motions simulated at `x`."""
         if motions[-1].status is SolveStatus.SIMULATION_FAILED:
             return np.inf
         of_pushes = sum(self.weigh(self.residual(x, motion, push))[0] for push, motion in enumerate(motions))
+        of_pushes += sum(self.weigh(self.force_residual(x, motion, push))[0] for push, motion in enumerate(motions))
         return self._prior_cost(self.object_unknowns(x)) + of_pushes + 0.5 * float(np.sum(self.push_unknowns(x)[:, _POSE:] ** 2))
 
     def _prior_cost(self, z: Float64Array) -> float:
@@ -329,7 +348,7 @@ class FitProblem:
         return Evaluation(cost, gradient, hessian, np.concatenate(residuals))
 
     def jacobian(self, x: Float64Array) -> Float64Array | None:
-        """Derivative of the whitened residuals of all frames by all unknowns, shape (3 n_frames of all pushes, size).
+        """Derivative of the whitened residuals of all frames, of poses only, by all unknowns, shape (3 n_frames of all pushes, size).
 
         None where a simulation fails.
         """
@@ -360,11 +379,33 @@ class FitProblem:
         jacobian = self._whitened_jacobian(mechanics, motion, push)
         weighted = jacobian * np.repeat(weight, 3)[:, None]
         gradient, hessian = weighted.T @ residual.ravel(), weighted.T @ jacobian
+        if self.forces[push] is not None:
+            forces, by_forces = self.force_residual(x, motion, push), self._force_jacobian(mechanics, x, motion, push)
+            of_forces, weight = self.weigh(forces)
+            weighted = by_forces * np.repeat(weight, 2)[:, None]
+            cost, gradient, hessian = cost + of_forces, gradient + weighted.T @ forces.ravel(), hessian + weighted.T @ by_forces
         displaced = np.arange(self.unknowns.size + _POSE, len(gradient))
         own = x[self.slice_of_push(push)][_POSE:]
         gradient[displaced] += own
         hessian[displaced, displaced] += 1.0
         return PushTerms(cost + 0.5 * float(own @ own), gradient, hessian, residual)
+
+    def _force_jacobian(self, mechanics: Mechanics, x: Float64Array, motion: Motion, push: int) -> Float64Array:
+        """Derivative of `force_residual` by the unknowns of the object and those of the push, shape (2 n_windows, unknowns.size +
+        unknowns_of_push)."""
+        observed, unknowns = self.forces[push], self.unknowns
+        assert observed is not None
+        by_unknowns = np.concatenate(
+            [motion.impulse_jacobian[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:],
+             motion.impulse_jacobian[:, :, :_POSE] @ self.first_scale[push],
+             np.zeros((len(observed.edges), 2, self.unknowns_of_push - _POSE))],
+            axis=2,
+        )  # fmt: skip
+        z = self.object_unknowns(x)
+        jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, unknowns.mass_factor(z), unknowns.effects_at(z))
+        jacobian[:, :, unknowns.slice_of("total_mass")] += by_factor[:, :, None] * unknowns.block("total_mass").std
+        jacobian[:, :, unknowns.slice_of("effects")] += by_value * unknowns.effect_values(z)[1]
+        return jacobian.reshape(2 * len(observed.force), -1)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
         """Derivative of the residuals of one push by the unknowns of the object and its own, shape (3 n_frames, unknowns.size +

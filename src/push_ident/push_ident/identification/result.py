@@ -42,7 +42,7 @@ class ModelPosterior:
     total_mass: Estimate
     """[kg]; the prior's where `total_mass_identifiable` is False."""
     total_mass_identifiable: bool
-    """Whether a wrench or a given weight determines it; poses never do."""
+    """Whether measured forces or a given weight determine it; poses never do."""
     pose_noise_factor: float | None = None
     """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
 
@@ -67,7 +67,14 @@ class ModelPosterior:
 
     @cached_property
     def _log_derivatives(self) -> tuple[Float64Array, Float64Array]:
-        return self.unknowns.log_derivatives(self.z)
+        d_mass, d_friction = self.unknowns.log_derivatives(self.z)
+        d_mass[:, self.unknowns.slice_of("total_mass")] = self.unknowns.block("total_mass").std
+        return d_mass, d_friction
+
+    @property
+    def _total_variance(self) -> float:
+        """Variance of the logarithm of the total mass where it is no unknown beside the others."""
+        return 0.0 if self.unknowns.block("total_mass").size else (self.total_mass.std / self.total_mass.value) ** 2
 
     def noise(self, noise: NoiseModel | None = None) -> NoiseModel:
         """A noise model, with the factor of unchecked poses that these pushes set unless the model has one."""
@@ -102,8 +109,7 @@ class ModelPosterior:
     def mass_std(self) -> Float64Array:
         """Standard deviation of the mass of each cell [kg], shape (n_cells,)."""
         model, (d_mass, _) = self.model, self._log_derivatives
-        total = (self.total_mass.std / self.total_mass.value) ** 2
-        return np.asarray(model.mass * self._log_std(d_mass, self.prior.mass_map_std**2, total))
+        return np.asarray(model.mass * self._log_std(d_mass, self.prior.mass_map_std**2, self._total_variance))
 
     @property
     def friction_std(self) -> Float64Array:
@@ -116,8 +122,7 @@ class ModelPosterior:
         """Standard deviation of mass times friction of each cell [kg], shape (n_cells,)."""
         model, (d_mass, d_friction) = self.model, self._log_derivatives
         left_out = self.prior.mass_map_std**2 + self.prior.friction_map_std**2
-        total = (self.total_mass.std / self.total_mass.value) ** 2
-        return np.asarray(model.mass * model.friction * self._log_std(d_mass + d_friction, left_out, total))
+        return np.asarray(model.mass * model.friction * self._log_std(d_mass + d_friction, left_out, self._total_variance))
 
     @property
     def pusher_friction(self) -> Estimate:

@@ -53,7 +53,8 @@ class _Past(_Part):
     point: list[float]
     gradient: list[float]
     hessian: list[list[float]]
-    log_forces: list[float]
+    log_forces: list[float] = []
+    """Of earlier versions, which kept forces beside the unknowns; not used."""
     has_prior: bool = False
 
 
@@ -134,7 +135,6 @@ def save_state(
             point=past.cost.point.tolist(),
             gradient=past.cost.gradient.tolist(),
             hessian=past.cost.hessian.tolist(),
-            log_forces=past.log_forces.tolist(),
             has_prior=past.has_prior,
         ),
         starts=[_start(start) for start in state.warm_starts],
@@ -159,9 +159,7 @@ def load_state(path: Path) -> KeptState:
             if point.shape != gradient.shape or hessian.shape != (unknowns.size, unknowns.size) or point.shape != (unknowns.size,):
                 raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {unknowns.size}; the file is damaged.")
             cost = Quadratic(point, gradient, hessian)
-            past = Summary(
-                content.past.n_pushes, unknowns.modes, cost, unknowns.prior.feet, np.array(content.past.log_forces), content.past.has_prior
-            )
+            past = Summary(content.past.n_pushes, unknowns.modes, cost, unknowns.prior.feet, content.past.has_prior)
         state = OnlineState(
             shape=unknowns.shape,
             prior=prior_of(content.prior),

@@ -1,4 +1,4 @@
-"""Information from pushes that are no longer simulated: a quadratic in the unknowns, and the measured forces.
+"""Information from pushes that are no longer simulated: a quadratic in the unknowns.
 
 Around the point x* where a fit ended, the cost of a push is nearly
 
@@ -18,7 +18,6 @@ from push_ident.identification.observation import NoiseModel
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.quadratic import Quadratic
 from push_ident.identification.result import ModelPosterior
-from push_ident.identification.total_mass import log_force
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, PushRecord
 
@@ -26,8 +25,6 @@ __all__ = ["Summary", "summarise"]
 
 _PUSH_STEPS = 2
 """Newton steps to the best unknowns of the push itself."""
-_FORCES = 200
-"""Number of the latest measured forces that are kept: enough for their median, and memory must not grow with the pushes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,17 +38,13 @@ class Summary:
     """Of the unknowns, in units of the prior at full amplitude."""
     feet: int
     """`Prior.feet` of the unknowns."""
-    log_forces: Float64Array
-    """Of the latest pushes with a wrench, see `total_mass.log_force`, shape (n,)."""
     has_prior: bool = False
     """Whether the cost holds a prior of the maps already, beyond a unit normal one: that of a model that was adopted."""
 
     def __add__(self, other: Summary) -> Summary:
         """Both; `other` is the later one, around whose fit the costs are taken."""
-        forces = np.concatenate([self.log_forces, other.log_forces])[-_FORCES:]
-        return Summary(
-            self.n_pushes + other.n_pushes, self.modes, self.cost + other.cost, self.feet, forces, self.has_prior or other.has_prior
-        )
+        has_prior = self.has_prior or other.has_prior
+        return Summary(self.n_pushes + other.n_pushes, self.modes, self.cost + other.cost, self.feet, has_prior)
 
 
 def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel | None, settings: SimulationSettings | None) -> Summary:
@@ -63,14 +56,13 @@ def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel |
     for _ in range(_PUSH_STEPS):
         terms = problem.evaluate_push(x, 0)
         if terms is None:
-            return Summary(1, modes, Quadratic.zero(n_z), feet, np.array([]))
+            return Summary(1, modes, Quadratic.zero(n_z), feet)
         x[n_z:] -= np.linalg.solve(terms.hessian[n_z:, n_z:], terms.gradient[n_z:])
     full = problem.evaluate_push(x, 0)
     if full is None:
-        return Summary(1, modes, Quadratic.zero(n_z), feet, np.array([]))
+        return Summary(1, modes, Quadratic.zero(n_z), feet)
     own, shared = full.hessian[n_z:, n_z:], full.hessian[:n_z, n_z:]
     onto = np.linalg.solve(own, shared.T).T
     hessian = full.hessian[:n_z, :n_z] - onto @ shared.T
     gradient = full.gradient[:n_z] - onto @ full.gradient[n_z:]
-    force = log_force(unknowns.model(posterior.z), problem, x, 0)
-    return Summary(1, modes, Quadratic(posterior.z, gradient, hessian), feet, np.array([] if force is None else [force]))
+    return Summary(1, modes, Quadratic(posterior.z, gradient, hessian), feet)

@@ -16,7 +16,8 @@ more friction would change the friction of the whole object.
 Effects that the base model leaves out (`physics/effects/`) may be unknowns too: each parameter is its nominal value plus z_e times its
 prior standard deviation.
 
-The total mass M scales every force and changes no motion, so M is no unknown here: see `total_mass`.
+The total mass M scales every force and changes no motion. It is an unknown, M = M_0 exp(m), where forces are measured; motions are
+simulated at M_0.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ _PREFERENCE_STD: Final = 0.7
 """Prior standard deviation of the logarithm of the load that a foot prefers [-]; statics alone gives that of three feet."""
 _FOOT_WIDTH: Final = (0.3, 0.3)
 """Width of a foot: the least one, at which a foot between cells still has its place, and the median beyond it, in cells [-]."""
+_GIVEN_STD: Final = 1e-3
+"""Standard deviation of the logarithm of a total mass that counts as given [-]: no scale of a force sensor is better."""
 _FROZEN_PRECISION: Final = 1e8
 """Precision about zero of a frozen unknown, in units of its prior: a standard deviation of 1e-4 prior standard deviations, below any
 effect on a motion. A finite number keeps one layout of the vector for free and frozen unknowns."""
@@ -121,6 +124,7 @@ class Mechanics:
     body: BodyParameters
     pusher_friction: float
     effects: EffectValues
+    """Those that poses show."""
     derivative: Float64Array
     """d(body parameters, limits of the cells, values of the effects) / dz, shape (8 + n_cells + n_values, size), rows as the columns of
     `Motion.jacobian`."""
@@ -139,8 +143,9 @@ class Mechanics:
 
 class Unknowns:
     """The unknowns `z` of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_places`, `foot_width`,
-    `foot_preferences`, `effects`, `friction_scale` and `pusher_friction`. There is no
-    `pressure_map` where its prior standard deviation is 0 or the object stands on feet; without feet there are no blocks of feet.
+    `foot_preferences`, `effects`, `friction_scale`, `pusher_friction` and `total_mass`. There is no
+    `pressure_map` where its prior standard deviation is 0 or the object stands on feet; without feet there are no blocks of feet, and
+    without measured forces no `total_mass`.
 
     Args:
         shape: outline and cells of the object.
@@ -197,6 +202,7 @@ class Unknowns:
                 ),
                 Block.of("friction_scale", prior.friction_std),
                 Block.of("pusher_friction", prior.pusher_friction_std),
+                Block.of("total_mass", np.full(int(prior.force_offset_std > 0), max(prior.total_mass_std, _GIVEN_STD))),
             )
         )
 
@@ -330,10 +336,10 @@ class Unknowns:
 
     def effects_at(self, z: Float64Array) -> EffectValues:
         """The effects with their values at `z`; values beyond a bound are clipped to it."""
-        return self.effects.with_values(self._effect_values(z)[0])
+        return self.effects.with_values(self.effect_values(z)[0])
 
-    def _effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Values of the effects and their derivative by their own unknowns, each shape (n_values,)."""
+    def effect_values(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Values of the effects and their derivative by their own unknowns, 0 beyond a bound, each shape (n_values,)."""
         low, high = (np.array([getattr(p, name) for p in self.effects.parameters]) for name in ("low", "high"))
         std = self.effect_std
         free = self.effects.values + std * z[self.slice_of("effects")]
@@ -467,6 +473,11 @@ class Unknowns:
         z[self.slice_of("pusher_friction")] = np.log(pusher_friction / prior.pusher_friction) / prior.pusher_friction_std
         return z
 
+    def mass_factor(self, z: Float64Array) -> float:
+        """Total mass over the nominal one, 1 where no forces are measured."""
+        own = self.block("total_mass")
+        return float(np.exp(own.std @ z[self.slice_of("total_mass")]))
+
     def mechanics(self, z: Float64Array) -> Mechanics:
         """The moving body at `z`, shape (size,), and its derivative by `z`."""
         model = self.model(z)
@@ -475,12 +486,13 @@ class Unknowns:
         arms = self.shape.cells.centres - body.centre
         moment = np.sum(arms**2, axis=1) + self.shape.cells.size**2 / 6
         d_mass, d_friction = self._log_derivatives(z, model)
-        values, d_values = self._effect_values(z)
-        n_cells, n_values = len(weight), len(values)
+        values, d_values = self.effect_values(z)
+        shown = np.array([not effect.needs_forces for effect in self.effects.effects for _ in effect.parameters], dtype=bool)
+        n_cells, n_values = len(weight), int(np.sum(shown))
         derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, self.size))
         derivative[PARAM_CENTRE : PARAM_CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
         derivative[PARAM_INERTIA] = body.mass * ((weight * moment) @ d_mass)
         derivative[PARAM_LIMIT : PARAM_LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
         derivative[PARAM_MU, self.slice_of("pusher_friction")] = model.pusher_friction * self.prior.pusher_friction_std
-        derivative[PARAM_LIMIT + n_cells :, self.slice_of("effects")] = np.diag(d_values)
-        return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values), derivative)
+        derivative[PARAM_LIMIT + n_cells :, self.slice_of("effects")] = np.diag(d_values)[shown]
+        return Mechanics(self.shape, body, model.pusher_friction, self.effects.with_values(values).of_poses, derivative)

@@ -54,6 +54,8 @@ class Chain(NamedTuple):
     dt: Float64Array
     """Length of each step [s], shape (n_steps,)."""
     frames: Frames
+    force: Float64Array
+    """Of the pusher on the object in each step [N], shape (n_steps, 2), table frame."""
 
 
 class _Columns(NamedTuple):
@@ -98,12 +100,12 @@ def _add_skew_columns(
 
 
 @kernel
-def _effect_columns(chain: Chain, n: int, columns: _Columns, n_values: int, memory: Float64Array, du: Float64Array) -> None:
-    """Let effects change the part of the twist after step n that does not come from the state; `memory` is the derivative of the memory
-    at the start of the step."""
+def _effect_columns(
+    chain: Chain, n: int, block: Float64Array, columns: _Columns, n_values: int, memory: Float64Array, du: Float64Array
+) -> None:
+    """Let effects change what `_own_columns` fills."""
     tape, arms, eps, dt = chain.tape, chain.arms, chain.eps, chain.dt[n]
     own_arms, first, last = columns.arms, columns.first, columns.last
-    block = tape.block[n]
     n_memory = tape.memory.shape[1]
     n_body = max(0, N_BODY_PARAMETERS - first)
     if tape.skew.shape[0] > 0:
@@ -129,6 +131,32 @@ def _effect_columns(chain: Chain, n: int, columns: _Columns, n_values: int, memo
         for j in range(n_memory):
             for p in range(last - first):
                 du[i, p] += block[i, BLOCK_EFFECTS + j] * memory[j, p]
+
+
+@kernel
+def _own_columns(
+    chain: Chain, n: int, block: Float64Array, columns: _Columns, n_values: int, memory: Float64Array, du: Float64Array
+) -> None:
+    """The part of the derivative of the twist after step n, or of the pusher's impulse in it, that does not come from the state.
+
+    Args:
+        chain: the rollout.
+        n: the step.
+        block: that of the step, or its reaction (`tape.py`).
+        columns: the columns that are filled.
+        n_values: number of values of the effects.
+        memory: derivative of the memory at the start of the step.
+        du: filled, shape (3, n).
+    """
+    n_body = max(0, N_BODY_PARAMETERS - columns.first)
+    if columns.first == 0:
+        for i in range(3):
+            for p in range(PARAM_MASS, N_BODY_PARAMETERS):
+                du[i, p] = block[i, BLOCK_MASS + p - PARAM_MASS]
+    cos, sin = chain.tape.heading[n, 0], chain.tape.heading[n, 1]
+    _limit_columns(block, chain.tape.twist[n], columns.arms, Cone(chain.diamond, chain.eps, cos, sin), chain.dt[n], du[:, n_body:])
+    if n_values > 0:
+        _effect_columns(chain, n, block, columns, n_values, memory, du)
 
 
 @kernel
@@ -195,20 +223,46 @@ def _emit(
 
 
 @kernel
-def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
-    """Derivative of the poses at the frames with respect to all parameters.
+def _add_impulse(chain: Chain, n: int, s: Float64Array, own: Float64Array, total: Float64Array) -> None:
+    """Add the pusher's impulse in step n, table axes, to the derivative `total` of their sum, shape (2, n).
 
     Args:
         chain: the rollout.
+        n: the step.
+        s: derivative of the state at its start, shape (6, n).
+        own: what does not come from the state, as from `_own_columns`.
+        total: changed.
+    """
+    r, cos, sin = chain.tape.reaction[n], chain.tape.heading[n, 0], chain.tape.heading[n, 1]
+    x, y = chain.dt[n] * chain.force[n, 0], chain.dt[n] * chain.force[n, 1]
+    for p in range(s.shape[1]):
+        along, across = own[0, p], own[1, p]
+        for j in range(6):
+            along += r[0, BLOCK_STATE + j] * s[j, p]
+            across += r[1, BLOCK_STATE + j] * s[j, p]
+        total[0, p] += cos * along - sin * across - y * s[2, p]
+        total[1, p] += sin * along + cos * across + x * s[2, p]
+
+
+@kernel
+def chain_forward(chain: Chain, jacobian: Float64Array, impulses: Frames, by_impulse: Float64Array) -> None:
+    """Derivative of the poses at the frames, and of the pusher's impulse until other times, with respect to all parameters.
+
+    Args:
+        chain: the rollout; with reactions where impulses are wanted.
         jacobian: filled, shape (n_frames, 3, 8 + n_cells + n_values), columns: `PARAM_...`.
+        impulses: when the impulse is wanted; of no frames where it is not.
+        by_impulse: filled with the derivative of the impulse from the start on, table axes, shape (n_impulses, 2, as `jacobian`).
     """
     tape, centre, arms = chain.tape, chain.centre, chain.arms
-    diamond, eps, frame_step, frame_fraction = chain.diamond, chain.eps, chain.frames.step, chain.frames.fraction
+    frame_step, frame_fraction = chain.frames.step, chain.frames.fraction
+    n_impulses = impulses.step.shape[0]
     n_parameters = jacobian.shape[2]
     n_frames = frame_step.shape[0]
     n_memory = tape.memory.shape[1]
     n_values = n_parameters - N_BODY_PARAMETERS - arms.shape[1]
     jacobian[:] = 0.0
+    by_impulse[:] = 0.0
     for first in range(0, n_parameters, _CHUNK):
         last = min(first + _CHUNK, n_parameters)
         n_body = max(0, N_BODY_PARAMETERS - first)
@@ -218,28 +272,28 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
         du = np.zeros((3, last - first))
         velocity = np.zeros((3, last - first))
         memory = np.zeros((n_memory, last - first))
+        own, total = np.zeros((3, last - first)), np.zeros((2, last - first))
         if first == 0:
             cos, sin = tape.heading[0, 0], tape.heading[0, 1]
             s[0, 0], s[1, 1], s[2, 2] = 1.0, 1.0, 1.0
             s[0, 2], s[1, 2] = -(sin * centre[0] + cos * centre[1]), cos * centre[0] - sin * centre[1]
             s[0, PARAM_CENTRE], s[0, PARAM_CENTRE + 1] = cos, -sin
             s[1, PARAM_CENTRE], s[1, PARAM_CENTRE + 1] = sin, cos
-        frame = 0
+        frame = impulse = 0
         for n in range(tape.event.shape[0]):
             cos, sin, dt = tape.heading[n, 0], tape.heading[n, 1], chain.dt[n]
-            begin = frame
+            begin, begin_impulse = frame, impulse
             while frame < n_frames and frame_step[frame] == n:
                 _emit(s, cos, sin, centre, 1.0 - frame_fraction[frame], first, last, jacobian[frame])
                 frame += 1
+            while impulse < n_impulses and impulses.step[impulse] == n:
+                by_impulse[impulse, :, first:last] = (1.0 - impulses.fraction[impulse]) * total
+                impulse += 1
             if tape.event[n] != IDLE:
-                block, twist = tape.block[n], tape.twist[n]
-                if first == 0:
-                    for i in range(3):
-                        for p in range(PARAM_MASS, N_BODY_PARAMETERS):
-                            du[i, p] = block[i, BLOCK_MASS + p - PARAM_MASS]
-                _limit_columns(block, twist, own_arms, Cone(diamond, eps, cos, sin), dt, du[:, n_body:])
-                if n_values > 0:
-                    _effect_columns(chain, n, columns, n_values, memory, du)
+                _own_columns(chain, n, tape.block[n], columns, n_values, memory, du)
+                if n_impulses > 0 and (chain.force[n, 0] != 0.0 or chain.force[n, 1] != 0.0):
+                    _own_columns(chain, n, tape.reaction[n], columns, n_values, memory, own)
+                    _add_impulse(chain, n, s, own, total)
             if n_memory > 0:
                 _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
             if tape.event[n] != IDLE:
@@ -255,6 +309,8 @@ def chain_forward(chain: Chain, jacobian: Float64Array) -> None:
                 s[3:] = 0.0
             for j in range(begin, frame):
                 _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
+            for j in range(begin_impulse, impulse):
+                by_impulse[j, :, first:last] += impulses.fraction[j] * total
 
 
 @kernel

@@ -23,8 +23,8 @@ from push_ident.errors import InputError
 
 __all__ = [
     "MAPS", "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation",
-    "ExportAs", "Law", "Load", "Memory", "OnContact", "OnPoses", "OnPusherFriction", "OnPusherPath", "OnTable", "OnTimes", "Rival",
-    "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
+    "ExportAs", "Law", "Load", "Memory", "OnContact", "OnForceTimes", "OnForces", "OnPoses", "OnPusherFriction", "OnPusherPath",
+    "OnTable", "OnTimes", "Rival", "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
@@ -140,6 +140,9 @@ class EffectParameter:
     camera_std: float | None = None
     """Accuracy of a calibrated camera: the standard deviation with which the effect belongs to the base model where a camera traced the
     outline, about `nominal`. None where it does not belong there."""
+    sensor_std: float | None = None
+    """Accuracy of a force sensor that was tared: the standard deviation with which the effect belongs to the base model of identification
+    where forces are measured. None where it does not belong there."""
 
 
 class Law(Enum):
@@ -244,6 +247,23 @@ class OnPoses:
 
 
 @dataclass(frozen=True, slots=True)
+class OnForces:
+    """Acts on measured forces of the pusher."""
+
+    feel: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """feel(values, force): reported forces for the true ones [N], shape (n, 2), table frame; linear in the force, so that it holds for
+    means over time."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnForceTimes:
+    """Acts on the times at which forces of the pusher are measured."""
+
+    move: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """move(values, time): time of measurement of the force that is reported for `time` [s], shape (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
 class Memory:
     """Numbers that an effect carries from step to step; 0 at the start of a push."""
 
@@ -261,7 +281,7 @@ class Effect:
     """In one sentence."""
     equation: str
     parameters: tuple[EffectParameter, ...]
-    acts: OnTable | OnContact | OnPusherPath | OnPusherFriction | OnTimes | OnPoses
+    acts: OnTable | OnContact | OnPusherPath | OnPusherFriction | OnTimes | OnPoses | OnForces | OnForceTimes
     law: Law
     signature: str
     """Its trace in the residuals of the base model."""
@@ -310,6 +330,21 @@ class Effect:
     def is_camera_error(self) -> bool:
         """Whether it belongs to the base model where a camera traced the outline."""
         return any(parameter.camera_std is not None for parameter in self.parameters)
+
+    @property
+    def needs_forces(self) -> bool:
+        """Whether poses do not show it at all."""
+        return isinstance(self.acts, OnForces | OnForceTimes)
+
+    @property
+    def is_sensor_error(self) -> bool:
+        """Whether it belongs to the base model of identification where forces are measured."""
+        return any(parameter.sensor_std is not None for parameter in self.parameters)
+
+    @property
+    def delays_forces(self) -> bool:
+        """Whether it acts on the times of measured forces."""
+        return isinstance(self.acts, OnForceTimes)
 
     @property
     def moves_outline(self) -> bool:

@@ -15,6 +15,8 @@ from push_ident.physics.effect import (
     STEP_OF_INPUT,
     Effect,
     EffectParameter,
+    OnForces,
+    OnForceTimes,
     OnPoses,
     OnPusherFriction,
     OnPusherPath,
@@ -73,8 +75,16 @@ class EffectValues:
 
     @property
     def of_motion(self) -> EffectValues:
-        """Those that change how things move; the others change how poses are reported."""
-        own = [effect for effect in self.effects if not isinstance(effect.acts, OnPoses)]
+        """Those that change how things move; the others change what is reported."""
+        return self._but(OnPoses, OnForces, OnForceTimes)
+
+    @property
+    def of_poses(self) -> EffectValues:
+        """Those that poses show: all but errors of measured forces, with which nothing is simulated."""
+        return self._but(OnForces, OnForceTimes)
+
+    def _but(self, *places: type) -> EffectValues:
+        own = [effect for effect in self.effects if not isinstance(effect.acts, places)]
         values = [self.values[self.slice_of(effect.name)] for effect in own]
         return EffectValues(tuple(effect.name for effect in own), np.concatenate([np.zeros(0), *values]))
 
@@ -191,6 +201,12 @@ def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float6
     return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnTimes)], effects, time)
 
 
+def force_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Times [s] at which the forces reported for `time` were measured, shape (n,), and their derivative by the values, shape (n_values,
+    n)."""
+    return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnForceTimes)], effects, time)
+
+
 def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Reported poses for true ones, shape (n_frames, 3), table frame.
 
@@ -207,6 +223,24 @@ def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Ar
             turned = see(effects.values[own].astype(np.complex128), turned)
         by_pose[:, :, axis] = turned.imag / STEP_OF_INPUT
     return value, by_pose, by_value
+
+
+def measured_forces(effects: EffectValues, force: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Measured forces for true ones of the pusher on the object [N], shape (n, 2), table frame.
+
+    Returns:
+        The forces; their derivative by the true ones, shape (n, 2, 2); and by the values, shape (n_values, n, 2).
+    """
+    steps = [(own, effect.acts.feel) for effect, own in _places(effects) if isinstance(effect.acts, OnForces)]
+    value, by_value = _through(steps, effects, force)
+    by_force = np.empty((*force.shape, 2))
+    for axis in range(2):
+        turned = force.astype(np.complex128)
+        turned[:, axis] += _TURN
+        for own, feel in steps:
+            turned = feel(effects.values[own].astype(np.complex128), turned)
+        by_force[:, :, axis] = turned.imag / STEP_OF_INPUT
+    return value, by_force, by_value
 
 
 def true_pose(effects: EffectsLike | None, reported: Float64Array) -> Float64Array:

@@ -148,6 +148,11 @@ class Measurement:
         reported[:, :, -n_values:] += self.by_value
         return reported
 
+    def add_pusher_friction(self, by_impulse: Float64Array) -> None:
+        """Add what the values do to impulses through the pusher's friction, shape (n_forces, 2, n_columns)."""
+        n_values = len(self.mu_by_value)
+        by_impulse[:, :, -n_values:] += by_impulse[:, :, PARAM_MU, None] * self.mu_by_value
+
     def by_true_pose(self, by_pose: Float64Array) -> Float64Array:
         """Gradient by the true poses from that by the reported ones."""
         return np.einsum("fij,fi->fj", self.by_pose, by_pose)

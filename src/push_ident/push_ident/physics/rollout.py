@@ -255,6 +255,7 @@ def rollout(
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
     support = SupportImpulse(friction, stiffness, by_yaw, stuck)
     radius, pulled = push.radius, False
+    no_reaction = np.zeros((0, 0))
     forces: Any = None
     drive: Any = None
     if effects is not None:
@@ -348,7 +349,8 @@ def rollout(
                     if effects.skews:
                         tape.skew[n] = forces.skew
                 balance = StepBalance(twist, workspace.old, code, impulse, support)
-                if not step_sensitivity(balance, geometry, contacts, features, pusher, drive, workspace.mode, tape.block[n]):
+                reaction = tape.reaction[n] if tape.reaction.shape[0] > 0 else no_reaction
+                if not step_sensitivity(balance, geometry, contacts, features, pusher, drive, workspace.mode, tape.block[n], reaction):
                     return n, iterations
                 tape.twist[n] = twist
             vx, vy = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]

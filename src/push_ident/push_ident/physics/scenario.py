@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,11 +28,18 @@ class PushScenario:
     """When to report the pose [s], on the clock of `pusher`, in ascending order, shape (n_frames,)."""
     order: float = 0.0
     """Number of pushes made before this one."""
+    force_time: Float64Array = field(default_factory=lambda: np.zeros(0))
+    """When to report the impulse of the pusher [s], in ascending order, shape (n_forces,); of none by default."""
 
     @property
     def duration(self) -> float:
-        """From the first sample of the pusher until it is at rest and the last pose is reported [s]."""
-        return max(float(self.time[-1]), float(self.pusher.time[-1])) - float(self.pusher.time[0])
+        """From the first sample of the pusher to `end` [s]."""
+        return self.end - float(self.pusher.time[0])
+
+    @property
+    def end(self) -> float:
+        """When the pusher is at rest and everything is reported [s]."""
+        return max(float(self.time[-1]), float(self.pusher.time[-1]), float(self.force_time[-1]) if len(self.force_time) else -np.inf)
 
     def __post_init__(self) -> None:
         pose, time = np.array(self.pose_object_in_table, dtype=np.float64), np.array(self.time, dtype=np.float64)
@@ -40,6 +47,9 @@ class PushScenario:
             raise InputError(f"The first pose is {pose}, expected three finite numbers (x, y, yaw).")
         if time.ndim != 1 or len(time) == 0 or not np.isfinite(time).all() or (time[1:] < time[:-1]).any():
             raise InputError("The times to report must be finite and ascend; sort them first.")
-        for name, array in (("pose_object_in_table", pose), ("time", time)):
+        force_time = np.array(self.force_time, dtype=np.float64)
+        if force_time.ndim != 1 or not np.isfinite(force_time).all() or (force_time[1:] < force_time[:-1]).any():
+            raise InputError("The times at which to report impulses must be finite and ascend; sort them first.")
+        for name, array in (("pose_object_in_table", pose), ("time", time), ("force_time", force_time)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)

@@ -6,7 +6,7 @@ cells -> rigid body (`body.py`) -> rollout (`rollout.py`) -> reported poses (`me
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -93,6 +93,13 @@ class Motion:
     """Of the pusher on the object [N], shape (n_steps, 2), table frame."""
     status: SolveStatus
     """CONVERGED, NO_CONTACT (the pusher never touches) or SIMULATION_FAILED."""
+    impulse: Float64Array
+    """Of the pusher on the object from the start until each `PushScenario.force_time` [N s], shape (n_forces, 2), table frame: differences
+    over their time are mean forces. NaN where the simulation failed."""
+    force_at: Float64Array
+    """Force at each `PushScenario.force_time`, by which the impulse grows [N], shape (n_forces, 2), table frame."""
+    impulse_jacobian: Float64Array
+    """Its derivative, shape (n_forces, 2, columns of `jacobian`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,13 +211,15 @@ def simulate_body(
     run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, jacobian)
     if not jacobian:
         return run.motion
-    derivative = np.full((len(run.motion.time), 3, N_BODY_PARAMETERS + len(shape.cells) + len(acting)), np.nan)
+    n_columns = N_BODY_PARAMETERS + len(shape.cells) + len(acting)
+    by_pose = np.full((len(run.motion.time), 3, n_columns), np.nan)
+    by_impulse = np.full((len(scenario.force_time), 2, n_columns), np.nan)
     if run.motion.status is not SolveStatus.SIMULATION_FAILED:
-        chain_forward(run.chain, derivative)
+        chain_forward(run.chain, by_pose, run.impulses, by_impulse)
         if run.measurement is not None:
-            derivative = run.measurement.of_jacobian(derivative)
-    motion = run.motion
-    return Motion(motion.time, motion.pose, derivative, motion.force_time, motion.force, motion.status)
+            by_pose = run.measurement.of_jacobian(by_pose)
+            run.measurement.add_pusher_friction(by_impulse)
+    return replace(run.motion, jacobian=by_pose, impulse_jacobian=by_impulse)
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,6 +343,8 @@ class _Run(NamedTuple):
     n_values: int
     measurement: Measurement | None
     """None where no effect is active."""
+    impulses: Frames
+    """When impulses are reported."""
 
 
 def _run(
@@ -357,14 +368,26 @@ def _run(
         active = active_effects(effects, d_path, arms, float(shape.cells.size), scenario.order)
     times = ReportTimes.of(scenario.time, clock, effects)
     push = _push(shape, body, mu, scenario, path, arms)
-    pose, force, tape, status = _roll(push, settings, clock, active, times.wanted, derive)
+    impulses, _ = clock.frames(scenario.force_time)
+    pose, force, tape, status = _roll(push, settings, clock, active, times.wanted, derive, len(scenario.force_time) > 0)
     measurement = None
     if len(effects) > 0:
         pose, measurement = Measurement.of(effects, times, pose, mu_by_value)
-    motion = Motion(scenario.time, pose, np.empty((len(scenario.time), 3, 0)), clock.middles, force, status)
+    impulse = np.full((len(scenario.force_time), 2), np.nan)
+    if status is not SolveStatus.SIMULATION_FAILED:
+        impulse = _impulse_until(impulses, force * clock.lengths[:, None])
+    no_derivative = np.empty((len(scenario.time), 3, 0)), np.empty((len(scenario.force_time), 2, 0))
+    motion = Motion(scenario.time, pose, no_derivative[0], clock.middles, force, status, impulse, force[impulses.step], no_derivative[1])
     diamond = settings.friction_cone == "pyramid"
     eps = FINAL_NU if diamond else settings.smoothing_speed
-    return _Run(motion, Chain(tape, push.centre, push.arms, diamond, eps, clock.lengths, times.frames), len(effects), measurement)
+    chain = Chain(tape, push.centre, push.arms, diamond, eps, clock.lengths, times.frames, force)
+    return _Run(motion, chain, len(effects), measurement, impulses)
+
+
+def _impulse_until(times: Frames, impulse: Float64Array) -> Float64Array:
+    """Sum of the impulses of the steps, shape (n_steps, 2), until each of `times`, in which a step counts as far as it has gone."""
+    before = np.vstack([np.zeros(2), np.cumsum(impulse, axis=0)])
+    return np.asarray(before[times.step] + times.fraction[:, None] * impulse[times.step])
 
 
 def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: EffectValues) -> tuple[float, Float64Array]:
@@ -384,7 +407,7 @@ def _clock(scenario: PushScenario, settings: SimulationSettings) -> StepClock:
     The object is at rest before the first contact, so the clock starts with the pusher.
     """
     start = float(scenario.pusher.time[0])
-    end = max(float(scenario.time[-1]), float(scenario.pusher.time[-1]))
+    end = scenario.end
     if settings.resolve_events:
         return StepClock.through(scenario.pusher.time, end, settings.longest_step)
     return StepClock.of(start, end, settings.longest_step)
@@ -418,16 +441,16 @@ def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushSce
 
 
 def _roll(
-    push: Push, settings: SimulationSettings, clock: StepClock, active: ActiveEffects | None, frames: Frames, derive: bool
+    push: Push, settings: SimulationSettings, clock: StepClock, active: ActiveEffects | None, frames: Frames, derive: bool, forces: bool
 ) -> tuple[Float64Array, Float64Array, Tape, SolveStatus]:
     """The rollout: poses at the frames (NaN where it failed), force of the pusher at each step, tape, status."""
     n_steps, n_cells = clock.n_steps, push.arms.shape[1]
     diamond, quasi_static = settings.friction_cone == "pyramid", settings.quasi_static
     numerics = Numerics(clock.lengths, settings.smoothing_speed, diamond, quasi_static, settings.resolve_events)
-    tape = new_tape(n_steps if derive else 0)
+    tape = new_tape(n_steps if derive else 0, forces=forces)
     if active is not None:
         n_loaded, n_sums = n_cells if active.loads else 0, N_SUMS if active.shifts else 0
-        tape = new_tape(n_steps if derive else 0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews)
+        tape = new_tape(n_steps if derive else 0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews, forces=forces)
     pose, force = np.empty((len(frames.step), 3)), np.empty((n_steps, 2))
     scratch = None if active is None else new_effect_scratch(n_cells, active)
     failed_at, _ = rollout(push, numerics, active, None, frames, pose, force, tape, scratch)

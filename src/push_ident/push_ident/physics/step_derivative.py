@@ -145,8 +145,12 @@ def step_sensitivity(
     drive: EffectDrive | None,
     scratch: ModeScratch,
     block: Float64Array,
+    reaction: Float64Array,
 ) -> bool:
     """Derivative of the twist after a step: fills its block (`Tape.block`). False where the system is singular.
+
+    The derivative of the pusher's impulse on the object is what the balance of impulses leaves for it: H du less the seeds that are not
+    its own.
 
     Kept whole: its parts share a dozen arrays, and it runs once a step.
 
@@ -159,6 +163,7 @@ def step_sensitivity(
         drive: derivatives by the effects; None without effects.
         scratch: its space.
         block: filled, shape (3, n_columns).
+        reaction: filled with the derivative of the pusher's impulse (`Tape.reaction`), same shape; of no rows where it is not wanted.
     """
     twist, old, inertia, impulse, stiffness = step.twist, step.old, geometry.inertia, step.impulse, step.support.stiffness
     rows, n_contacts, code, stuck = contacts.rows, contacts.number, step.code, step.support.stuck
@@ -176,6 +181,7 @@ def step_sensitivity(
         b[:3] = drive.seeds
     for i in range(3):
         b[i, BLOCK_IMPULSE + i] = 1.0
+    others = b[:3].copy()
     d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
     change = RelativeChange(np.empty(2), np.empty(1), np.empty(2), np.empty(2))
     d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle, change.centre, change.velocity
@@ -228,6 +234,9 @@ def step_sensitivity(
                 carried += impulse[k] * rows[k, SHARES_TANGENT]
             for i in range(3):
                 b[i, column] += sign * carried * rows[tangent, i]
+        if column != BLOCK_MU:
+            for i in range(3):
+                others[i, column] = b[i, column]
         if n == 0 or not (
             BLOCK_STATE <= column <= BLOCK_YAW or column == BLOCK_CENTRE or column == BLOCK_CENTRE + 1 or column >= BLOCK_EFFECTS
         ):
@@ -253,4 +262,11 @@ def step_sensitivity(
     if not solve_small(scratch.matrix, b, size, n_columns):
         return False
     block[:] = b[:3]
+    for i in range(reaction.shape[0]):
+        for column in range(n_columns):
+            reaction[i, column] = -others[i, column]
+            for j in range(3):
+                reaction[i, column] += h[i, j] * b[j, column]
+            for j in range(3 + n, size):
+                reaction[i, column] += stuck[j - 3 - n, i] / _stuck_size(stuck, j - 3 - n) * b[j, column]
     return True

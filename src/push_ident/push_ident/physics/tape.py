@@ -6,7 +6,8 @@ The state is s = (centre of mass x, y, yaw; velocity x, y, yaw rate), table axes
 
 (with the mean of the velocities before and after in place of v and omega where `Tape.coasting` says so)
 
-where the 3 x 14 block [A B C] of a step is all that a rollout must keep. Active effects (`table.py`) add to it the response E to their
+where the 3 x 14 block [A B C] of a step is all that a rollout must keep. The impulse of the pusher depends on the same numbers; its
+derivative is a second block of that form, kept where forces are wanted. Active effects (`table.py`) add to it the response E to their
 memory m and their values q, and where an effect shifts the load to the sums of the limits of all cells that it depends on. The memory
 evolves by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
 """
@@ -72,6 +73,9 @@ class Tape(NamedTuple):
     """`IDLE`, `MOVED` or `CAME_TO_REST`, shape (n_steps,)."""
     block: Float64Array
     """[A B C E], shape (n_steps, 3, 14 + n_memory + n_values), object axes; `N_SUMS` columns more where one shifts the load."""
+    reaction: Float64Array
+    """Derivative of the impulse that the pusher gives the object in the step [N s, N s, N m s], by the columns of the block, object axes;
+    of no steps where it is not wanted."""
     twist: Float64Array
     """After the step, object axes at its start, shape (n_steps, 3)."""
     heading: Float64Array
@@ -87,11 +91,14 @@ class Tape(NamedTuple):
     """Derivative of the memory after a step by the inputs at its start (`table.py`), shape (n_steps, n_memory, n_inputs)."""
 
 
-def new_tape(n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, n_sums: int = 0, *, skewed: bool = False) -> Tape:
-    """Empty tape of a rollout; `n_cells` is 0 where no effect changes friction limits."""
-    n_inputs = N_FIXED_INPUTS + n_memory + n_values
+def new_tape(
+    n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, n_sums: int = 0, *, skewed: bool = False, forces: bool = False
+) -> Tape:
+    """Empty tape of a rollout; `n_cells` is 0 where no effect changes friction limits, `forces` whether their derivative is wanted."""
+    n_inputs, n_columns = N_FIXED_INPUTS + n_memory + n_values, BLOCK_EFFECTS + n_memory + n_values + n_sums
     return Tape(
-        np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, BLOCK_EFFECTS + n_memory + n_values + n_sums)), np.zeros((n_steps, 3)),
-        np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros(n_steps), np.zeros((n_steps if skewed else 0, 2)),
+        np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, n_columns)), np.zeros((n_steps if forces else 0, 3, n_columns)),
+        np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros(n_steps),
+        np.zeros((n_steps if skewed else 0, 2)),
         np.zeros((n_steps, n_memory, n_inputs)),
     )  # fmt: skip

@@ -53,6 +53,7 @@ from push_ident_sim.cell.sensors import PLAIN, SENSOR_NAMES
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
+from push_ident_sim.injected.equations import reported_forces
 from push_ident_sim.injected.sensing import PoseSensor, check_rendered, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import true_model
@@ -298,7 +299,8 @@ class _SimCell(Component):
         position, velocity = self._world.joint_state()
         joints = JointState(name=list(self._world.joint_names), position=position.tolist(), velocity=velocity.tolist())
         joints.header.stamp = stamp
-        force = self._world.take_pusher_force()[:2] + self._wrench_noise * self._state_rng.standard_normal(2)
+        (force,) = reported_forces(self._world.config.effects, self._world.take_pusher_force()[None, :2])
+        force = force + self._wrench_noise * self._state_rng.standard_normal(2)
         x, y, yaw = self._world.object_pose()
         self._clock_pub.publish(Clock(clock=stamp))
         self._joint_pub.publish(joints)

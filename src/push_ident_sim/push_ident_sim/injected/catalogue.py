@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from push_ident.physics.effect import Effect, OnContact, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
-from push_ident.physics.effects import CAUSES, EFFECTS
+from push_ident.physics.effect import Effect, OnContact, OnForces, OnForceTimes, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
+from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter, Part
 
 __all__ = ["INJECTED"]
@@ -26,6 +26,8 @@ _PARTS: dict[type, Part] = {
     OnPusherFriction: "pusher",
     OnTimes: "camera",
     OnPoses: "poses",
+    OnForces: "forces",
+    OnForceTimes: "forces",
 }
 """What an effect acts on that is injected through its equation."""
 _WIDEST = 10.0
@@ -197,4 +199,4 @@ _ENTRIES = (
 
 INJECTED: dict[str, InjectedEffect] = {effect.name: effect for effect in _ENTRIES}
 """By name. An effect that names no cause has nothing to inject."""
-INJECTED |= {name: _through_its_equation(EFFECTS[name]) for name in CAUSES if name not in INJECTED}
+INJECTED |= {name: _through_its_equation(EFFECTS[name]) for name in (*CAUSES, *FORCE_CAUSES) if name not in INJECTED}

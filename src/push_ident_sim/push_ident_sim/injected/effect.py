@@ -13,8 +13,8 @@ from push_ident.physics.effects import EFFECTS
 
 __all__ = ["InjectedEffect", "InjectedParameter", "Part"]
 
-Part = Literal["table", "object", "pusher", "camera", "poses"]
-"""Part of the cell that an effect acts on. `poses`: on poses that are reported; a rendered camera cannot have it."""
+Part = Literal["table", "object", "pusher", "camera", "poses", "forces"]
+"""Part of the cell that an effect acts on. `poses`, `forces`: on what is reported; a rendered camera cannot have the first."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.physics.effect import Body, Cell, Effect, Load, OnContact, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
+from push_ident.physics.effect import (
+    Body,
+    Cell,
+    Effect,
+    Load,
+    OnContact,
+    OnForces,
+    OnForceTimes,
+    OnPoses,
+    OnPusherFriction,
+    OnPusherPath,
+    OnTable,
+    OnTimes,
+)
 from push_ident.physics.effects import EFFECTS
 from push_ident_sim.injected.catalogue import INJECTED
 from push_ident_sim.injected.values import InjectedEffects
@@ -25,7 +38,9 @@ __all__ = [
     "contact_quantity",
     "driven_place",
     "pusher_friction",
+    "reported_forces",
     "reported_poses",
+    "times_of_forces",
     "times_of_poses",
 ]
 
@@ -91,10 +106,26 @@ def reported_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
     return pose
 
 
+def reported_forces(effects: InjectedEffects, force: FloatArray) -> FloatArray:
+    """What is reported of true forces [N], shape (n, 2), table frame, under such effects."""
+    for effect, values in _injected(effects, OnForces):
+        assert isinstance(effect.acts, OnForces)
+        force = np.ascontiguousarray(effect.acts.feel(values.astype(np.complex128), force.astype(np.complex128)).real)
+    return force
+
+
 def times_of_poses(effects: InjectedEffects, time: FloatArray) -> FloatArray:
     """When the poses were measured that are reported for `time` [s], shape (n,), under such effects."""
     for effect, values in _injected(effects, OnTimes):
         assert isinstance(effect.acts, OnTimes)
+        time = np.ascontiguousarray(effect.acts.move(values.astype(np.complex128), time.astype(np.complex128)).real)
+    return time
+
+
+def times_of_forces(effects: InjectedEffects, time: FloatArray) -> FloatArray:
+    """When the forces were measured that are reported for `time` [s], shape (n,), under such effects."""
+    for effect, values in _injected(effects, OnForceTimes):
+        assert isinstance(effect.acts, OnForceTimes)
         time = np.ascontiguousarray(effect.acts.move(values.astype(np.complex128), time.astype(np.complex128)).real)
     return time
 

@@ -25,6 +25,7 @@ from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, Push
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
+from push_ident_sim.injected.equations import reported_forces, times_of_forces
 from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, measured_at, observed_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 
@@ -283,6 +284,6 @@ def observe_motion(
         steps = np.diff(motion.time, prepend=0.0)
         impulse = np.cumsum(motion.force * steps[:, None], axis=0)
         bounds = np.arange(0.0, clock[-1], 1.0 / noise.force_rate)
-        force = np.diff(at(bounds, impulse), axis=0) * noise.force_rate
-        wrench = WrenchTrack(bounds[1:], force + noise.force_std * rng.normal(size=force.shape))
+        force = np.diff(at(times_of_forces(effects, bounds), impulse), axis=0) * noise.force_rate
+        wrench = WrenchTrack(bounds[1:], reported_forces(effects, force) + noise.force_std * rng.normal(size=force.shape))
     return poses, PusherPath(clock, motion.reported[hold], radius), wrench

@@ -13,7 +13,7 @@ from pkgutil import iter_modules
 from push_ident.physics.effect import MAPS, Effect
 from push_ident.physics.effect_folders import VARIABLE, extra_effect_files, extra_effect_folders
 
-__all__ = ["CAMERA_ERRORS", "CAUSES", "EFFECTS"]
+__all__ = ["CAMERA_ERRORS", "CAUSES", "EFFECTS", "FORCE_CAUSES", "SENSOR_ERRORS"]
 
 _MUTUAL = ("exact_twins", "refit_with")
 """Fields that hold in both directions."""
@@ -67,8 +67,14 @@ def _with_both_directions(found: dict[str, Effect], extra: set[str]) -> dict[str
 EFFECTS = _discover()
 """All effects by name."""
 
-CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_unknown_cause)
-"""Names of the effects that are a named cause."""
+CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_unknown_cause and not effect.needs_forces)
+"""Names of the effects that are a named cause, and that poses show."""
+
+FORCE_CAUSES = tuple(name for name, effect in EFFECTS.items() if effect.needs_forces)
+"""Names of the effects that are a named cause, and that only measured forces show."""
+
+SENSOR_ERRORS = tuple(name for name in FORCE_CAUSES if EFFECTS[name].is_sensor_error)
+"""Names of the effects in the base model of identification where forces are measured."""
 
 
 def _accuracy(name: str) -> float:

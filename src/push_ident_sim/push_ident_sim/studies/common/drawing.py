@@ -32,9 +32,10 @@ __all__ = [
 ]
 
 COLOURS: Final = defaultdict(
-    lambda: "#56b4e9",
+    lambda: "#e69f00",
     {
         "gauss_newton": "#0072b2",
+        "with_forces": "#56b4e9",
         "fast_gradient": "#d55e00",
         "autograd": "#009e73",
         "finite_differences": "#cc79a7",
