@@ -54,7 +54,7 @@ def _names_in(path: Path) -> tuple[str, ...]:
 
 
 def _names(tree: ast.Module) -> Iterator[str]:
-    for node in ast.walk(tree):
+    for node in _executed(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -62,6 +62,16 @@ def _names(tree: ast.Module) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith(_PREFIXES):
             yield node.value
+
+
+def _executed(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes but imports for types, and those of names that a module offers and does not need itself (`__getattr__`, PEP 562)."""
+    if isinstance(node, ast.FunctionDef) and node.name == "__getattr__":
+        return
+    yield node
+    for_types = isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+    for child in node.orelse if for_types else ast.iter_child_nodes(node):
+        yield from _executed(child)
 
 
 @cache

@@ -48,7 +48,7 @@ def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
     contents = read_bag(tmp_path / name)
     assert contents.notes == []
     got = split_pushes(contents, "7")
-    assert [record.source for record in got] == [f"{name} push {n}" for n in range(3)]
+    assert [record.source for record in got] == [f"{name} push {n}" for n in (1, 2, 3)]
     for one, other in zip(got, records, strict=True):
         assert_same_record(one, other)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 from typer.testing import CliRunner
 
@@ -45,3 +47,11 @@ def test_every_command_has_a_summary_and_help() -> None:
 def test_misspelt_command_is_answered_with_the_right_one() -> None:
     asked = CliRunner().invoke(app, ["identfy"])
     assert asked.exit_code == 2 and "identify" in asked.output
+
+
+def test_ctrl_c_while_a_dataclass_is_made_has_the_exit_code_of_any_other(tmp_path: Path) -> None:
+    text = "import sys\nfrom push_ident.cli.entry import _exit_code\nsys.exit(_exit_code(lambda: exec('raise KeyboardInterrupt'), 130))\n"
+    (tmp_path / "interrupted.py").write_text(text)
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    done = subprocess.run([sys.executable, "-m", "interrupted"], env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "")

@@ -32,7 +32,7 @@ def test_page_is_one_file_with_every_section(tmp_path: Path) -> None:
     assert page.count("<svg") == 6
     for text in (
         "2 pushes not used in the fit",
-        "held out",
+        "held-out pushes",
         "pinned down",
         "Next push",
         "bag a, push 2",

@@ -62,7 +62,8 @@ class DepthCapture:
         self._seconds, self._on_progress = seconds, on_progress
         self._frames: deque[DepthFrame] = deque()
         self._n_images = self._n_infos = 0
-        self._refused: list[str] = []
+        self._refused: list[tuple[str, str]] = []
+        """Kind and reason of each."""
         self._encoding = self._wrong_pose = ""
         try:
             rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE], signal_handler_options=SignalHandlerOptions.NO)
@@ -135,7 +136,7 @@ class DepthCapture:
     def notes(self) -> list[str]:
         """What was left out so far, one line each."""
         n = len(self._refused)
-        refused = f"{n} of {self._n_images} images are not usable and left out; the first: {self._refused[0]}" if n else ""
+        refused = f"{n} of {self._n_images} images are not usable and left out; the first: {self._refused[0][1]}" if n else ""
         return [note for note in (refused, self._wrong_pose) if note]
 
     def _on_image(self, image: Image) -> None:
@@ -160,8 +161,7 @@ class DepthCapture:
         self._frames.append(frame)
 
     def _refuse(self, kind: str, why: str) -> None:
-        del kind
-        self._refused.append(why)
+        self._refused.append((kind, why))
 
     def _check_publishers(self) -> None:
         """Raises InputError where others than one camera publish on the topic."""
@@ -189,7 +189,9 @@ class DepthCapture:
                 "expected sensor_msgs/msg/CameraInfo with each image; start it in the camera's driver, or remap it there."
             )
         self._pairs.drop_unpaired()
-        why = self._refused[-1] if self._refused else "none has arrived whole"
+        reasons = dict(self._refused)
+        kinds = [kind for kind, _ in self._refused]
+        why = reasons[max(reasons, key=kinds.count)] if reasons else "none has arrived whole"  # the last image may only lack its info yet
         return f"None of {self._n_images} images on {topic} is usable {within}: {why}"
 
     def _other_topics(self) -> str:
