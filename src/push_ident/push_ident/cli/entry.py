@@ -35,7 +35,7 @@ def _exit_code(run: Callable[[], None], interrupted: int) -> int | str | None:
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end of the interpreter is no place for a KeyboardInterrupt
     except KeyboardInterrupt:
-        # Python notes that one has passed an `exec`, as of a dataclass being made, and would end by SIGINT; the next `exec` clears the note.
+        # Python notes one that passed an `exec`, as of a dataclass being made, and would end by SIGINT; the next `exec` clears the note.
         exec("")
         return interrupted
     except SystemExit as end:
