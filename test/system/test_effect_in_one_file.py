@@ -88,7 +88,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "exported": ("push-ident", "export", folder / "model.json", "--format", "mjcf", "--out", folder / "model.xml"),
     }
     calls = [[str(folder / f"{name}.txt"), list(map(str, program))] for name, program in programs.items()]
-    environment = {**os.environ, VARIABLE: str(folder / "effects"), "OMP_NUM_THREADS": "1"}
+    # Compiled quickly rather than to quick code: the kernels of an effect given by a folder run here only.
+    environment = {**os.environ, VARIABLE: str(folder / "effects"), "OMP_NUM_THREADS": "1", "NUMBA_OPT": "1"}
     call = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(call, env=environment, input=json.dumps(calls), capture_output=True, text=True, timeout=1800, check=False)
     assert done.returncode == 0, done.stderr
