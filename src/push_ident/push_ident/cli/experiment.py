@@ -99,4 +99,5 @@ def sim_module(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"This needs the simulated cell, but {error.name} is not installed; run `make setup`.") from None
+        remedy = "run `make setup` in a clone of the repository"
+        raise InputError(f"This needs the simulated cell, but {error.name} is not installed; {remedy}.") from None

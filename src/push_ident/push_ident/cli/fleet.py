@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 from push_ident.cli.checks import writable_folder
 from push_ident.cli.identify import ObjectOption
 from push_ident.cli.output import Description, JsonOption, console, millimetres, warn, write_json
+from push_ident.extras import need
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
 from push_ident.identification.prior import Prior
@@ -44,6 +45,8 @@ def fleet_command(
     json: JsonOption = None,
 ) -> None:
     """Identify many bags in parallel; a failed bag does not stop the others. Writes results.parquet, index.html and the models."""
+    need("fleet")
+    need("report")
     options = FleetOptions(
         prior=Prior(total_mass=nominal_mass, friction=friction, pusher_friction=pusher_friction),
         method=method,

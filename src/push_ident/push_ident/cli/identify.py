@@ -14,6 +14,7 @@ from rich.table import Table
 from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
 from push_ident.identification.identifiability import identifiability
@@ -86,6 +87,8 @@ def identify_command(
     pictures: Annotated[bool, typer.Option("--pictures", help="Into --out also map.png and knowledge.png, for slides.")] = False,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
+    if out is not None:
+        need("report")
     takes_effects = solver_of(method).capabilities.takes_effects
     numbers = parse_numbers(train, "--train") if train else None
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)

@@ -29,6 +29,7 @@ from push_ident.cli.checks import above_zero, at_least_zero, writable_file
 from push_ident.cli.import_report import BagOption, draw_import, show_import
 from push_ident.cli.output import JsonOption
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
@@ -236,6 +237,7 @@ def rosbag_command(
 @contextmanager
 def _picture_of_a_miss(out: Path, picture: Path | None) -> Iterator[None]:
     """Where the pusher never comes near the object, the picture shows where it is instead."""
+    need("report")
     try:
         yield
     except OverlapError as error:

@@ -16,6 +16,7 @@ from push_ident.cli.checks import writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError, PerceptionError
+from push_ident.extras import need, need_ros
 from push_ident.files import write_whole
 from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.parameter_file import parameter_text
@@ -78,6 +79,7 @@ def look_command(
     ] = "",
 ) -> None:
     """Find table, noise and objects in depth images, without any setting, and say what is refused and why."""
+    need("report")
     size, given = _known(known), read_camera(camera)
     if depth_unit is not None and not 0 < depth_unit < 1000:
         raise InputError(f"--depth-unit is {depth_unit:g}, expected metres per unit, such as 0.001 for millimetres.")
@@ -139,6 +141,7 @@ def _check_live(source: str, intrinsics: str, unit: float | None) -> None:
 
 def _listen(topic: str, seconds: float, show: Callable[[str], None]) -> _Seen:
     """What a camera that runs now has. Raises InputError or FrameError."""
+    need_ros()
     from push_ident.nodes.depth_capture import DepthCapture  # without --live no ROS is needed
 
     with DepthCapture(topic, seconds=seconds, on_progress=show) as camera:

@@ -10,6 +10,7 @@ import typer
 
 from push_ident.cli.output import JsonOption, console, warn, write_json
 from push_ident.errors import InputError
+from push_ident.extras import need_ros
 from push_ident.limits import check_object_id, plain_text, printable
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
@@ -49,6 +50,7 @@ def push_command(
         raise InputError("say what to push: --random N, or --at X,Y with --direction ANGLE.")
     if object_id:
         check_object_id(object_id)
+    need_ros()
     from push_ident_msgs.action import ExecutePush
 
     if at is not None and direction is not None:

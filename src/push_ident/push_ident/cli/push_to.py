@@ -13,6 +13,7 @@ from rich.markup import escape
 
 from push_ident.cli.output import JsonOption, console, warn, write_json
 from push_ident.errors import InputError
+from push_ident.extras import need_ros
 from push_ident.geometry.se2 import quaternion_of_yaw, wrap_angle, yaw_of_quaternion
 from push_ident.limits import printable
 from push_ident.types import Float64Array
@@ -225,6 +226,7 @@ def push_to_command(
 ) -> None:
     """Push an object of a live cell to a goal pose, or along a path; exit status 0 only where it was reached. Ctrl-C holds the arm."""
     poses = goals_of(x, y, yaw, path, spacing_mm)
+    need_ros()
     from push_ident.nodes.client import CellClient
 
     reports: list[GoalReport] = []
