@@ -1,4 +1,6 @@
+import re
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -29,8 +31,12 @@ extras = {
     "torch": ["torch>=2.13"],
 }
 
-# Name, version and description: setup.cfg. What ROS brings: package.xml (rosdep).
+(version,) = re.findall(r'^__version__ = "(.+)"$', Path(package, "__init__.py").read_text(encoding="utf-8"), re.MULTILINE)
+
+# What ROS brings: package.xml (rosdep). All stands here: colcon cannot read a `python_requires` of setup.cfg.
 setup(
+    name=package,
+    version=version,
     packages=find_packages(include=[package, f"{package}.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2"], f"{package}.bags": ["msg/*.msg"], f"{package}.nodes": ["*.xml"]},
     data_files=[
@@ -42,7 +48,14 @@ setup(
     ],
     install_requires=requires,
     extras_require={**extras, "all": sorted({name for names in extras.values() for name in names}), "test": ["pytest"]},
+    python_requires=">=3.11",
     zip_safe=False,
+    maintainer="push_ident maintainers",
+    maintainer_email="maintainers@push-ident.example",
+    description="Identifies per-cell mass and support friction of unknown objects by pushing them, and predicts their motion.",
+    long_description=Path("README.md").read_text(encoding="utf-8") if Path("README.md").is_file() else "",
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "push-ident = push_ident.cli.entry:main",

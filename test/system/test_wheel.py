@@ -1,4 +1,4 @@
-"""The wheel, installed where there is no ROS and nothing that it does not require: it identifies a bag as the project's own command does."""
+"""The wheel, where there is no ROS and nothing that it does not require: it identifies a bag as the project's own command does."""
 
 from __future__ import annotations
 
