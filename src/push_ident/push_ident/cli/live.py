@@ -16,7 +16,7 @@ from rich.table import Table
 
 from push_ident.bags.pushes import count_pushes, split_pushes
 from push_ident.bags.reader import read_bag
-from push_ident.cli.checks import new_bag
+from push_ident.cli.checks import above_zero, at_least_zero, new_bag
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.overrides import overrides_of
@@ -100,7 +100,8 @@ def up_command(
 def replay_command(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Bag to play.", show_default=False)],
     rate: Annotated[
-        float, typer.Option(min=0.0, help="Speed relative to real time, where the nodes keep up; 0: as fast as they can.")
+        float,
+        typer.Option(min=0.0, callback=at_least_zero, help="Speed relative to real time, where the nodes keep up; 0: as fast as they can."),
     ] = 1.0,
     view: ViewOption = False,
     out: OutOption = None,
@@ -207,7 +208,7 @@ _EXTRA_OF: Final = {"torch": "torch", "open3d": "pcd", "pin": "arm", "matplotlib
 
 
 def doctor_command(
-    seconds: Annotated[float, typer.Option(min=0.5, help="How long to listen.")] = 4.0,
+    seconds: Annotated[float, typer.Option(min=0.5, callback=above_zero, help="How long to listen.")] = 4.0,
     robot: RobotOption = None,
     spacing: Annotated[
         float, typer.Option(min=0.01, max=1.0, help="Distance of the places at which pushes are planned, with --robot [m].")

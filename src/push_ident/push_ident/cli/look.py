@@ -12,7 +12,7 @@ from rich.table import Table
 
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.reader import read_depth
-from push_ident.cli.checks import writable_folder
+from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError, PerceptionError
@@ -52,7 +52,9 @@ def look_command(
         ),
     ] = "",
     live: Annotated[bool, typer.Option("--live", help="Listen to the depth camera that runs now.")] = False,
-    seconds: Annotated[float, typer.Option(min=0.5, help="Longest time to wait for a rest of a live camera [s].")] = 15.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.5, callback=above_zero, help="Longest time to wait for a rest of a live camera [s].")
+    ] = 15.0,
     out: _OutFolder = Path("out/look"),
     json: JsonOption = None,
     camera: CameraOption = None,
@@ -66,7 +68,12 @@ def look_command(
     ] = "",
     depth_unit: Annotated[
         float | None,
-        typer.Option(metavar="METRES", help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.", show_default=False),
+        typer.Option(
+            metavar="METRES",
+            callback=above_zero,
+            help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.",
+            show_default=False,
+        ),
     ] = None,
     known: Annotated[
         str,
