@@ -1,7 +1,9 @@
 """Install the wheel from dist/ as a stranger would, and identify a bag with it: `python tools/check_dist.py`.
 
 An empty environment, the packages of the index (a download of some 250 MB), no ROS, a folder outside the repository. The result must be
-that of the project's own command, whose packages are pinned: equal to a part in a hundred, since other versions round differently.
+that of the project's own command, whose packages are pinned: equal to a part in a hundred, since other versions round differently. The
+identification that compiles the kernels also rounds differently (the last digits of its sums), and so ends at another point within the
+stated deviations; results are compared of the one after it, which loads them.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ TOLERANCE = 1e-2
 COMMANDS = (
     ("--help",),
     ("--version",),
+    ("identify", str(BAG), "--train", "0-2", "--json", "first.json"),
     ("identify", str(BAG), "--train", "0-2", "--out", "out", "--json", "own.json"),
     ("predict", "out/model.json", str(BAG)),
     ("look", str(BAG), "--out", "look"),
@@ -56,8 +59,9 @@ def main() -> None:
         run([own / "python", "-c", LIBRARY], folder, plain)
         here = ROOT / ".venv" / "bin" / "push-ident"
         run([here, "identify", BAG, "--train", "0-2", "--json", folder / "project.json"], ROOT, dict(os.environ))
-        ours, theirs = (json.loads((folder / file).read_text())["test"]["identified_m"] for file in ("project.json", "own.json"))
-        print(f"error on the held-out push: {1e3 * theirs:.4f} mm, of the project's own command {1e3 * ours:.4f} mm")
+        files = ("project.json", "own.json", "first.json")
+        ours, theirs, first = (json.loads((folder / file).read_text())["test"]["identified_m"] for file in files)
+        print(f"error on the held-out push: {1e3 * theirs:.4f} mm (while compiling {1e3 * first:.4f} mm), of the clone {1e3 * ours:.4f} mm")
         print(f"{time.monotonic() - start:.0f} s in all")
         if not math.isclose(ours, theirs, rel_tol=TOLERANCE):
             sys.exit("the results differ")

@@ -21,17 +21,19 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 __all__ = ["fleet_command"]
 
 _NOMINAL = Prior()
+_OutOption = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder of results; an interrupted run continues from them."),
+]
+_AddressOption = Annotated[
+    str, typer.Option(help="Address of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
+]
 
 
 def fleet_command(
     bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags, or folders that hold bags at any depth.", show_default=False)],
-    out: Annotated[
-        Path,
-        typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder of results; an interrupted run continues from them."),
-    ] = Path("out/fleet"),
-    address: Annotated[
-        str, typer.Option(help="Address of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
-    ] = "",
+    out: _OutOption = Path("out/fleet"),
+    address: _AddressOption = "",
     workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: one per core.")] = 0,
     again: Annotated[bool, typer.Option("--again", help="Retry bags that failed in an earlier run.")] = False,
     object_id: ObjectOption = "",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -25,12 +24,9 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_total_mass
 from push_ident.identification.unknowns import Unknowns
-from push_ident.physics.simulation import compile_kernels
 from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["Earlier", "identify", "uniform_model"]
-
-_compile_once: Final = cache(compile_kernels)
 
 _SCALARS: Final = "scalars"
 """Name of the start of the fit of equal cells, after those of the solver."""
@@ -93,7 +89,6 @@ def identify(
     prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options = _prepared(records, prior, effects, options or FitOptions())
-    _compile_once(effects=bool(effects))  # the first time of an installation it takes longer than the budget lasts
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
