@@ -18,8 +18,8 @@ from push_ident.limits import printable
 from push_ident.types import Float64Array
 
 __all__ = [
-    "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel", "field_panel",
-    "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
+    "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel",
+    "field_panel", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
 ]  # fmt: skip
 
 VIRIDIS: Final = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
