@@ -9,7 +9,7 @@ import pytest
 
 from helpers.commands import run_here
 from helpers.objects import hammer
-from push_ident.cli.push_to import GoalReport, GoalText, PathReport, PushLine, goal_message, goals_of
+from push_ident.cli.push_to import GoalReport, GoalText, PathReport, PushLine, goal_message, goals_of, last_feedback
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.planning.goal import Goal
@@ -45,6 +45,18 @@ def test_report_names_its_code() -> None:
     content = ended().content()
     assert content["reached"] and content["tolerance_m"] == pytest.approx(0.01) and content["start"] is None and content["outline"] is None
     np.testing.assert_allclose(content["goal"], [0.05, 0.06, 0.6])
+
+
+def test_push_whose_feedback_came_too_late_is_in_the_report() -> None:
+    report, under_way = ended(pushes=1, position_error=0.005, yaw_error=0.03), feedback(0, predicted=True)
+    for _ in range(2):  # also where that feedback did come
+        report.take(last_feedback(report.result, under_way, np.array([0.11, 0.0, 0.2])))
+    (push,) = report.content()["pushes"]
+    assert (push["number"], push["position_error_m"], push["chance"]) == (1, 0.005, 0.8)
+    np.testing.assert_allclose([push["seen"], push["expected"]], [[0.11, 0.0, 0.2], [0.104, 0.0, 0.2 + np.radians(2.0)]])
+    unseen = ended(pushes=1, position_error=np.nan)
+    unseen.take(last_feedback(unseen.result, under_way, np.zeros(3)))
+    assert unseen.lines == []
 
 
 def test_report_of_a_goal_that_has_not_ended_is_that_of_one_broken_off() -> None:

@@ -32,6 +32,7 @@ __all__ = [
     "finish",
     "goal_message",
     "goals_of",
+    "last_feedback",
     "push_to_command",
     "push_to_goal",
 ]
@@ -97,6 +98,12 @@ class GoalReport:
         self.lines: list[PushLine] = []
         self.start = np.full(3, np.nan)
         self.outline: Float64Array | None = None
+
+    def take(self, feedback: PushToGoal.Feedback) -> None:
+        """Note and print a push that is new in a feedback."""
+        if feedback.pushes > (self.lines[-1].number if self.lines else 0):
+            self.lines.append(PushLine(feedback))
+            console.print(str(self.lines[-1]), highlight=False, soft_wrap=True)
 
     @property
     def is_reached(self) -> bool:
@@ -195,14 +202,15 @@ def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], N
 
     The report is kept up to date. Raises CellTimeout where no node answers.
     """
-    lines, goal = report.lines, report.goal
+    goal = report.goal
+    latest: PushToGoal.Feedback | None = None
 
     def progress(feedback: PushToGoal.Feedback) -> None:
+        nonlocal latest
+        latest = feedback
         if np.isnan(report.start[0]) and np.isfinite(feedback.pose.position.x):
             report.start = _planar(feedback.pose)
-        if feedback.pushes > (lines[-1].number if lines else 0):
-            lines.append(PushLine(feedback))
-            console.print(str(lines[-1]), highlight=False, soft_wrap=True)
+        report.take(feedback)
         report.result = _broken_off(feedback)
         state = _STATES[feedback.state] if feedback.state < len(_STATES) else "at work"
         show(f"push {feedback.pushes + 1}: {state}")
@@ -213,6 +221,27 @@ def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], N
         found = (goal.object_id,) if goal.object_id else client.object_ids()
         if len(found) == 1 and client.is_known(found[0]):
             goal.object_id, report.outline = found[0], client.shape(found[0]).outline
+    if latest is not None and (poses := client.poses(goal.object_id)):
+        report.take(last_feedback(report.result, latest, poses[-1][1]))
+
+
+def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: Float64Array) -> PushToGoal.Feedback:
+    """The feedback that belongs to a result: ROS drops feedback that arrives after the result, as that of the last push may do.
+
+    Args:
+        result: of the goal.
+        latest: feedback that was received last; its prediction is that of the push made last, or then under way.
+        pose: of the object as it was seen last, shape (3,), table frame [m, m, rad].
+    """
+    from push_ident_msgs.action import PushToGoal
+
+    is_seen = bool(np.isfinite(result.position_error))
+    last = PushToGoal.Feedback(
+        pushes=result.pushes if is_seen else latest.pushes, position_error=result.position_error, yaw_error=result.yaw_error
+    )
+    last.is_predicted, last.expected_chance, last.expected_pose = latest.is_predicted, latest.expected_chance, latest.expected_pose
+    last.pose = _pose_msg(pose)
+    return last
 
 
 def _broken_off(latest: PushToGoal.Feedback | None = None) -> PushToGoal.Result:
@@ -237,10 +266,18 @@ def goal_message(
         object_id=object_id, position_tolerance=1e-3 * tolerance_mm, yaw_tolerance=float(np.radians(tolerance_deg)), **limits
     )
     goal.goal.header.frame_id = "table"
-    goal.goal.pose.position.x, goal.goal.pose.position.y = float(pose[0]), float(pose[1])
-    turn = goal.goal.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
+    goal.goal.pose = _pose_msg(pose)
     return goal
+
+
+def _pose_msg(pose: Float64Array) -> Pose:
+    from geometry_msgs.msg import Pose
+
+    msg = Pose()
+    msg.position.x, msg.position.y = float(pose[0]), float(pose[1])
+    turn = msg.orientation
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
+    return msg
 
 
 def push_to_command(
