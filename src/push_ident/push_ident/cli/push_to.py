@@ -37,6 +37,8 @@ __all__ = [
     "push_to_goal",
 ]
 
+_TO_WRITE = 15.0
+"""From Ctrl-C to the end by force [s]: for the arm to be held, 1 s, and for results and page, 1 s on an idle machine."""
 _STATES = ("looking", "exploring push", "planning", "pushing", "learning")
 """What is under way, by the state in the feedback of action/PushToGoal."""
 
@@ -304,8 +306,10 @@ def push_to_command(
     """
     poses = goals_of(x, y, yaw, path, spacing_mm)
     from push_ident.nodes.client import CellClient
+    from push_ident.nodes.lifetime import LIFETIME
 
     reports: list[GoalReport] = []
+    LIFETIME.patience = _TO_WRITE
     try:
         with CellClient() as client, console.status("looking for the cell") as status:
             for number, pose in enumerate(poses):
