@@ -9,7 +9,7 @@ import pytest
 
 from helpers.commands import run_here
 from helpers.objects import hammer
-from push_ident.cli.push_to import GoalReport, GoalText, PathReport, PushLine, goal_message, goals_of
+from push_ident.cli.push_to import GoalReport, GoalText, PathReport, PushLine, goal_message, goals_of, last_feedback
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.planning.goal import Goal
@@ -32,11 +32,36 @@ def test_line_of_a_push_says_where_it_ended_and_how_well_that_was_predicted() ->
     assert line.content()["position_error_m"] == 0.0123 and PushLine(feedback(1, predicted=False)).content()["expected"] is None
 
 
+def ended(**result: object) -> GoalReport:
+    report = GoalReport(goal_message(np.array([0.05, 0.06, 0.6]), object_id="o1", tolerance_mm=10.0))
+    report.result = PushToGoal.Result(**result)
+    return report
+
+
 def test_report_names_its_code() -> None:
-    report = GoalReport(PushToGoal.Result(error_code=-11, error_text="not at the goal", pushes=15), [], np.zeros(3))
+    report = ended(error_code=-11, error_text="not at the goal", pushes=15)
     assert not report.is_reached and report.content()["code"] == "MAX_PUSHES"
-    assert GoalReport(PushToGoal.Result(error_code=-99), [], np.zeros(3)).content()["code"] == "-99"
-    assert GoalReport(PushToGoal.Result(), [], np.zeros(3)).content()["reached"]
+    assert ended(error_code=-99).content()["code"] == "-99"
+    content = ended().content()
+    assert content["reached"] and content["tolerance_m"] == pytest.approx(0.01) and content["start"] is None and content["outline"] is None
+    np.testing.assert_allclose(content["goal"], [0.05, 0.06, 0.6])
+
+
+def test_push_whose_feedback_came_too_late_is_in_the_report() -> None:
+    report, under_way = ended(pushes=1, position_error=0.005, yaw_error=0.03), feedback(0, predicted=True)
+    for _ in range(2):  # also where that feedback did come
+        report.take(last_feedback(report.result, under_way, np.array([0.11, 0.0, 0.2])))
+    (push,) = report.content()["pushes"]
+    assert (push["number"], push["position_error_m"], push["chance"]) == (1, 0.005, 0.8)
+    np.testing.assert_allclose([push["seen"], push["expected"]], [[0.11, 0.0, 0.2], [0.104, 0.0, 0.2 + np.radians(2.0)]])
+    unseen = ended(pushes=1, position_error=np.nan)
+    unseen.take(last_feedback(unseen.result, under_way, np.zeros(3)))
+    assert unseen.lines == []
+
+
+def test_report_of_a_goal_that_has_not_ended_is_that_of_one_broken_off() -> None:
+    content = GoalReport(goal_message(np.zeros(3))).content()
+    assert content["code"] == "CANCELED" and not content["reached"] and "broken off" in content["text"]
 
 
 def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
@@ -74,11 +99,11 @@ def test_file_that_is_no_path_is_refused_before_the_cell_is_looked_for(tmp_path:
 
 
 def test_report_of_a_path_says_how_near_its_goals_the_object_came() -> None:
-    good = [GoalReport(PushToGoal.Result(position_error=e, yaw_error=0.1, pushes=2), [], np.zeros(3)) for e in (0.003, 0.004)]
+    good = [ended(position_error=e, yaw_error=0.1, pushes=2) for e in (0.003, 0.004)]
     whole = PathReport(good, 2)
     assert whole.is_reached and whole.content()["rms_position_m"] == pytest.approx(np.sqrt(12.5) * 1e-3)
     assert whole.content()["n_pushes"] == 4
-    failed = GoalReport(PushToGoal.Result(error_code=-4, position_error=0.1), [], np.zeros(3))
+    failed = ended(error_code=-4, position_error=0.1)
     part = PathReport([*good, failed], 5)
     assert not part.is_reached and part.content()["n_reached"] == 2 and not PathReport(good, 3).is_reached
     assert PathReport([failed], 1).content()["rms_position_m"] is None

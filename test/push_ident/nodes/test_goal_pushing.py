@@ -16,13 +16,15 @@ from action_msgs.msg import GoalStatus, GoalStatusArray
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.context import Context
+from visualization_msgs.msg import MarkerArray
 
 from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, start_node, summary, wait_for
 from helpers.node_process import NodeProcess
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
-from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.geometry.se2 import quaternion_of_yaw, transform_points
 from push_ident.identification.result import prior_posterior
+from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
 from push_ident.planning.goal_ports import GoalCode, GoalState
 from push_ident.types import ObjectShape
@@ -51,7 +53,13 @@ class GoalCell(Cell):
         self.canceling: list[float] = []
         """When the executor said that a push is being cancelled [s]."""
         self.create_subscription(GoalStatusArray, "execute_push/_action/status", self._on_status, 10)
+        self.drawings: list[GoalDrawing | None] = []
+        """What is shown of goals."""
+        self.create_subscription(MarkerArray, "push_to_goal/markers", self._on_markers, LATCHED)
         self.publish_model()
+
+    def _on_markers(self, msg: MarkerArray) -> None:
+        self.drawings.append(goal_markers_from_msg(msg))
 
     def _on_status(self, msg: GoalStatusArray) -> None:
         if any(status.status == GoalStatus.STATUS_CANCELING for status in msg.status_list):
@@ -159,6 +167,13 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
     pushed = [f for f in sent.feedback if f.state == GoalState.PUSH]
     assert pushed[0].is_predicted and pushed[0].expected_pose.position.x == pytest.approx(NEAR[0], abs=0.03)
     assert 0.0 < pushed[0].expected_chance <= 1.0 and pushed[-1].elapsed > 0.0
+    # Shown: the goal, the push under way with its chance, and nothing any more at the end.
+    wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
+    shown = [drawing for drawing in cell.drawings if drawing is not None]
+    np.testing.assert_allclose(shown[0].goal.mean(axis=0), transform_points(np.array(NEAR), BOX).mean(axis=0))
+    assert shown[0].tool is None and shown[0].object_id == "box" and "20 mm" in shown[0].words
+    assert "push 1: " in shown[1].chance and f"{100 * pushed[0].expected_chance:.0f} %" in shown[1].chance
+    assert shown[1].end is not None and shown[1].tool is not None and np.ptp(shown[1].tool, axis=0).max() > 0.01
     # A second goal at the same place needs no push.
     again = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
     assert again.error_code == GoalCode.NONE and again.pushes == 0

@@ -32,6 +32,7 @@ from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg, transform_to_msg
+from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
 from push_ident.nodes.convert_refusals import refusals_to_msg
 from push_ident.nodes.viewer.rerun_scene import RerunScene
@@ -48,6 +49,10 @@ from push_ident_sim.studies.common.seeing import CAMERA_POSE
 pytestmark = pytest.mark.alone
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+CORNERS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
+GOAL = GoalDrawing("o1", CORNERS, "goal: within 20 mm and 5.7°", np.array([[0.0, 0.0], [0.05, 0.0]]), CORNERS + 0.02, "push 3: 82 % chance")
 
 
 class Cell:
@@ -92,6 +97,10 @@ class Cell:
                 (Image, "depth/image_rect", qos_profile_sensor_data, image),
             )
         ]
+        self._goal = self.node.create_publisher(MarkerArray, "push_to_goal/markers", LATCHED)
+
+    def pursue_goal(self) -> None:
+        self._goal.publish(goal_markers_to_msg(GOAL, stamp_to_msg(1.0)))
 
     def publish(self, at: float) -> None:
         for publisher, msg in self._sent:
@@ -136,6 +145,9 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
         for step in range(20):
             cell.publish(1.0 + 0.3 * step)
             time.sleep(0.05)
+        cell.pursue_goal()
+        cell.publish(8.0)
+        time.sleep(0.2)
     finally:
         viewer.send_signal(signal.SIGINT)
         _, said = viewer.communicate(timeout=5.0)
@@ -152,6 +164,10 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
         "/table/objects/o1/predicted",
         "/table/objects/o1/next_push/tool",
         "/table/objects/o1/next_push/end",
+        "/table/objects/goal/outline",
+        "/table/objects/goal/push/tool",
+        "/table/objects/goal/push/end",
+        "/table/objects/goal/words/1",
         "/table/load/o1/cells",
         "/table/uncertainty/o1/cells",
         "/error_mm/error",

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from helpers.browser import Tab, tab
@@ -16,13 +17,17 @@ from push_ident.diagnosis.report import write_report as write_diagnosis
 from push_ident.identification.identify import identify
 from push_ident.identification.push_errors import push_errors
 from push_ident.identification.report import Provenance, write_report
+from push_ident.planning.goal_page import write_goal_page
 
 SMALLEST_TEXT = 11.0
 """[CSS px]; smaller letters are hard to read."""
 CONTRAST = 4.5
 """Least ratio of luminances of text and ground (WCAG 2.2, 1.4.3)."""
-MOST_PAGES = {"identification": 3, "diagnosis": 5}
+MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "broken_off": 2}
 """Of A4, for a handful of pushes."""
+NAMES = list(MOST_PAGES)
+WIDER = "letter-spacing: 0.04em"
+"""Style of text as wide as the widest fonts of the family have it."""
 
 TEXT_SIZES = """
 [...document.querySelectorAll('svg.chart text, td, th, p, code, figcaption, span')].filter(e => e.textContent.trim()).map(e => {
@@ -68,7 +73,41 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(folder / "identification.html", result, *errors, Provenance("o1", sources), 0.01)
     tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
     write_diagnosis(folder / "diagnosis.html", tilted, object_id="o1", sources=sources)
+    write_goal_page(folder / "goal.html", goal_content("NONE", 4))
+    write_goal_page(folder / "broken_off.html", goal_content("CANCELED", 1))
     return {path.stem: path for path in folder.glob("*.html")}
+
+
+def goal_content(code: str, n_pushes: int) -> dict[str, object]:
+    """What `push-to --json` writes of a goal."""
+    poses = np.linspace([0.0, -0.05, -0.5], [0.048, 0.055, 0.62], n_pushes + 1)
+    pushes = [
+        {
+            "number": k,
+            "seen": poses[k].tolist(),
+            "expected": None if k == 1 else (poses[k] + 0.003).tolist(),
+            "chance": None if k == 1 else 0.2 * k,
+            "position_error_m": 0.1 / k,
+            "yaw_error_rad": 0.5 / k,
+        }
+        for k in range(1, n_pushes + 1)
+    ]
+    return {
+        "reached": code == "NONE",
+        "code": code,
+        "text": "" if code == "NONE" else "broken off before it ended: the arm holds.",
+        "object_id": "o1",
+        "goal": [0.05, 0.06, 0.6],
+        "tolerance_m": 0.02,
+        "tolerance_rad": 0.1,
+        "start": poses[0].tolist(),
+        "outline": hammer(3).shape.outline.tolist(),
+        "position_error_m": 0.1 / n_pushes,
+        "yaw_error_rad": 0.5 / n_pushes,
+        "n_pushes": n_pushes,
+        "time_s": 41.0,
+        "pushes": pushes,
+    }
 
 
 @pytest.fixture(scope="module")
@@ -79,18 +118,20 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [380, 820, 1600])
-@pytest.mark.parametrize("name", ["identification", "diagnosis"])
+@pytest.mark.parametrize("name", NAMES)
 def test_page_is_readable(pages: dict[str, Path], browser: Tab, name: str, width: int, dark: bool) -> None:
     browser.show(pages[name], width, dark=dark)
     if folder := os.environ.get("PUSH_IDENT_SCREENSHOTS"):
         (Path(folder) / f"{name}_{width}_{'dark' if dark else 'light'}.png").write_bytes(browser.picture())
     assert browser.value(OVERFLOW) <= 0
     assert browser.value(HIDDEN) == []
+    browser.value(f"document.body.style.cssText = '{WIDER}'")
+    assert browser.value(OVERFLOW) <= 0 and browser.value(HIDDEN) == [], "with another font of the family"
     assert browser.value(TEXT_SIZES) >= SMALLEST_TEXT
     assert browser.value(CONTRASTS) >= CONTRAST
 
 
-@pytest.mark.parametrize("name", ["identification", "diagnosis"])
+@pytest.mark.parametrize("name", NAMES)
 def test_page_is_printed_on_few_sheets_also_from_a_dark_screen(pages: dict[str, Path], browser: Tab, name: str) -> None:
     browser.show(pages[name], 1600, dark=True)
     assert 1 <= browser.printed_pages() <= MOST_PAGES[name]
@@ -98,7 +139,7 @@ def test_page_is_printed_on_few_sheets_also_from_a_dark_screen(pages: dict[str, 
     assert browser.value("getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()") == "#1c2430"
 
 
-@pytest.mark.parametrize("name", ["identification", "diagnosis"])
+@pytest.mark.parametrize("name", NAMES)
 def test_every_figure_has_a_title_and_its_marks_say_what_they_are(pages: dict[str, Path], browser: Tab, name: str) -> None:
     browser.show(pages[name], 820)
     assert browser.value("[...document.querySelectorAll('figure')].every(f => f.querySelector('figcaption').textContent.length > 10)")

@@ -107,7 +107,8 @@ def demo_command(
             if where is None:
                 _test(client, outcome, n_test, seed, show)
             else:
-                outcome.report = push_to_goal(client, goal_message(where, object_id=outcome.object_id), lambda text: show(text, 0))
+                outcome.report = GoalReport(goal_message(where, object_id=outcome.object_id))
+                push_to_goal(client, outcome.report, lambda text: show(text, 0))
             client.save_model(outcome.object_id, str((run / "model.json").resolve()))
             outcome.truth = _ground_truth(client)
     if where is None:
@@ -277,22 +278,22 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
 
 def _finish_goal(outcome: _Outcome, where: Float64Array, run: Path, seconds: float, json: Path | None) -> None:
     """Draw and write the way to the goal. Raises typer.Exit with status 1 where it was not reached."""
-    from push_ident.identification.model_file import load_model
     from push_ident.planning.goal import Goal
+    from push_ident.planning.goal_page import write_goal_page
     from push_ident.planning.goal_picture import draw_goal_pushes
 
     report = outcome.report
     assert report is not None
-    if pushes := [(line.expected, line.seen) for line in report.lines]:
-        outline = load_model(run / "model.json")[1].unknowns.shape.outline
+    if (pushes := [(line.expected, line.seen) for line in report.lines]) and report.outline is not None:
         title = f"{len(pushes)} pushes to the goal, after {len(outcome.training)} exploring ones"
-        draw_goal_pushes(run / "goal.png", outline, report.start, pushes, Goal(where), title=title)
-    content = {"object_id": outcome.object_id, "training": outcome.training, **report.content(), "time_s": seconds}
+        draw_goal_pushes(run / "goal.png", report.outline, report.start, pushes, Goal(where), title=title)
+    content = {**report.content(), "object_id": outcome.object_id, "training": outcome.training, "time_s": seconds}
     write_json(run / "result.json", content)
+    write_goal_page(run / "report.html", content)
     if json is not None:
         write_json(json, content)
-    _say_files(run, "way to the goal: goal.png")
-    finish(report, None)
+    _say_files(run, "way to the goal: report.html")
+    finish(report)
 
 
 def _say_files(run: Path, first: str) -> None:

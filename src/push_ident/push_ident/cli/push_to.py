@@ -12,7 +12,7 @@ import typer
 from rich.markup import escape
 
 from push_ident.cli.checks import above_zero, finite
-from push_ident.cli.output import JsonOption, console, warn, write_json
+from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
 from push_ident.geometry.se2 import quaternion_of_yaw, wrap_angle, yaw_of_quaternion
@@ -34,10 +34,13 @@ __all__ = [
     "finish",
     "goal_message",
     "goals_of",
+    "last_feedback",
     "push_to_command",
     "push_to_goal",
 ]
 
+_TO_WRITE = 15.0
+"""From Ctrl-C to the end by force [s]: for the arm to be held, 1 s, and for results and page, 1 s on an idle machine."""
 _STATES = ("looking", "exploring push", "planning", "pushing", "learning")
 """What is under way, by the state in the feedback of action/PushToGoal."""
 
@@ -84,10 +87,27 @@ class PushLine:
 
 
 class GoalReport:
-    """What came of a goal: its result, a line for each push, and the pose before them, `start`, shape (3,); NaN where none was seen."""
+    """What came of a goal, so far: it can be written at any time, also where something broke it off.
 
-    def __init__(self, result: PushToGoal.Result, lines: list[PushLine], start: Float64Array) -> None:
-        self.result, self.lines, self.start = result, lines, start
+    Attributes:
+        goal: as it was sent.
+        result: of the action; until it ends, that of a goal that is broken off now.
+        lines: one for each push.
+        start: pose before them, table frame, shape (3,) [m, m, rad]; NaN where none was seen.
+        outline: of the object, object frame, shape (n_vertices, 2) [m]; None where it was not received.
+    """
+
+    def __init__(self, goal: PushToGoal.Goal) -> None:
+        self.goal, self.result = goal, _broken_off()
+        self.lines: list[PushLine] = []
+        self.start = np.full(3, np.nan)
+        self.outline: Float64Array | None = None
+
+    def take(self, feedback: PushToGoal.Feedback) -> None:
+        """Note and print a push that is new in a feedback."""
+        if feedback.pushes > (self.lines[-1].number if self.lines else 0):
+            self.lines.append(PushLine(feedback))
+            console.print(str(self.lines[-1]), highlight=False, soft_wrap=True)
 
     @property
     def is_reached(self) -> bool:
@@ -102,6 +122,12 @@ class GoalReport:
             "reached": self.is_reached,
             "code": names.get(int(result.error_code), str(result.error_code)),
             "text": printable(result.error_text),
+            "object_id": printable(self.goal.object_id),
+            "goal": _planar(self.goal.goal.pose).tolist(),
+            "tolerance_m": float(self.goal.position_tolerance),
+            "tolerance_rad": float(self.goal.yaw_tolerance),
+            "start": self.start.tolist() if np.isfinite(self.start).all() else None,
+            "outline": None if self.outline is None else self.outline.tolist(),
             "position_error_m": float(result.position_error),
             "yaw_error_rad": float(result.yaw_error),
             "chance": float(result.chance),
@@ -175,21 +201,63 @@ class GoalText:
             raise InputError(f"--goal is {text!r}, expected X,Y,YAW in metres and radians, such as 0.05,-0.1,1.57.")
 
 
-def push_to_goal(client: CellClient, goal: PushToGoal.Goal, show: Callable[[str], None]) -> GoalReport:
-    """Push an object to a goal, with one line a push; `show` gets what is under way. Raises CellTimeout where no node answers."""
-    lines: list[PushLine] = []
-    start = np.full(3, np.nan)
+def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], None]) -> None:
+    """Push an object to the goal of a report, with one line a push; `show` gets what is under way.
+
+    The report is kept up to date. Raises CellTimeout where no node answers.
+    """
+    goal = report.goal
+    latest: PushToGoal.Feedback | None = None
 
     def progress(feedback: PushToGoal.Feedback) -> None:
-        if np.isnan(start[0]) and np.isfinite(feedback.pose.position.x):
-            start[:] = _planar(feedback.pose)
-        if feedback.pushes > (lines[-1].number if lines else 0):
-            lines.append(PushLine(feedback))
-            console.print(str(lines[-1]), highlight=False, soft_wrap=True)
+        nonlocal latest
+        latest = feedback
+        if np.isnan(report.start[0]) and np.isfinite(feedback.pose.position.x):
+            report.start = _planar(feedback.pose)
+        report.take(feedback)
+        report.result = _broken_off(feedback)
         state = _STATES[feedback.state] if feedback.state < len(_STATES) else "at work"
         show(f"push {feedback.pushes + 1}: {state}")
 
-    return GoalReport(client.push_to_goal(goal, on_feedback=progress), lines, start)
+    try:
+        report.result = client.push_to_goal(goal, on_feedback=progress)
+    finally:
+        found = (goal.object_id,) if goal.object_id else client.object_ids()
+        if len(found) == 1 and client.is_known(found[0]):
+            goal.object_id, report.outline = found[0], client.shape(found[0]).outline
+    if latest is not None and (poses := client.poses(goal.object_id)):
+        report.take(last_feedback(report.result, latest, poses[-1][1]))
+
+
+def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: Float64Array) -> PushToGoal.Feedback:
+    """The feedback that belongs to a result: ROS drops feedback that arrives after the result, as that of the last push may do.
+
+    Args:
+        result: of the goal.
+        latest: feedback that was received last; its prediction is that of the push made last, or then under way.
+        pose: of the object as it was seen last, shape (3,), table frame [m, m, rad].
+    """
+    from push_ident_msgs.action import PushToGoal
+
+    is_seen = bool(np.isfinite(result.position_error))
+    last = PushToGoal.Feedback(
+        pushes=result.pushes if is_seen else latest.pushes, position_error=result.position_error, yaw_error=result.yaw_error
+    )
+    last.is_predicted, last.expected_chance, last.expected_pose = latest.is_predicted, latest.expected_chance, latest.expected_pose
+    last.pose = _pose_msg(pose)
+    return last
+
+
+def _broken_off(latest: PushToGoal.Feedback | None = None) -> PushToGoal.Result:
+    """The result of a goal whose own result does not come any more, as of the latest feedback."""
+    from push_ident_msgs.action import PushToGoal
+
+    text = "broken off before it ended: the arm holds, and what was learned is kept. A push under way then is not listed."
+    result = PushToGoal.Result(error_code=PushToGoal.Result.CANCELED, error_text=text, position_error=float("nan"), yaw_error=float("nan"))
+    if latest is not None:
+        result.position_error, result.yaw_error = latest.position_error, latest.yaw_error
+        result.pushes, result.elapsed = latest.pushes, latest.elapsed
+    return result
 
 
 def goal_message(
@@ -202,10 +270,18 @@ def goal_message(
         object_id=object_id, position_tolerance=1e-3 * tolerance_mm, yaw_tolerance=float(np.radians(tolerance_deg)), **limits
     )
     goal.goal.header.frame_id = "table"
-    goal.goal.pose.position.x, goal.goal.pose.position.y = float(pose[0]), float(pose[1])
-    turn = goal.goal.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
+    goal.goal.pose = _pose_msg(pose)
     return goal
+
+
+def _pose_msg(pose: Float64Array) -> Pose:
+    from geometry_msgs.msg import Pose
+
+    msg = Pose()
+    msg.position.x, msg.position.y = float(pose[0]), float(pose[1])
+    turn = msg.orientation
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
+    return msg
 
 
 def push_to_command(
@@ -235,44 +311,68 @@ def push_to_command(
     max_pushes: Annotated[int, typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.")] = 15,
     time_limit: Annotated[float, typer.Option("--time-limit", min=1.0, callback=above_zero, help="Longest time for a goal [s].")] = 300.0,
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)] = "",
+    out: OutOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Push an object of a live cell to a goal pose, or along a path; exit status 0 only where it was reached. Ctrl-C holds the arm."""
+    """Push an object of a live cell to a goal pose, or along a path; exit status 0 only where it was reached.
+
+    Ctrl-C holds the arm; results are written all the same.
+    """
     poses = goals_of(x, y, yaw, path, spacing_mm)
     need_ros()
     from push_ident.nodes.client import CellClient
+    from push_ident.nodes.lifetime import LIFETIME
 
     reports: list[GoalReport] = []
-    with CellClient() as client, console.status("looking for the cell") as status:
-        for number, pose in enumerate(poses):
-            goal = goal_message(
-                pose,
-                object_id=object_id,
-                tolerance_mm=tolerance_mm,
-                tolerance_deg=tolerance_deg,
-                explore=0 if number else explore,
-                max_pushes=max_pushes,
-                time_limit=time_limit,
-            )
-            prefix = f"goal {number + 1} of {len(poses)}: " if path is not None else ""
-            reports.append(push_to_goal(client, goal, partial(_show, status, prefix)))
-            if not reports[-1].is_reached:
-                break
+    LIFETIME.patience = _TO_WRITE
+    try:
+        with CellClient() as client, console.status("looking for the cell") as status:
+            for number, pose in enumerate(poses):
+                goal = goal_message(
+                    pose,
+                    object_id=object_id,
+                    tolerance_mm=tolerance_mm,
+                    tolerance_deg=tolerance_deg,
+                    explore=0 if number else explore,
+                    max_pushes=max_pushes,
+                    time_limit=time_limit,
+                )
+                prefix = f"goal {number + 1} of {len(poses)}: " if path is not None else ""
+                reports.append(GoalReport(goal))
+                push_to_goal(client, reports[-1], partial(_show, status, prefix))
+                if not reports[-1].is_reached:
+                    break
+    finally:
+        # Also after Ctrl-C, and where the cell does not answer any more.
+        if reports and not np.isnan(reports[0].start[0]):
+            whole = reports[0] if path is None else PathReport(reports, len(poses))
+            _write(whole.content(), out, json)
     if path is None:
-        finish(reports[0], json)
+        finish(reports[0])
     else:
-        _finish_path(PathReport(reports, len(poses)), json)
+        _finish_path(PathReport(reports, len(poses)))
+
+
+def _write(content: dict[str, Any], out: Path | None, json: Path | None) -> None:
+    """Write the result as JSON, and as a page into the folder `out`."""
+    for file in [json, None if out is None else out / "result.json"]:
+        if file is not None:
+            write_json(file, content)
+    if out is not None:
+        from push_ident.planning.goal_page import write_goal_page
+
+        page = out / "report.html"
+        write_goal_page(page, content)
+        console.print(f"written: {page}, {out / 'result.json'}", highlight=False, soft_wrap=True)
 
 
 def _show(status: Status, prefix: str, text: str) -> None:
     status.update(escape(prefix + text))
 
 
-def _finish_path(report: PathReport, json: Path | None) -> None:
+def _finish_path(report: PathReport) -> None:
     """Say how a path ended. Raises typer.Exit with status 1 where a goal was not reached."""
     content = report.content()
-    if json is not None:
-        write_json(json, content)
     if not report.is_reached:
         last = report.reports[-1]
         number = len(report.reports)
@@ -285,10 +385,8 @@ def _finish_path(report: PathReport, json: Path | None) -> None:
     )
 
 
-def finish(report: GoalReport, json: Path | None) -> None:
+def finish(report: GoalReport) -> None:
     """Say how it ended. Raises typer.Exit with status 1 where the goal was not reached."""
-    if json is not None:
-        write_json(json, report.content())
     result = report.result
     where = f"{1e3 * result.position_error:.1f} mm and {np.degrees(result.yaw_error):.1f}° from it"
     if not report.is_reached:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from push_ident.fleet.job import Outcome
 from push_ident.fleet.table import row_of
-from push_ident.pages.page import svg, write_page
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from push_ident.pages.page import write_page
+from push_ident.pages.scatter import Dot, scatter
 
 __all__ = ["write_index"]
 
@@ -33,7 +31,7 @@ def write_index(path: Path, outcomes: Sequence[Outcome]) -> None:
         "title": f"{len(rows)} bags",
         "headline": _headline(rows, done, failed, tested),
         "failed": failed,
-        "figure": svg(_draw(tested)) if tested else "",
+        "figure": _draw(tested) if tested else "",
         "rows": done,
         "seconds": sum(row["seconds"] or 0.0 for row in rows),
         "hosts": sorted({row["host"] for row in rows if row["host"]}),
@@ -52,20 +50,13 @@ def _headline(rows: Sequence[Any], done: Sequence[Any], failed: Sequence[Any], t
     return " ".join(parts)
 
 
-def _draw(rows: Sequence[Any]) -> Figure:
-    from matplotlib.figure import Figure
-
-    uniform, identified = (1e3 * np.array([row[f"test_{name}_m"] for row in rows], dtype=float) for name in ("uniform", "identified"))
-    figure = Figure(figsize=(5.2, 4.6), layout="constrained")
-    ax = figure.subplots()
-    low, high = 0.8 * float(np.nanmin([uniform, identified])), 1.25 * float(np.nanmax([uniform, identified]))
-    ax.plot([low, high], [low, high], ":", color="black", linewidth=1)
-    ax.plot(uniform, identified, "o", color="#0072b2", markersize=5, alpha=0.6)
-    ax.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
-    ax.set_xlabel("error of equal cells on held-out pushes [mm]")
-    ax.set_ylabel("error of the identified model on held-out pushes [mm]")
-    ax.grid(alpha=0.3)
-    return figure
+def _draw(rows: Sequence[Any]) -> str:
+    """Error of the identified model over that of equal cells, a dot for each bag."""
+    dots = []
+    for row in rows:
+        uniform, identified = (1e3 * float(row[f"test_{name}_m"]) for name in ("uniform", "identified"))
+        dots.append(Dot(uniform, identified, f"{row['bag']}: identified {identified:.1f} mm, equal cells {uniform:.1f} mm"))
+    return scatter("Errors on held-out pushes of each bag", dots, x_axis="equal cells [mm]", y_axis="identified [mm]")
 
 
 def _number(*values: float | None) -> float:

@@ -172,8 +172,12 @@ class CellClient:
         mean[2] = found[0][2] + float(np.mean(turn))
         return mean
 
+    def is_known(self, object_id: str) -> bool:
+        """Whether cells and outline of an object were received."""
+        return object_id in self._cells and object_id in self._outlines
+
     def shape(self, object_id: str) -> ObjectShape:
-        """Cells and outline of an object that `wait_for_object` returned."""
+        """Cells and outline of an object that `wait_for_object` returned, or that `is_known`."""
         return shape_from_msgs(self._cells[object_id], self._outlines[object_id])
 
     def latched_text(self, topic: str, timeout: float = 10.0) -> str:

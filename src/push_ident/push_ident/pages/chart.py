@@ -18,8 +18,8 @@ from push_ident.limits import printable
 from push_ident.types import Float64Array
 
 __all__ = [
-    "BLUES", "HEAT", "VIRIDIS", "Arrow", "CellPanel", "Mark", "Row", "Series", "cell_panel", "field_panel", "row_chart", "shade",
-    "text_on",
+    "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel",
+    "field_panel", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
 ]  # fmt: skip
 
 VIRIDIS: Final = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
@@ -29,10 +29,11 @@ BLUES: Final = ("#f4f7fb", "#c6d6e8", "#8fb0d4", "#4f83bb", "#1f5fa8", "#123a68"
 HEAT: Final = ("#fff7e0", "#fdd68a", "#f6a14d", "#e3652f", "#b62a1f")
 """Light to red: from expected to large."""
 
-_WIDTH: Final = 320.0
+WIDTH: Final = 320.0
 """Of every figure [units of the drawing]; a telephone is 360 to 430 CSS pixels wide."""
 _TEXT: Final = 12.0
-_MARGIN: Final = 10.0
+MARGIN: Final = 10.0
+"""Around a drawing, in its units."""
 _LEGEND: Final = 34.0
 """Height of the scale under a map."""
 _ROW: Final = 20.0
@@ -131,12 +132,12 @@ def cell_panel(panel: CellPanel) -> str:
     extra = [] if panel.arrow is None else [panel.arrow.start - panel.arrow.radius, panel.arrow.start + panel.arrow.radius, panel.arrow.end]
     points = np.vstack([panel.outline, *extra])
     low, high = points.min(axis=0), points.max(axis=0)
-    scale = (_WIDTH - 2 * _MARGIN) / float(max(high[0] - low[0], 0.6 * (high[1] - low[1])))
-    height = scale * float(high[1] - low[1]) + 2 * _MARGIN + _LEGEND
-    left = 0.5 * (_WIDTH - scale * float(high[0] - low[0]))
+    scale = (WIDTH - 2 * MARGIN) / float(max(high[0] - low[0], 0.6 * (high[1] - low[1])))
+    height = scale * float(high[1] - low[1]) + 2 * MARGIN + _LEGEND
+    left = 0.5 * (WIDTH - scale * float(high[0] - low[0]))
 
     def place(point: Float64Array) -> tuple[float, float]:
-        return left + scale * float(point[0] - low[0]), _MARGIN + scale * float(high[1] - point[1])
+        return left + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
 
     bottom, top = float(np.nanmin([0.0, *panel.values])), float(np.nanmax([0.0, *panel.values]))
     parts = []
@@ -156,8 +157,8 @@ def cell_panel(panel: CellPanel) -> str:
         parts += _arrow(panel.arrow, place, scale)
     if len(panel.values):
         parts += _scale_of_colours(panel, bottom, top, height - _LEGEND + 12)
-    parts += _bar_of_length(scale, height - _LEGEND + 12)
-    return _svg(panel.title, height, parts)
+    parts += bar_of_length(scale, height - _LEGEND + 12)
+    return svg_of(panel.title, height, parts)
 
 
 def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float) -> str:
@@ -172,11 +173,11 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
     shown = slice(None, None, 1 + len(points) // _MOST_VECTORS)
     points, ends = points[shown], (points + factor * vectors)[shown]
     low, high = np.vstack([points, ends]).min(axis=0), np.vstack([points, ends]).max(axis=0)
-    scale = (_WIDTH - 2 * _MARGIN) / max(float(np.max(high - low)), 1e-6)
-    height = scale * float(high[1] - low[1]) + 2 * _MARGIN + _LEGEND
+    scale = (WIDTH - 2 * MARGIN) / max(float(np.max(high - low)), 1e-6)
+    height = scale * float(high[1] - low[1]) + 2 * MARGIN + _LEGEND
 
     def place(point: Float64Array) -> tuple[float, float]:
-        return _MARGIN + scale * float(point[0] - low[0]), _MARGIN + scale * float(high[1] - point[1])
+        return MARGIN + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
 
     parts = []
     for start, end, vector in zip(points, ends, vectors[shown], strict=True):
@@ -186,8 +187,21 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
             f'<circle class="at" cx="{x:.1f}" cy="{y:.1f}" r="1.6"/>'
             f'<line class="vector" x1="{x:.1f}" y1="{y:.1f}" x2="{to_x:.1f}" y2="{to_y:.1f}"/></g>'
         )
-    parts += _bar_of_length(scale, height - _LEGEND + 12)
-    return _svg(title, height, parts)
+    parts += bar_of_length(scale, height - _LEGEND + 12)
+    return svg_of(title, height, parts)
+
+
+def titled_polygon(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], style: str, text: str) -> str:
+    """A closed line with its name.
+
+    Args:
+        points: [m], shape (n, 2).
+        place: from metres to units of the drawing.
+        style: class of the page's styles.
+        text: shown under the pointer.
+    """
+    where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
+    return f'<polygon class="{style}" points="{where}"><title>{_clean(text)}</title></polygon>'
 
 
 def _line(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], name: str, *, closed: bool) -> str:
@@ -208,7 +222,7 @@ def _arrow(arrow: Arrow, place: Callable[[Float64Array], tuple[float, float]], s
 
 def _scale_of_colours(panel: CellPanel, low: float, high: float, y: float) -> list[str]:
     """A strip of colours between its least and its largest value."""
-    steps, x, width = 24, _MARGIN, 130.0
+    steps, x, width = 24, MARGIN, 130.0
     strip = [
         f'<rect x="{x + i * width / steps:.1f}" y="{y:.1f}" width="{width / steps + 0.5:.1f}" height="7" '
         f'fill="{shade((i + 0.5) / steps, panel.colours)}"/>'
@@ -221,10 +235,10 @@ def _scale_of_colours(panel: CellPanel, low: float, high: float, y: float) -> li
     ]
 
 
-def _bar_of_length(scale: float, y: float) -> list[str]:
-    """A round length of about a quarter of the figure."""
-    length = _round_below(0.25 * _WIDTH / scale * 1e3)
-    right, left = _WIDTH - _MARGIN, _WIDTH - _MARGIN - scale * 1e-3 * length
+def bar_of_length(scale: float, y: float) -> list[str]:
+    """A round length of about a quarter of the figure, at the height `y`; `scale` is in units of the drawing per metre."""
+    length = _round_below(0.25 * WIDTH / scale * 1e3)
+    right, left = WIDTH - MARGIN, WIDTH - MARGIN - scale * 1e-3 * length
     return [
         f'<line class="axis" x1="{left:.1f}" y1="{y + 4:.1f}" x2="{right:.1f}" y2="{y + 4:.1f}"/>',
         f'<text x="{right:.1f}" y="{y + 19:.1f}" text-anchor="end">{length:g} mm</text>',
@@ -244,15 +258,15 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
     """
     values = [mark.value for row in rows for mark in row.marks if math.isfinite(mark.value)] + [row.bar for row in rows]
     top = max([*values, *([limit] if limit else []), 1e-9]) * 1.05
-    width = _WIDTH - _LABEL - 2 * _MARGIN
+    width = WIDTH - _LABEL - 2 * MARGIN
     legend = _legend(series)
-    first = _MARGIN + 16.0 * len(legend)
+    first = MARGIN + 16.0 * len(legend)
     bottom = first + _ROW * len(rows)
 
     def x_of(value: float) -> float:
-        return _LABEL + _MARGIN + width * max(0.0, value) / top
+        return _LABEL + MARGIN + width * max(0.0, value) / top
 
-    parts = [part for y, lines in enumerate(legend) for part in _shifted(lines, _MARGIN + 16.0 * y)]
+    parts = [part for y, lines in enumerate(legend) for part in _shifted(lines, MARGIN + 16.0 * y)]
     step = _round_below(top / _TICKS) or top
     for k in range(int(top / step) + 1):
         x = x_of(k * step)
@@ -269,14 +283,14 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
             parts.append(f'<rect x="{x_of(0):.1f}" y="{y - 6:.1f}" width="{length:.1f}" height="12" style="fill:{row.colour}"/>')
         parts += [_mark(series[m.series], x_of(m.value), y, m.text) for m in row.marks if math.isfinite(m.value)]
     parts.append(
-        f'<text x="{_WIDTH - _MARGIN:.1f}" y="{bottom + 30:.1f}" text-anchor="end">{_clean(f"{axis} [{unit}]" if unit else axis)}</text>'
+        f'<text x="{WIDTH - MARGIN:.1f}" y="{bottom + 30:.1f}" text-anchor="end">{_clean(f"{axis} [{unit}]" if unit else axis)}</text>'
     )
-    return _svg(title, bottom + 38.0, parts)
+    return svg_of(title, bottom + 38.0, parts)
 
 
 def _legend(series: Sequence[Series]) -> list[list[str]]:
     """One line for each kind of mark."""
-    return [[_mark(one, _MARGIN + 6, 4.0, one.name), f'<text x="{_MARGIN + 18:.1f}" y="8">{_clean(one.name)}</text>'] for one in series]
+    return [[_mark(one, MARGIN + 6, 4.0, one.name), f'<text x="{MARGIN + 18:.1f}" y="8">{_clean(one.name)}</text>'] for one in series]
 
 
 def _shifted(parts: Sequence[str], y: float) -> list[str]:
@@ -299,10 +313,11 @@ def _round_below(value: float) -> float:
     return power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
 
 
-def _svg(title: str, height: float, parts: Sequence[str]) -> str:
+def svg_of(title: str, height: float, parts: Sequence[str]) -> str:
+    """A whole figure of its parts; `height` in units of the drawing, of which it is `WIDTH` wide."""
     body = "".join(parts)
     return (
-        f'<svg class="chart" role="img" viewBox="0 0 {_WIDTH:g} {height:.0f}" xmlns="http://www.w3.org/2000/svg" font-size="{_TEXT:g}">'
+        f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {height:.0f}" xmlns="http://www.w3.org/2000/svg" font-size="{_TEXT:g}">'
         f"<title>{_clean(title)}</title>{body}</svg>"
     )
 

@@ -209,6 +209,8 @@ class GoalProgress:
     """How far it is."""
 
     state: GoalState = GoalState.OBSERVE
+    object_id: str = ""
+    """Of the object; empty before it was observed."""
     pushes: int = 0
     """Made, exploring ones included."""
     observed: int = 0

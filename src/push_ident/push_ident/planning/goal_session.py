@@ -251,7 +251,8 @@ class GoalSession:
         return self._note_seen(seen)
 
     def _note_seen(self, seen: TrackedObject) -> TrackedObject:
-        self._object_id, self.progress.observed = seen.object_id, self.progress.pushes
+        self._object_id = self.progress.object_id = seen.object_id
+        self.progress.observed = self.progress.pushes
         self.progress.pose, self.progress.error = seen.pose, self._goal.error(seen.pose)
         self.progress.chance = self._goal.chance(seen.pose, seen.covariance)
         self.report(at_once=True)

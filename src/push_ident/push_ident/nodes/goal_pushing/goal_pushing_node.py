@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import replace
@@ -12,11 +13,13 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from shape_msgs.msg import SolidPrimitive
+from visualization_msgs.msg import MarkerArray
 
 from push_ident.errors import PushIdentError
 from push_ident.limits import plain_text
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import cylinder_radius_from_msg
+from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
 from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, WishOfClient
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
@@ -25,8 +28,10 @@ from push_ident.nodes.goal_pushing.parameters import PARAMETERS, push_settings, 
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
 from push_ident.nodes.run import run_node
 from push_ident.nodes.tracked_objects import TrackedObjects
-from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalRefusedError, Wish
+from push_ident.planning.goal import Goal
+from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalRefusedError, GoalState, Wish
 from push_ident.planning.goal_session import GoalSession
+from push_ident.planning.planner import GoalPush
 from push_ident.pushing.push import PushSettings
 from push_ident_msgs.action import PushToGoal
 
@@ -70,6 +75,8 @@ class _GoalPushing(Component):
         self._state = "ready"
         self._n_goals = self._n_reached = 0
         self._last = ""
+        self._drawn: tuple[Goal, GoalPush | None] | None = None
+        self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", _LATCHED)
         housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._objects = TrackedObjects(node, housekeeping)
         self._models = ModelInput(node, heavy)
@@ -145,6 +152,8 @@ class _GoalPushing(Component):
                 self._node.get_logger().warning(plain_text(progress.note))
             with self._node.guard.watch("push_to_goal"):
                 goal.publish_feedback(feedback_to_msg(progress))
+                if self._pushing is wish:
+                    self._draw(request.goal, progress)
 
         request = request_from_msg(goal.request, values)
         return GoalSession(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
@@ -163,7 +172,22 @@ class _GoalPushing(Component):
             return session.run()
         finally:
             self._pushing, self._state = None, "ready"
+            with self._node.guard.watch("push_to_goal"):
+                self._publish_drawing(None)
             self._arm.release()
+
+    def _draw(self, goal: Goal, progress: GoalProgress) -> None:
+        """Show the goal and the push under way, where they have changed."""
+        plan = progress.plan if progress.state is GoalState.PUSH else None
+        if not progress.object_id or (self._drawn is not None and self._drawn[0] is goal and self._drawn[1] is plan):
+            return
+        outline = self._objects.get(progress.object_id, math.inf).shape.outline
+        self._publish_drawing(draw_goal(progress.object_id, outline, goal, plan, progress.pushes + 1))
+        self._drawn = (goal, plan)
+
+    def _publish_drawing(self, drawing: GoalDrawing | None) -> None:
+        self._drawn = None
+        self._markers.publish(goal_markers_to_msg(drawing, self._node.get_clock().now().to_msg()))
 
     def _answer(self, goal: ServerGoalHandle, outcome: GoalOutcome) -> PushToGoal.Result:
         position, yaw = outcome.progress.error

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.limits import plain_text
+from push_ident.nodes.convert_goal_markers import GoalDrawing
 from push_ident.nodes.viewer.rerun_server import RerunServer
 from push_ident.types import CameraIntrinsics, Float64Array
 
@@ -26,13 +27,14 @@ _LIFT: Final = 0.001
 """Distance in height between lines drawn on top of each other [m]."""
 _GHOSTS: Final = 6
 """Outlines that show a predicted motion."""
-_OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT = (
+_OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT, _GOAL = (
     [0, 158, 115],
     [213, 94, 0],
     [230, 159, 0],
     [140, 140, 140],
     [0, 114, 178],
     [204, 121, 167],
+    [240, 228, 66],
 )
 """Colours for all kinds of colour vision (Okabe and Ito)."""
 _REFUSED: Final = [86, 180, 233]
@@ -208,6 +210,29 @@ class RerunScene:
         """Where the next push would leave the object: outline (n, 2) in `table`."""
         self._log(f"table/objects/{object_id}/next_push/end", self._lines([outline], top + 3 * _LIFT, _NEXT))
 
+    def goal(self, drawing: GoalDrawing | None, top: float) -> None:
+        """The goal that is pursued and the push under way, in place of the push to make next; None removes them."""
+        rr, name = self._rr, "table/objects/goal"
+        self._log(name, rr.Clear(recursive=True))
+        if drawing is None:
+            return
+        height = top + 4 * _LIFT
+        self._log(f"{name}/outline", self._lines([drawing.goal], height, _GOAL))
+        labels = [(drawing.goal, drawing.words, _GOAL)]
+        if drawing.tool is not None and drawing.end is not None:
+            start, end = ([*point, height] for point in drawing.tool)
+            self._log(
+                f"{name}/push/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=_WIDTH * 1.5)
+            )
+            self._log(f"{name}/push/end", self._lines([drawing.end], height, _NEXT))
+            labels.append((drawing.end, drawing.chance, _NEXT))
+        for number, (corners, text, colour) in enumerate(labels):
+            # At different corners, so that the words of a push that ends at the goal do not hide those of the goal.
+            corner = corners[np.argmin(corners[:, 1]) if number else np.argmax(corners[:, 1])]
+            self._log(
+                f"{name}/words/{number}", rr.Points3D([[*corner, height]], radii=_WIDTH, colors=colour, labels=text, show_labels=True)
+            )
+
     def score(self, error: float, expected: float, uniform: float) -> None:
         """Cell errors of one push [m]: of the prediction made before it, what that expected of itself, and of equal cells."""
         for name, value in (("error", error), ("expected", expected), ("uniform", uniform)):
@@ -264,7 +289,7 @@ class RerunScene:
                 ),
                 layout.Horizontal(
                     layout.Spatial3DView(
-                        name="Observed (green), predicted (orange), next push (pink)",
+                        name="Observed (green), predicted (orange), next push (pink), goal (yellow)",
                         origin="table",
                         contents=[*on_table, "+ table/load/**"],
                         eye_controls=above,

@@ -119,4 +119,5 @@ def _start(command: list[str]) -> subprocess.Popen[bytes]:
             os._exit(0)
 
     nowhere = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, preexec_fn=end_with_parent)
+    # A session of its own: Ctrl-C ends the node, which still sends what it holds back, and then ends the server.
+    return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, preexec_fn=end_with_parent, start_new_session=True)

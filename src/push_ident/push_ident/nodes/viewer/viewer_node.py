@@ -28,6 +28,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     transform_from_msg,
 )
+from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert_refusals import refusals_from_msg
 from push_ident.nodes.discovery import ObjectTopics
 from push_ident.nodes.parameters import Parameter, Parameters
@@ -129,6 +130,7 @@ class _Viewer(Component):
         self._shown_at: dict[str, float] = {}
         self._drawn: dict[str, float] = {}
         self._now, self._shift = 0.0, 0.0
+        self._goal: GoalDrawing | None = None
 
         self._node.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
         self._node.create_subscription(PoseStamped, "depth/camera_pose", self._on_camera, _LATCHED)
@@ -136,6 +138,7 @@ class _Viewer(Component):
             Image, "depth/image_rect", self._on_image, QoSProfile(depth=1, reliability=qos_profile_sensor_data.reliability)
         )
         self._node.create_subscription(MarkerArray, "workspace/refused", self._on_refused, _LATCHED)
+        self._node.create_subscription(MarkerArray, "push_to_goal/markers", self._on_goal, _LATCHED)
         self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(PoseStamped, "pusher/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
@@ -270,20 +273,33 @@ class _Viewer(Component):
         LIMITS.POINTS.check(len(msg.poses), "Next push")
         path = np.array([[pose.pose.position.x, pose.pose.position.y] for pose in msg.poses]).reshape(-1, 2)
         check_coordinates(path, "Next push")
+        if self._goal is not None:
+            return  # What would teach most is not what is done.
         self._scene.next_push(object_id, path, self._tops.get(object_id, _NO_TOP))
 
     def _on_next_prediction(self, msg: PushPrediction) -> None:
         outline = self._outline(msg.object_id)
-        if outline is not None and msg.poses:
+        if outline is not None and msg.poses and self._goal is None:
             end = planar_pose_of(msg.poses[-1].pose)
             self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, _NO_TOP))
+
+    def _on_goal(self, msg: MarkerArray) -> None:
+        """Show the goal, and for as long not the push to make next."""
+        self._goal = goal_markers_from_msg(msg)
+        top = _NO_TOP
+        if self._goal is not None:
+            top = self._tops.get(self._goal.object_id, _NO_TOP)
+            for object_id in self._objects.ids:
+                self._scene.next_push(object_id, np.empty((0, 2)), top)
+        self._scene.goal(self._goal, top)
+        self._show_words()
 
     def _on_score(self, msg: PushScore) -> None:
         self._scene.score(msg.cell_error, msg.expected_cell_error, msg.uniform_cell_error)
         words = self._words.setdefault(check_object_id(msg.object_id), {})
         mean, uniform = 1e3 * msg.mean_cell_error, 1e3 * msg.mean_uniform_cell_error
-        words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (uniform model {uniform:.1f} mm)"
-        words["within the 90 % region"] = f"{msg.share_within_90:.0%}"
+        words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (equal cells {uniform:.1f} mm)"
+        words["within the 90 % region"] = f"{100 * msg.share_within_90:.0f} %"
         self._show_words()
 
     # ---- words
@@ -302,6 +318,8 @@ class _Viewer(Component):
 
     def _show_words(self) -> None:
         parts = []
+        if self._goal is not None:
+            parts += [f"## Goal of {self._goal.object_id}", f"{self._goal.words}  ", f"{self._goal.chance}  "]
         for object_id, words in sorted(self._words.items()):
             parts += [f"## {object_id}", *(f"**{key}** {value}  " for key, value in words.items())]
         warnings = [f"**{name}** {text}  " for name, text in sorted(self._warnings.items()) if text]

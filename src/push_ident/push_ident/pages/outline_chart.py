@@ -1,0 +1,46 @@
+"""Outlines of an object on the table, as SVG: where it lay, where it was predicted, where it was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from push_ident.pages.chart import MARGIN, WIDTH, bar_of_length, svg_of, titled_polygon
+from push_ident.types import Float64Array
+
+__all__ = ["Placed", "outline_panel"]
+
+_FOOT = 34.0
+"""Height of the bar of length under the drawing, in its units."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """An outline at one place."""
+
+    corners: Float64Array
+    """On the table [m], shape (n_vertices, 2)."""
+    style: str
+    """`before`, `goal`, `predicted` or `seen`, a class of the page's styles."""
+    text: str
+    """Shown under the pointer."""
+
+
+def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> str:
+    """Outlines from above, the first one lowest, with a bar of length.
+
+    Args:
+        title: what the figure shows, for screen readers.
+        placed: the outlines.
+        frame: least and largest corner that is shown [m], shape (2, 2); the same for figures that are compared.
+    """
+    low, high = frame
+    scale = (WIDTH - 2 * MARGIN) / float(max(high[0] - low[0], high[1] - low[1], 1e-6))
+    left = 0.5 * (WIDTH - scale * float(high[0] - low[0]))
+    height = scale * float(high[1] - low[1]) + 2 * MARGIN + _FOOT
+
+    def place(point: Float64Array) -> tuple[float, float]:
+        return left + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
+
+    parts = [titled_polygon(one.corners, place, one.style, one.text) for one in placed]
+    return svg_of(title, height, [*parts, *bar_of_length(scale, height - _FOOT + 12)])
