@@ -36,7 +36,7 @@ class BatchModel(NamedTuple):
     body: BodyParameters
     pusher_friction: float
     surface: float = 0.0
-    """How far the surface lies outside the outline [m]: the same as a pusher of so much larger a radius."""
+    """How far the surface lies outside the outline [m], as the effect `outline_error` says it."""
     weight: Float64Array | None = None
     """Of each cell as a share of the whole, shape (n_cells,); needed at an edge of the table."""
 
@@ -110,8 +110,8 @@ def _roll_range(
         m, p = task // n_pushes, task % n_pushes
         n = pushes.n_steps[p]
         push = Push(
-            pushes.pose[p], pushes.path[p, : n + 1], shape.corners, max(shape.radius + models.surface[m], 0.0), shape.outline,
-            models.arms[m], models.limit[m], models.centre[m], models.inertia[m], models.mu[m],
+            pushes.pose[p], pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
+            models.centre[m], models.inertia[m], models.mu[m], models.surface[m],
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
