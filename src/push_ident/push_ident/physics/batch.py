@@ -195,20 +195,29 @@ def _edges(edge: TableEdge, models: Sequence[BatchModel]) -> Overhang:
 
 
 def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:
-    clocks = [StepClock.through(push.pusher.time, max(float(push.time[-1]), float(push.pusher.time[-1])), step) for push in pushes]
-    n, n_frames, longest = len(pushes), len(pushes[0].time), max(clock.n_steps for clock in clocks)
+    clocks: dict[tuple[bytes, bytes], tuple[StepClock, Frames]] = {}
+    each = [_clock(push, step, clocks) for push in pushes]
+    n, n_frames, longest = len(pushes), len(pushes[0].time), max(clock.n_steps for clock, _ in each)
     path, dt = np.zeros((n, longest + 1, 3)), np.zeros((n, longest))
     frame_step, fraction = np.zeros((n, n_frames), dtype=np.int64), np.zeros((n, n_frames))
-    for i, (push, clock) in enumerate(zip(pushes, clocks, strict=True)):
+    for i, (push, (clock, frames)) in enumerate(zip(pushes, each, strict=True)):
         own = slice(0, clock.n_steps + 1)
         for axis in (0, 1):
             path[i, own, axis] = np.interp(clock.ends, push.pusher.time, push.pusher.position[:, axis])
         if push.pusher.yaw is not None:
             path[i, own, 2] = np.interp(clock.ends, push.pusher.time, push.pusher.yaw)
         dt[i, : clock.n_steps] = clock.lengths
-        frames, _ = clock.frames(push.time)
         frame_step[i], fraction[i] = frames.step, frames.fraction
     return _Pushes(
-        np.array([clock.n_steps for clock in clocks]), path, dt, np.array([push.pose_object_in_table for push in pushes], dtype=np.float64),
+        np.array([clock.n_steps for clock, _ in each]), path, dt, np.array([push.pose_object_in_table for push in pushes], dtype=np.float64),
         frame_step, fraction,
     )  # fmt: skip
+
+
+def _clock(push: BatchPush, step: float, known: dict[tuple[bytes, bytes], tuple[StepClock, Frames]]) -> tuple[StepClock, Frames]:
+    """Steps and frames of a push; pushes of a library have the same times, and share those `known`."""
+    key = push.pusher.time.tobytes(), push.time.tobytes()
+    if key not in known:
+        clock = StepClock.through(push.pusher.time, max(float(push.time[-1]), float(push.pusher.time[-1])), step)
+        known[key] = clock, clock.frames(push.time)[0]
+    return known[key]
