@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from push_ident.errors import InputError
+from push_ident.geometry.se2 import compose, transform_points
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, body_of_cells, simulate_body
@@ -46,6 +49,21 @@ def test_batch_equals_single_simulations() -> None:
         for model, body in zip(both, bodies, strict=True)
     ]
     np.testing.assert_array_equal(found, expected)
+
+
+def test_object_that_lies_beside_its_observed_pose_is_pushed_there() -> None:
+    model, pushes = models()[0], pushes_of(np.random.default_rng(4), 6)
+    body, seen, beside = body_of_cells(model.shape, model.mass, model.friction), np.array([0.3, -0.2, 2.0]), np.array([2e-3, 1e-3, 0.03])
+    moved = []
+    for push in pushes:
+        path = replace(push.pusher, position=transform_points(seen, push.pusher.position))
+        moved.append(BatchPush(path, seen, push.time))
+    found = rollouts(model.shape, [BatchModel(body, model.pusher_friction, displacement=beside)], moved, step=1 / 240)[0]
+    numerics = SimulationSettings(step=1 / 240, resolve_events=True)
+    for pose, push in zip(found, moved, strict=True):
+        scenario = PushScenario(push.pusher, compose(seen, beside), push.time)
+        single = simulate_body(model.shape, body, model.pusher_friction, scenario, settings=numerics)
+        np.testing.assert_allclose(pose, single.pose, atol=1e-9)
 
 
 def test_number_of_threads_does_not_matter() -> None:

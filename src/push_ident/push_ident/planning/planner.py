@@ -201,17 +201,12 @@ class GoalPlanner:
         hold: EdgeHold | None,
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
-        settings, rng = self._settings, np.random.default_rng(self._seed + 1)
-        speed, models = settings.speed_range[0], belief.models(_FINAL_DRAWS, rng)
-        # The tool goes where the observed pose has it, and the object lies elsewhere by the error of that pose.
-        root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
-        start = pose + np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
-        ends, margins = self._ends(models, [(own.picked(number), length) for own, number, length in candidates], pose, start, hold)
+        models = self._judges(belief, pose, covariance)
+        ends, margins = self._ends(models, [(own.picked(number), length) for own, number, length in candidates], pose, hold)
         wanted = compose(inverse(ends), goal.pose)
         there = _softly(goal.relative_error(ends))
         after = further.after(wanted.reshape(-1, 3)).reshape(there.shape)
-        centres = np.broadcast_to(np.array([model.body.centre for model in models]), (len(start), 2))
-        present = _Present(hold, self._shape, centres, pose)
+        present = _Present(hold, self._shape, np.array([model.body.centre for model in models]), pose)
         risk = present.risk(margins)
         value, allowed = 1.0 + np.mean((1.0 - there) * after, axis=0) + _FALL * risk, risk <= present.allowed
         if not np.any(allowed):
@@ -224,39 +219,40 @@ class GoalPlanner:
         return GoalPush(
             PlanStatus.PUSH,
             float(np.mean(np.asarray(goal.relative_error(ends[:, best])) <= 1.0)),
-            placed(own, number, pose, length, speed),
+            placed(own, number, pose, length, self._settings.speed_range[0]),
             ends[0, best],
             ends[:, best],
             float(value[best]),
             float(risk[best]),
         )
 
+    def _judges(self, belief: Belief, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
+        """The mean model at the observed pose, then models that may be true, each with an object that lies elsewhere by an error of it."""
+        rng = np.random.default_rng(self._seed + 1)
+        models = belief.models(_FINAL_DRAWS, rng)
+        if len(models) == 1:
+            models *= 1 + _FINAL_DRAWS
+        root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
+        errors = np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
+        return [model._replace(displacement=own) for model, own in zip(models, compose(inverse(pose), pose + errors), strict=True)]
+
     def _ends(
-        self,
-        models: Sequence[BatchModel],
-        pushes: Sequence[tuple[Strokes, float]],
-        pose: Float64Array,
-        start: Float64Array,
-        hold: EdgeHold | None,
+        self, models: Sequence[BatchModel], pushes: Sequence[tuple[Strokes, float]], pose: Float64Array, hold: EdgeHold | None
     ) -> tuple[Float64Array, Float64Array]:
-        """Ends of pushes from poses `start` under models, shape (n_models, n_pushes, 3), and the least margin on the way [m], shape
-        (n_models, n_pushes)."""
+        """Ends of pushes of an object that is seen at a pose, under models, shape (n_models, n_pushes, 3), and the least margin on the way
+        [m], shape (n_models, n_pushes)."""
         settings, frames = self._settings, 1 if hold is None else _FRAMES
         speed, batch = settings.speed_range[0], []
         for own, length in pushes:
             path = path_of(own.tool[0], own.heading()[0], length, speed, settings)
             first = 0.0 if hold is None else settings.clearance / speed
-            # Away from an edge the motion does not depend on where the object lies.
-            at = np.zeros(3) if hold is None else pose
-            moved = PusherPath(path.time, transform_points(at, path.position), path.radius)
-            batch.append(BatchPush(moved, at, np.linspace(first, path.time[-1], frames + 1)[1:]))
-        edge = None if hold is None else hold.edge
-        motion = rollouts(self._shape, models, batch, step=_TIME_STEP, edge=edge)
-        motion = np.broadcast_to(motion, (len(start), *motion.shape[1:]))
+            # The tool goes where the observed pose has it.
+            moved = PusherPath(path.time, transform_points(pose, path.position), path.radius)
+            batch.append(BatchPush(moved, pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
+        poses = rollouts(self._shape, models, batch, step=_TIME_STEP, edge=None if hold is None else hold.edge)
         if hold is None:
-            return compose(start[:, None], motion[:, :, 0]), np.full(motion.shape[:2], np.inf)
-        poses = compose(start[:, None, None], compose(inverse(pose), motion))
-        centres = np.broadcast_to(np.array([model.body.centre for model in models]), (len(start), 2))
+            return poses[:, :, -1], np.full(poses.shape[:2], np.inf)
+        centres = np.array([model.body.centre for model in models])
         margins = hold.margins(self._shape.cells.centres, centres[:, None, None], poses)
         return poses[:, :, -1], np.min(margins, axis=2)
 
