@@ -92,6 +92,8 @@ class Library:
     motion: Float64Array
     """Pose of the object after the push in its frame before it, shape (n_models, n_strokes, n_lengths, 3); NaN where a simulation failed.
     The first model is the mean."""
+    variance: Float64Array
+    """Of `motion` over the models [m^2, m^2, rad^2], shape (n_strokes, n_lengths, 3)."""
     centres: Float64Array
     """Centres of mass of the models [m], shape (n_models, 2), object frame."""
 
@@ -106,7 +108,11 @@ class Library:
             pushes.append(BatchPush(path, np.zeros(3), (settings.clearance + lengths) / speed))
         models = belief.models(n_draws, rng)
         centres = np.array([model.body.centre for model in models])
-        return cls(own, lengths, rollouts(belief.shape, models, pushes, step=_TIME_STEP), centres)
+        motion = rollouts(belief.shape, models, pushes, step=_TIME_STEP)
+        known = np.isfinite(motion)
+        n, filled = np.maximum(np.sum(known, axis=0), 1), np.where(known, motion, 0.0)
+        deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
+        return cls(own, lengths, motion, np.sum(deviation**2, axis=0) / n, centres)
 
 
 def path_of(tool: Float64Array, heading: Float64Array, distance: float, speed: float, settings: PushSettings) -> PusherPath:

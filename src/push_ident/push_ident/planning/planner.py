@@ -47,6 +47,8 @@ _DRAWS: Final = 8
 """Models in the library beside the mean."""
 _FINAL_DRAWS: Final = 32
 """Models that the expectation of a push is taken from."""
+_FINALISTS: Final = 6
+"""Candidates that all of these models judge; the first `_DRAWS` choose them."""
 _NEIGHBOURS: Final = 4
 """Second pushes that are looked at for each first one."""
 _PUSH_TRAVEL: Final = 0.1
@@ -109,10 +111,12 @@ class GoalPlanner:
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._library: Library | None = None
+        self._judges: list[BatchModel] = []
 
     def _library_of(self, belief: Belief) -> Library:
         if self._library is None or belief is not self._belief:
             self._belief = belief
+            self._judges = belief.models(_FINAL_DRAWS, np.random.default_rng(self._seed + 1))
             self._library = Library.of(belief, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
         return self._library
 
@@ -188,11 +192,10 @@ class GoalPlanner:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
                 if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
                     candidates.append((better.stroke, 0, better.length))
-        return self._best(belief, further, candidates, pose, covariance, goal, around.hold)
+        return self._best(further, candidates, pose, covariance, goal, around.hold)
 
     def _best(
         self,
-        belief: Belief,
         further: _FurtherPushes | _Distance,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
@@ -201,14 +204,17 @@ class GoalPlanner:
         hold: EdgeHold | None,
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
-        models = self._judges(belief, pose, covariance)
-        ends, margins = self._ends(models, [(own.picked(number), length) for own, number, length in candidates], pose, hold)
-        wanted = compose(inverse(ends), goal.pose)
-        there = _softly(goal.relative_error(ends))
-        after = further.after(wanted.reshape(-1, 3)).reshape(there.shape)
+        models = self._displaced_judges(pose, covariance)
+        pushes = [(own.picked(number), length) for own, number, length in candidates]
+        if hold is None:
+            # A few models tell which pushes are worth asking all of them.
+            ends, _ = self._ends(models[: 1 + _DRAWS], pushes, pose, hold)
+            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[:_FINALISTS]
+            candidates, pushes = [candidates[k] for k in most], [pushes[k] for k in most]
+        ends, margins = self._ends(models, pushes, pose, hold)
         present = _Present(hold, self._shape, np.array([model.body.centre for model in models]), pose)
         risk = present.risk(margins)
-        value, allowed = 1.0 + np.mean((1.0 - there) * after, axis=0) + _FALL * risk, risk <= present.allowed
+        value, allowed = _value(further, ends, goal) + _FALL * risk, risk <= present.allowed
         if not np.any(allowed):
             return GoalPush(PlanStatus.UNHELD, goal.chance(pose, covariance), risk=float(np.min(risk)))
         value = np.where(allowed, value, np.nan)
@@ -226,15 +232,14 @@ class GoalPlanner:
             float(risk[best]),
         )
 
-    def _judges(self, belief: Belief, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
+    def _displaced_judges(self, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
         """The mean model at the observed pose, then models that may be true, each with an object that lies elsewhere by an error of it."""
-        rng = np.random.default_rng(self._seed + 1)
-        models = belief.models(_FINAL_DRAWS, rng)
-        if len(models) == 1:
-            models *= 1 + _FINAL_DRAWS
         root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
-        errors = np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
-        return [model._replace(displacement=own) for model, own in zip(models, compose(inverse(pose), pose + errors), strict=True)]
+        errors = np.random.default_rng(self._seed + 2).normal(size=(_FINAL_DRAWS, 3)) @ root.T
+        beside = compose(inverse(pose), pose + np.vstack([np.zeros(3), errors]))
+        # A model that is known to be true judges alone.
+        models = self._judges * (len(beside) // len(self._judges))
+        return [model._replace(displacement=own) for model, own in zip(models, beside, strict=True)]
 
     def _ends(
         self, models: Sequence[BatchModel], pushes: Sequence[tuple[Strokes, float]], pose: Float64Array, hold: EdgeHold | None
@@ -281,7 +286,8 @@ def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal)
 
 
 def _value(further: _FurtherPushes | _Distance, motion: Float64Array, wanted: Goal) -> Float64Array:
-    """Pushes expected from now on for each motion, shape (n_models, n_motions, 3), that a push may make: shape (n_motions,)."""
+    """Pushes expected from now on for each motion that a push may make, shape (n_models, n_motions, 3), or for each pose where it may end;
+    `wanted` in the same frame: shape (n_motions,)."""
     there = _softly(wanted.relative_error(motion))
     left = compose(inverse(motion), wanted.pose)
     after = further.after(left.reshape(-1, 3)).reshape(there.shape)
@@ -292,10 +298,10 @@ class _FurtherPushes:
     """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
     def __init__(self, library: Library, goal: Goal) -> None:
-        flat = library.motion.reshape(len(library.motion), -1, 3) / goal.tolerance
-        known = np.all(np.isfinite(flat[0]), axis=1)
-        self._goal, self._tree = goal, KDTree(flat[0][known])
-        self._spread = np.sqrt(np.sum(np.nanvar(flat[:, known], axis=0), axis=1))
+        flat, variance = library.motion[0].reshape(-1, 3), library.variance.reshape(-1, 3)
+        known = np.all(np.isfinite(flat), axis=1)
+        self._goal, self._tree = goal, KDTree(flat[known] / goal.tolerance)
+        self._spread = np.sqrt(np.sum(variance[known] / goal.tolerance**2, axis=1))
         """Of each motion over the models, in units of the tolerances, shape (n_motions,)."""
 
     def after(self, wanted: Float64Array) -> Float64Array:
