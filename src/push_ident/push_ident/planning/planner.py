@@ -32,7 +32,7 @@ from push_ident.planning.belief import Belief
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.hold import RISK, EdgeHold
-from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
+from push_ident.planning.library import BATCH_STEP, Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath
@@ -61,8 +61,6 @@ _FALL: Final = 20.0
 """Pushes that a fall is worth: as many as are made for a goal at most."""
 _FRAMES: Final = 8
 """Poses along a push at which the margin of an overhanging object is looked at."""
-_TIME_STEP: Final = 1.0 / 120.0
-"""Of the simulation of the pushes that are judged last [s]."""
 
 
 class PlanStatus(Enum):
@@ -254,7 +252,7 @@ class GoalPlanner:
             # The tool goes where the observed pose has it.
             moved = PusherPath(path.time, transform_points(pose, path.position), path.radius)
             batch.append(BatchPush(moved, pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
-        poses = rollouts(self._shape, models, batch, step=_TIME_STEP, edge=None if hold is None else hold.edge)
+        poses = rollouts(self._shape, models, batch, step=BATCH_STEP, edge=None if hold is None else hold.edge)
         if hold is None:
             return poses[:, :, -1], np.full(poses.shape[:2], np.inf)
         centres = np.array([model.body.centre for model in models])
