@@ -89,6 +89,13 @@ def test_unknown_object_expects_what_it_cannot_know() -> None:
     assert np.std(unknown.ends[:, 2]) > 3 * np.std(known.ends[:, 2])
 
 
+def test_error_of_the_pose_displaces_the_contact() -> None:
+    """A known object whose heading is known too turns otherwise where the tool touches it elsewhere than planned."""
+    goal = Goal(np.array([0.08, 0.05, 0.6]))
+    plan = PLANNER.plan(Belief.certain(MODEL), np.zeros(3), np.diag([2e-3, 2e-3, 1e-5]) ** 2, goal)
+    assert np.std(plan.ends[:, 2]) > 5e-3
+
+
 def test_plan_turns_with_the_object() -> None:
     belief, pose = Belief.certain(MODEL), np.array([0.1, -0.05, 1.0])
     goal = Goal(np.array([0.05, 0.03, 0.4]), 0.01, 0.05)

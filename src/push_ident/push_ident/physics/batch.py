@@ -7,6 +7,7 @@ a surface beside its outline. The table may have an edge that the object overhan
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -36,9 +37,12 @@ class BatchModel(NamedTuple):
     body: BodyParameters
     pusher_friction: float
     surface: float = 0.0
-    """How far the surface lies outside the outline [m]: the same as a pusher of so much larger a radius."""
+    """How far the surface lies outside the outline [m], as the effect `outline_error` says it."""
     weight: Float64Array | None = None
     """Of each cell as a share of the whole, shape (n_cells,); needed at an edge of the table."""
+    displacement: Float64Array | None = None
+    """Of the object at the start from the first pose of a push, in the frame of that pose (x, y, yaw), shape (3,): an error of the pose,
+    which the path of the pusher does not follow. None: the object is there."""
 
 
 class BatchPush(NamedTuple):
@@ -66,6 +70,8 @@ class _Models(NamedTuple):
     """(n_models,)"""
     surface: Float64Array
     """(n_models,)"""
+    displacement: Float64Array
+    """(n_models, 3)"""
 
 
 class _Pushes(NamedTuple):
@@ -105,13 +111,17 @@ def _roll_range(
 ) -> None:
     """Tasks `first` to `last` of model x push; a push that fails is NaN."""
     n_pushes = pushes.pose.shape[0]
-    force = np.empty((pushes.dt.shape[1], 2))
+    force, first_pose = np.empty((pushes.dt.shape[1], 2)), np.empty(3)
     for task in range(first, last):
         m, p = task // n_pushes, task % n_pushes
         n = pushes.n_steps[p]
+        cos, sin, moved = math.cos(pushes.pose[p, 2]), math.sin(pushes.pose[p, 2]), models.displacement[m]
+        first_pose[0] = pushes.pose[p, 0] + cos * moved[0] - sin * moved[1]
+        first_pose[1] = pushes.pose[p, 1] + sin * moved[0] + cos * moved[1]
+        first_pose[2] = pushes.pose[p, 2] + moved[2]
         push = Push(
-            pushes.pose[p], pushes.path[p, : n + 1], shape.corners, max(shape.radius + models.surface[m], 0.0), shape.outline,
-            models.arms[m], models.limit[m], models.centre[m], models.inertia[m], models.mu[m],
+            first_pose, pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
+            models.centre[m], models.inertia[m], models.mu[m], models.surface[m],
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
@@ -183,6 +193,7 @@ def _models(shape: ObjectShape, models: Sequence[BatchModel]) -> _Models:
         inertia=np.array([[body.mass, body.mass, body.inertia] for body in bodies]),
         mu=np.array([model.pusher_friction for model in models], dtype=np.float64),
         surface=np.array([model.surface for model in models], dtype=np.float64),
+        displacement=np.array([np.zeros(3) if model.displacement is None else model.displacement for model in models], dtype=np.float64),
     )
 
 
@@ -195,20 +206,27 @@ def _edges(edge: TableEdge, models: Sequence[BatchModel]) -> Overhang:
 
 
 def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:
-    clocks = [StepClock.through(push.pusher.time, max(float(push.time[-1]), float(push.pusher.time[-1])), step) for push in pushes]
-    n, n_frames, longest = len(pushes), len(pushes[0].time), max(clock.n_steps for clock in clocks)
+    clocks: dict[tuple[bytes, bytes], tuple[StepClock, Frames]] = {}
+    each = [_clock(push, step, clocks) for push in pushes]
+    n, n_frames, longest = len(pushes), len(pushes[0].time), max(clock.n_steps for clock, _ in each)
     path, dt = np.zeros((n, longest + 1, 3)), np.zeros((n, longest))
     frame_step, fraction = np.zeros((n, n_frames), dtype=np.int64), np.zeros((n, n_frames))
-    for i, (push, clock) in enumerate(zip(pushes, clocks, strict=True)):
+    for i, (push, (clock, frames)) in enumerate(zip(pushes, each, strict=True)):
         own = slice(0, clock.n_steps + 1)
         for axis in (0, 1):
             path[i, own, axis] = np.interp(clock.ends, push.pusher.time, push.pusher.position[:, axis])
         if push.pusher.yaw is not None:
             path[i, own, 2] = np.interp(clock.ends, push.pusher.time, push.pusher.yaw)
         dt[i, : clock.n_steps] = clock.lengths
-        frames, _ = clock.frames(push.time)
         frame_step[i], fraction[i] = frames.step, frames.fraction
-    return _Pushes(
-        np.array([clock.n_steps for clock in clocks]), path, dt, np.array([push.pose_object_in_table for push in pushes], dtype=np.float64),
-        frame_step, fraction,
-    )  # fmt: skip
+    first = np.array([push.pose_object_in_table for push in pushes], dtype=np.float64)
+    return _Pushes(np.array([clock.n_steps for clock, _ in each]), path, dt, first, frame_step, fraction)
+
+
+def _clock(push: BatchPush, step: float, known: dict[tuple[bytes, bytes], tuple[StepClock, Frames]]) -> tuple[StepClock, Frames]:
+    """Steps and frames of a push; pushes of a library have the same times, and share those `known`."""
+    key = push.pusher.time.tobytes(), push.time.tobytes()
+    if key not in known:
+        clock = StepClock.through(push.pusher.time, max(float(push.time[-1]), float(push.pusher.time[-1])), step)
+        known[key] = clock, clock.frames(push.time)[0]
+    return known[key]

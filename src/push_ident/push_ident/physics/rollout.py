@@ -85,6 +85,8 @@ class Push(NamedTuple):
     """(m, m, I) about the centre of mass [kg, kg, kg m^2], shape (3,)."""
     mu: float
     """Friction coefficient of the pusher."""
+    surface: float = 0.0
+    """How far the surface lies outside the outline [m], for rollouts without a derivative; with one, an effect says it."""
 
 
 class Numerics(NamedTuple):
@@ -254,7 +256,7 @@ def rollout(
     impulse, twist = np.zeros(MAX_CONTACTS + 1), np.zeros(3)
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
     support = SupportImpulse(friction, stiffness, by_yaw, stuck)
-    radius, pulled = push.radius, False
+    offset, pulled = push.surface, False
     no_reaction = np.zeros((0, 0))
     forces: Any = None
     drive: Any = None
@@ -262,8 +264,7 @@ def rollout(
         table, forces, drive = scratch.table, scratch.forces, scratch.drive
         memory, before, no_derivative = np.zeros(effects.n_memory), np.zeros(3), np.zeros((0, 0))
         acts_on_table = effects.loads or effects.skews or effects.pulls
-        offset = effects.values[effects.offset] if effects.offset >= 0 else 0.0
-        radius += offset
+        offset += effects.values[effects.offset] if effects.offset >= 0 else 0.0
         # An object under a pull is idle only if friction keeps it at rest; without inertia, friction always does.
         pulled = effects.pulls and not numerics.quasi_static
         if effects.loads:
@@ -272,6 +273,7 @@ def rollout(
             sum_limits(effects, arms, push.limit, table.inputs)
     if edge is not None:
         limit, loaded = push.limit.copy(), np.ones(len(push.limit))
+    radius = push.radius + offset
     n_steps, n_frames = push.pusher.shape[0] - 1, frames.step.shape[0]
     frame = iterations = code = 0
     for n in range(n_steps):
@@ -286,8 +288,9 @@ def rollout(
 
         speed = _locate_pusher(push, n, geometry, state, pusher)
         n_contacts = find_contacts(pusher.corners, radius, push.outline, _REACH + speed * dt, found, features)
-        if effects is not None:
+        if offset != 0.0:
             shift_surface(features, n_contacts, offset)
+        if effects is not None:
             fill_inputs(state, push.inertia[0], centre, memory, effects.values, table.inputs)
 
         untouched = n_contacts == 0 or (features[0, 0] >= -1e-9 and (speed == 0.0 or features[0, 0] > speed * dt))

@@ -20,7 +20,7 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
-__all__ = ["Library", "Strokes", "path_of", "placed", "strokes"]
+__all__ = ["BATCH_STEP", "Library", "Strokes", "path_of", "placed", "strokes"]
 
 _CONTACTS: Final = 48
 """Along the outline."""
@@ -30,8 +30,9 @@ _STEP_OF_LENGTH: Final = 0.004
 """Between the lengths of a push [m]."""
 _LONGEST: Final = 0.16
 """Travel after contact [m]: of longer pushes little is known beforehand, and two shorter ones see the object between them."""
-_TIME_STEP: Final = 1.0 / 80.0
-"""Of the simulation [s]: ends lie within 0.1 mm of fine steps in the median, 0.5 mm in nine of ten pushes of 6 to 10 cm."""
+BATCH_STEP: Final = 1.0 / 100.0
+"""Of batched simulations [s]: ends of pushes of 6 to 10 cm at 0.1 m/s lie within 0.1 mm of the default step's in the median, 0.2 mm in 95 %
+(`push-ident bench batches`)."""
 _CONE: Final = float(np.radians(45.0))
 """Largest angle between a push and the inward normal [rad]."""
 _EDGE: Final = 1e-3
@@ -92,6 +93,8 @@ class Library:
     motion: Float64Array
     """Pose of the object after the push in its frame before it, shape (n_models, n_strokes, n_lengths, 3); NaN where a simulation failed.
     The first model is the mean."""
+    variance: Float64Array
+    """Of `motion` over the models [m^2, m^2, rad^2], shape (n_strokes, n_lengths, 3)."""
     centres: Float64Array
     """Centres of mass of the models [m], shape (n_models, 2), object frame."""
 
@@ -106,7 +109,11 @@ class Library:
             pushes.append(BatchPush(path, np.zeros(3), (settings.clearance + lengths) / speed))
         models = belief.models(n_draws, rng)
         centres = np.array([model.body.centre for model in models])
-        return cls(own, lengths, rollouts(belief.shape, models, pushes, step=_TIME_STEP), centres)
+        motion = rollouts(belief.shape, models, pushes, step=BATCH_STEP)
+        known = np.isfinite(motion)
+        n, filled = np.maximum(np.sum(known, axis=0), 1), np.where(known, motion, 0.0)
+        deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
+        return cls(own, lengths, motion, np.sum(deviation**2, axis=0) / n, centres)
 
 
 def path_of(tool: Float64Array, heading: Float64Array, distance: float, speed: float, settings: PushSettings) -> PusherPath:

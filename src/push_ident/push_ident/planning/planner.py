@@ -32,7 +32,7 @@ from push_ident.planning.belief import Belief
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.hold import RISK, EdgeHold
-from push_ident.planning.library import Library, Strokes, path_of, placed, strokes
+from push_ident.planning.library import BATCH_STEP, Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath
@@ -47,6 +47,8 @@ _DRAWS: Final = 8
 """Models in the library beside the mean."""
 _FINAL_DRAWS: Final = 32
 """Models that the expectation of a push is taken from."""
+_FINALISTS: Final = 6
+"""Candidates that all of these models judge; the first `_DRAWS` choose them."""
 _NEIGHBOURS: Final = 4
 """Second pushes that are looked at for each first one."""
 _PUSH_TRAVEL: Final = 0.1
@@ -59,8 +61,6 @@ _FALL: Final = 20.0
 """Pushes that a fall is worth: as many as are made for a goal at most."""
 _FRAMES: Final = 8
 """Poses along a push at which the margin of an overhanging object is looked at."""
-_TIME_STEP: Final = 1.0 / 120.0
-"""Of the simulation of the pushes that are judged last [s]."""
 
 
 class PlanStatus(Enum):
@@ -109,10 +109,12 @@ class GoalPlanner:
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._library: Library | None = None
+        self._judges: list[BatchModel] = []
 
     def _library_of(self, belief: Belief) -> Library:
         if self._library is None or belief is not self._belief:
             self._belief = belief
+            self._judges = belief.models(_FINAL_DRAWS, np.random.default_rng(self._seed + 1))
             self._library = Library.of(belief, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
         return self._library
 
@@ -188,11 +190,10 @@ class GoalPlanner:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
                 if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
                     candidates.append((better.stroke, 0, better.length))
-        return self._best(belief, further, candidates, pose, covariance, goal, around.hold)
+        return self._best(further, candidates, pose, covariance, goal, around.hold)
 
     def _best(
         self,
-        belief: Belief,
         further: _FurtherPushes | _Distance,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
@@ -201,19 +202,17 @@ class GoalPlanner:
         hold: EdgeHold | None,
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
-        settings, rng = self._settings, np.random.default_rng(self._seed + 1)
-        speed, models = settings.speed_range[0], belief.models(_FINAL_DRAWS, rng)
-        # The tool goes where the observed pose has it, and the object lies elsewhere by the error of that pose.
-        root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
-        start = pose + np.vstack([np.zeros(3), rng.normal(size=(_FINAL_DRAWS, 3)) @ root.T])
-        ends, margins = self._ends(models, [(own.picked(number), length) for own, number, length in candidates], pose, start, hold)
-        wanted = compose(inverse(ends), goal.pose)
-        there = _softly(goal.relative_error(ends))
-        after = further.after(wanted.reshape(-1, 3)).reshape(there.shape)
-        centres = np.broadcast_to(np.array([model.body.centre for model in models]), (len(start), 2))
-        present = _Present(hold, self._shape, centres, pose)
+        models = self._displaced_judges(pose, covariance)
+        pushes = [(own.picked(number), length) for own, number, length in candidates]
+        if hold is None:
+            # A few models tell which pushes are worth asking all of them.
+            ends, _ = self._ends(models[: 1 + _DRAWS], pushes, pose, hold)
+            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[:_FINALISTS]
+            candidates, pushes = [candidates[k] for k in most], [pushes[k] for k in most]
+        ends, margins = self._ends(models, pushes, pose, hold)
+        present = _Present(hold, self._shape, np.array([model.body.centre for model in models]), pose)
         risk = present.risk(margins)
-        value, allowed = 1.0 + np.mean((1.0 - there) * after, axis=0) + _FALL * risk, risk <= present.allowed
+        value, allowed = _value(further, ends, goal) + _FALL * risk, risk <= present.allowed
         if not np.any(allowed):
             return GoalPush(PlanStatus.UNHELD, goal.chance(pose, covariance), risk=float(np.min(risk)))
         value = np.where(allowed, value, np.nan)
@@ -224,39 +223,39 @@ class GoalPlanner:
         return GoalPush(
             PlanStatus.PUSH,
             float(np.mean(np.asarray(goal.relative_error(ends[:, best])) <= 1.0)),
-            placed(own, number, pose, length, speed),
+            placed(own, number, pose, length, self._settings.speed_range[0]),
             ends[0, best],
             ends[:, best],
             float(value[best]),
             float(risk[best]),
         )
 
+    def _displaced_judges(self, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
+        """The mean model at the observed pose, then models that may be true, each with an object that lies elsewhere by an error of it."""
+        root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
+        errors = np.random.default_rng(self._seed + 2).normal(size=(_FINAL_DRAWS, 3)) @ root.T
+        beside = compose(inverse(pose), pose + np.vstack([np.zeros(3), errors]))
+        # A model that is known to be true judges alone.
+        models = self._judges * (len(beside) // len(self._judges))
+        return [model._replace(displacement=own) for model, own in zip(models, beside, strict=True)]
+
     def _ends(
-        self,
-        models: Sequence[BatchModel],
-        pushes: Sequence[tuple[Strokes, float]],
-        pose: Float64Array,
-        start: Float64Array,
-        hold: EdgeHold | None,
+        self, models: Sequence[BatchModel], pushes: Sequence[tuple[Strokes, float]], pose: Float64Array, hold: EdgeHold | None
     ) -> tuple[Float64Array, Float64Array]:
-        """Ends of pushes from poses `start` under models, shape (n_models, n_pushes, 3), and the least margin on the way [m], shape
-        (n_models, n_pushes)."""
+        """Ends of pushes of an object that is seen at a pose, under models, shape (n_models, n_pushes, 3), and the least margin on the way
+        [m], shape (n_models, n_pushes)."""
         settings, frames = self._settings, 1 if hold is None else _FRAMES
         speed, batch = settings.speed_range[0], []
         for own, length in pushes:
             path = path_of(own.tool[0], own.heading()[0], length, speed, settings)
             first = 0.0 if hold is None else settings.clearance / speed
-            # Away from an edge the motion does not depend on where the object lies.
-            at = np.zeros(3) if hold is None else pose
-            moved = PusherPath(path.time, transform_points(at, path.position), path.radius)
-            batch.append(BatchPush(moved, at, np.linspace(first, path.time[-1], frames + 1)[1:]))
-        edge = None if hold is None else hold.edge
-        motion = rollouts(self._shape, models, batch, step=_TIME_STEP, edge=edge)
-        motion = np.broadcast_to(motion, (len(start), *motion.shape[1:]))
+            # The tool goes where the observed pose has it.
+            moved = PusherPath(path.time, transform_points(pose, path.position), path.radius)
+            batch.append(BatchPush(moved, pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
+        poses = rollouts(self._shape, models, batch, step=BATCH_STEP, edge=None if hold is None else hold.edge)
         if hold is None:
-            return compose(start[:, None], motion[:, :, 0]), np.full(motion.shape[:2], np.inf)
-        poses = compose(start[:, None, None], compose(inverse(pose), motion))
-        centres = np.broadcast_to(np.array([model.body.centre for model in models]), (len(start), 2))
+            return poses[:, :, -1], np.full(poses.shape[:2], np.inf)
+        centres = np.array([model.body.centre for model in models])
         margins = hold.margins(self._shape.cells.centres, centres[:, None, None], poses)
         return poses[:, :, -1], np.min(margins, axis=2)
 
@@ -285,7 +284,8 @@ def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal)
 
 
 def _value(further: _FurtherPushes | _Distance, motion: Float64Array, wanted: Goal) -> Float64Array:
-    """Pushes expected from now on for each motion, shape (n_models, n_motions, 3), that a push may make: shape (n_motions,)."""
+    """Pushes expected from now on for each motion that a push may make, shape (n_models, n_motions, 3), or for each pose where it may end;
+    `wanted` in the same frame: shape (n_motions,)."""
     there = _softly(wanted.relative_error(motion))
     left = compose(inverse(motion), wanted.pose)
     after = further.after(left.reshape(-1, 3)).reshape(there.shape)
@@ -296,10 +296,10 @@ class _FurtherPushes:
     """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
     def __init__(self, library: Library, goal: Goal) -> None:
-        flat = library.motion.reshape(len(library.motion), -1, 3) / goal.tolerance
-        known = np.all(np.isfinite(flat[0]), axis=1)
-        self._goal, self._tree = goal, KDTree(flat[0][known])
-        self._spread = np.sqrt(np.sum(np.nanvar(flat[:, known], axis=0), axis=1))
+        flat, variance = library.motion[0].reshape(-1, 3), library.variance.reshape(-1, 3)
+        known = np.all(np.isfinite(flat), axis=1)
+        self._goal, self._tree = goal, KDTree(flat[known] / goal.tolerance)
+        self._spread = np.sqrt(np.sum(variance[known] / goal.tolerance**2, axis=1))
         """Of each motion over the models, in units of the tolerances, shape (n_motions,)."""
 
     def after(self, wanted: Float64Array) -> Float64Array:

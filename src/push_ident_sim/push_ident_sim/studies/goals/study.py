@@ -95,7 +95,23 @@ def _tables(summary: Json) -> str:
         ]
         sure = summary["sure"][kind]
         rows.append([f"{kind}, {summary['goals'][kind]} goals", *cells, f"{sure['there']} of {sure['pushes']}"])
-    return markdown_table(head, rows) + f"\n\nObjects that fell off the table: {summary['falls']}."
+    return "\n\n".join(
+        [
+            markdown_table(head, rows),
+            f"Objects that fell off the table: {summary['falls']}.",
+            "Pushes by the chance that was expected of them, in fifths: mean chance, share that ended at the goal, number of pushes.",
+            _calibration_table(summary["calibration"]),
+        ]
+    )
+
+
+def _calibration_table(calibration: Json) -> str:
+    head = ["", *(f"{20 * k}-{20 * (k + 1)} %" for k in range(5))]
+    rows = []
+    for kind, own in calibration.items():
+        cells = {min(int(5 * row["expected"]), 4): f"{row['expected']:.0%}, {row['found']:.0%}, {row['pushes']}" for row in own}
+        rows.append([kind, *(cells.get(k, "–") for k in range(5))])
+    return markdown_table(head, rows)
 
 
 def _draw(summary: Json, folder: Path) -> dict[str, str]:

@@ -1,0 +1,1 @@
+"""Many pushes of many models in one call."""

@@ -1,0 +1,1 @@
+"""Time of a plan of a push to a goal."""
