@@ -9,10 +9,10 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind endurance faults fuzz test lint format clean
+.PHONY: help setup demo docs bench experiments blind endurance faults fuzz test lint format dist dist-check changelog release clean
 
 help:  ## this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
 
 setup:  ## .venv with every package pinned, ROS 2 Jazzy, workspace built; again: a second
 	@if [ -z "$(PYTHON)" ]; then \
@@ -80,5 +80,18 @@ format: setup  ## rewrite the sources as `make lint` wants them
 	$(VENV)/ruff check --fix
 	$(VENV)/ruff format
 
+dist: setup  ## wheel and sdist that need no ROS, in dist/
+	rm -rf dist
+	$(VENV)/python tools/make_dist.py
+
+dist-check: dist  ## install that wheel from the index into an empty environment and use it (minutes)
+	$(VENV)/python tools/check_dist.py
+
+changelog: setup  ## show what the fragments would add to CHANGELOG.md
+	@$(VENV)/python -m towncrier build --draft --version unreleased
+
+release: setup  ## make release VERSION=1.2.3: the version everywhere, the fragments into CHANGELOG.md; commit and tag yourself
+	$(VENV)/python tools/release.py "$(VERSION)"
+
 clean:  ## build results; .venv stays
-	rm -rf build install log out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf build dist install log out .mypy_cache .ruff_cache .pytest_cache .hypothesis

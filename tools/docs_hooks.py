@@ -38,6 +38,8 @@ ROOT_DOCUMENTS = {
     "ARCHITECTURE.md": "architecture.md",
     "SAFETY.md": "safety.md",
     "CONVENTIONS.md": "reference/conventions.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
     "bags/README.md": "reference/bags.md",
 }
 """Documents outside docs/ that are pages of the site, and where."""

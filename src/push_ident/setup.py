@@ -1,14 +1,44 @@
+import re
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 package = "push_ident"
 
+# What runs without ROS, by import. The least versions are those of the pins in requirements/, with which the tests run.
+requires = [
+    "backports-zstd>=1.8; python_version < '3.14'",
+    "lz4>=4.4",
+    "mcap>=1.6",
+    "numba>=0.68",
+    "numpy>=2.4",
+    "opencv-python-headless>=5.0",
+    "pydantic>=2.14",
+    "pyyaml>=6.0",
+    "rich>=15.0",
+    "rosbags>=0.11",
+    "scipy>=1.17",
+    "typer>=0.29",
+]
+# Modules of each: push_ident/extras.py.
+extras = {
+    "arm": ["pin>=4.1"],
+    "fleet": ["pyarrow>=26.0", "ray>=2.60"],
+    "mit": ["h5py>=3.16"],
+    "pcd": ["open3d>=0.20"],
+    "report": ["jinja2>=3.1", "matplotlib>=3.11"],
+    "torch": ["torch>=2.13"],
+}
+
+(version,) = re.findall(r'^__version__ = "(.+)"$', Path(package, "__init__.py").read_text(encoding="utf-8"), re.MULTILINE)
+
+# What ROS brings: package.xml (rosdep). All stands here: colcon cannot read a `python_requires` of setup.cfg.
 setup(
     name=package,
-    version="0.1.0",
+    version=version,
     packages=find_packages(include=[package, f"{package}.*"]),
-    package_data={"": ["py.typed", "*.html", "*.j2"]},
+    package_data={"": ["py.typed", "*.html", "*.j2"], f"{package}.bags": ["msg/*.msg"], f"{package}.nodes": ["*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
@@ -16,14 +46,15 @@ setup(
         (f"share/{package}/config", sorted(glob("config/*.*"))),
         (f"share/{package}/config/robots", sorted(glob("config/robots/*.yaml"))),
     ],
-    # What is needed to run stands in package.xml (rosdep) and in requirements/ (pip).
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    install_requires=requires,
+    extras_require={**extras, "all": sorted({name for names in extras.values() for name in names}), "test": ["pytest"]},
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="push_ident maintainers",
     maintainer_email="maintainers@push-ident.example",
     description="Identifies per-cell mass and support friction of unknown objects by pushing them, and predicts their motion.",
+    long_description=Path("README.md").read_text(encoding="utf-8") if Path("README.md").is_file() else "",
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

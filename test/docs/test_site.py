@@ -11,7 +11,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md", "changelog/README.md")
+ROOT_DOCUMENTS = (
+    "README.md",
+    "ARCHITECTURE.md",
+    "CONVENTIONS.md",
+    "bags/README.md",
+    "changelog/README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+)
 ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
 PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "**Consequences**: ")

@@ -208,7 +208,7 @@ def _not_a_bag(folder: Path) -> list[object]:
         (lambda folder: [folder], ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
         (lambda folder: [folder], ("--known", "a box"), "expected width x depth x height"),
         (lambda folder: [folder], ("--known", "200x120"), "give metres"),
-        (lambda folder: [folder], ("--depth-unit", "-1"), "expected metres per unit"),
+        (lambda folder: [folder], ("--depth-unit", "2000"), "expected metres per unit"),
         (lambda folder: [folder], ("--depth-unit", "1"), "give the metres per unit"),
         (lambda folder: [EXAMPLE_BAG], ("--intrinsics", NUMBERS), "is a bag"),
     ],

@@ -7,8 +7,8 @@ import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, render
 from push_ident.errors import FrameError
-from push_ident.geometry.arm_shape import Rod
 from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.rod import Rod
 from push_ident.perception.depth import points_in_table, rays_in_table
 from push_ident.perception.kernels import Grid, compare_lines, interpolate, nearest_values
 from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, in_robot, label_pixels

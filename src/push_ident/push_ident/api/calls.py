@@ -23,6 +23,7 @@ from push_ident.diagnosis.diagnose import diagnose as _diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.identification.budget import Budget
 from push_ident.identification.comparison import Comparison, compare_pushes
 from push_ident.identification.identify import identify as _identify
@@ -166,6 +167,7 @@ def plot(thing: Any, title: str = "") -> Picture:
     Raises:
         InputError: there is no figure of such a thing.
     """
+    need("report")
     from push_ident.api.plots import draw
 
     return draw(thing, title)

@@ -18,9 +18,9 @@ _PACKAGE: Final = "push_ident_msgs"
 
 
 def _own_definitions() -> list[Path]:
-    """The .msg files of push_ident_msgs: from the sourced ROS workspace, else from the source tree beside this package."""
+    """The .msg files of push_ident_msgs: from the sourced ROS workspace, else those that this package brings."""
     shares = [Path(prefix) / "share" / _PACKAGE for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    for folder in [*shares, Path(__file__).resolve().parents[3] / _PACKAGE]:
+    for folder in [*shares, Path(__file__).parent]:
         if files := sorted((folder / "msg").glob("*.msg")):
             return files
     return []
@@ -28,7 +28,7 @@ def _own_definitions() -> list[Path]:
 
 @cache
 def jazzy_typestore() -> Typestore:
-    """The messages of ROS 2 Jazzy, and those of push_ident_msgs if their .msg files are found."""
+    """The messages of ROS 2 Jazzy, and those of push_ident_msgs."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = {}
     for file in _own_definitions():
@@ -44,5 +44,5 @@ def definition_of(msgtype: str) -> str:
     """
     store = jazzy_typestore()
     if msgtype not in store.fielddefs:
-        raise BagError(f"message type {msgtype!r} is unknown; for {_PACKAGE} source the workspace in which it was built.")
+        raise BagError(f"message type {msgtype!r} is unknown, expected one of ROS 2 Jazzy or {_PACKAGE}.")
     return store.generate_msgdef(msgtype, ros_version=2)[0]

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
+from push_ident.cli.checks import writable_file, writable_folder
 from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import Description, console
 from push_ident.errors import InputError
@@ -26,9 +27,14 @@ def bench_command(
     quick: Annotated[bool, typer.Option("--quick", help="Few and small cases, only to check that everything runs.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of maps, pushes and noise.")] = 0,
     page: Annotated[
-        Path, typer.Option(metavar="FILE", help="Page of the results; JSON files and pictures go into the folder of the same name.")
+        Path,
+        typer.Option(
+            metavar="FILE", callback=writable_file, help="Page of the results; JSON files and pictures go into the folder of the same name."
+        ),
     ] = _PAGE,
-    truth: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the ground-truth pushes, shared with the experiments.")] = _TRUTH,
+    truth: Annotated[
+        Path, typer.Option(metavar="DIR", callback=writable_folder, help="Folder of the ground-truth pushes, shared with the experiments.")
+    ] = _TRUTH,
 ) -> None:
     """Measure time and error of the engine, of other engines and of identification; about six minutes."""
     known = sim_module("push_ident_sim.studies.registry").BENCHMARKS

@@ -12,7 +12,7 @@ import typer
 from push_ident.errors import InputError
 from push_ident.limits import LIMITS, plain_text
 
-__all__ = ["above_zero", "at_least_zero", "new_bag", "parse_numbers", "writable_file", "writable_folder"]
+__all__ = ["above_zero", "at_least_zero", "finite", "new_bag", "parse_numbers", "writable_file", "writable_folder"]
 
 
 def above_zero(value: float | None) -> float | None:
@@ -26,6 +26,13 @@ def at_least_zero(value: float | None) -> float | None:
     """Callback of an option: a finite number of 0 or more, or none."""
     if value is not None and not (math.isfinite(value) and value >= 0):
         raise typer.BadParameter(f"{value:g} is given, expected a finite number of 0 or more.")
+    return value
+
+
+def finite(value: float | None) -> float | None:
+    """Callback of an option: a finite number, or none."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value:g} is given, expected a finite number.")
     return value
 
 

@@ -20,6 +20,7 @@ from push_ident.cli.output import Description, JsonOption, console, millimetres,
 from push_ident.cli.push_to import GoalReport, GoalText, finish, goal_message, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
+from push_ident.extras import need_ros
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def demo_command(
     """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes, or push it to a goal."""
     started = time.monotonic()
     where = None if goal is None else GoalText(goal).pose
+    need_ros()
     n_train = n_train or (_N_TRAIN if where is None else _N_TRAIN_FOR_GOAL)
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))

@@ -27,6 +27,7 @@ from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.wording import describe_push, detectable_size
+from push_ident.extras import need
 from push_ident.identification.model_file import save_model
 from push_ident.identification.prior import Prior
 from push_ident.offline.loading import load_pushes
@@ -58,6 +59,8 @@ def diagnose_command(
     ] = _NOMINAL.pusher_friction,
 ) -> None:
     """Report where the simulation differs from recorded pushes, which missing effect causes it, and how far the gap shrinks with it."""
+    if out is not None:
+        need("report")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     columns = (SpinnerColumn(), Description(), TimeElapsedColumn())

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
+from push_ident.cli.checks import above_zero, writable_file, writable_folder
 from push_ident.cli.output import Description, JsonOption, console, warn
 from push_ident.errors import InputError
 
@@ -18,32 +19,46 @@ __all__ = ["experiment_command", "sim_module"]
 _LIST, _REPORT = "list", "report"
 _FOLDER = Path("out/experiments")
 _PAGE = Path("docs/results/experiments.md")
+_NameArgument = Annotated[
+    str,
+    typer.Argument(help="Experiment; `list` lists all, `report` writes the page of their results.", show_default=False),
+]
+_ObjectsOption = Annotated[
+    str, typer.Option(metavar="A,B|N", help="Objects, or a number of random ones for `goals`. Default: all.", show_default=False)
+]
+_OutOption = Annotated[
+    Path,
+    typer.Option(metavar="DIR", callback=writable_folder, help="Folder of single results; an interrupted run continues from them."),
+]
+_TruthOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", callback=writable_folder, help="Folder of the ground-truth pushes. Default: truth/ in --out.", show_default=False
+    ),
+]
+_PageOption = Annotated[
+    Path,
+    typer.Option(
+        metavar="FILE", callback=writable_file, help="Page that `report` writes from the JSON files in the folder of the same name."
+    ),
+]
 
 
 def experiment_command(
-    name: Annotated[
-        str,
-        typer.Argument(help="Experiment; `list` lists all, `report` writes the page of their results.", show_default=False),
-    ],
-    objects: Annotated[
-        str, typer.Option(metavar="A,B|N", help="Objects, or a number of random ones for `goals`. Default: all.", show_default=False)
-    ] = "",
-    models: Annotated[int, typer.Option(help="Number of ground truths of each object.")] = 10,
-    seed: Annotated[int, typer.Option(help="Seed of the first ground truth; the others follow it.")] = 0,
+    name: _NameArgument,
+    objects: _ObjectsOption = "",
+    models: Annotated[int, typer.Option(min=1, help="Number of ground truths of each object.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first ground truth; the others follow it.")] = 0,
     variants: Annotated[str, typer.Option(metavar="A,B", help="Variants of the experiment. Default: all.", show_default=False)] = "",
-    seconds: Annotated[float, typer.Option(help="Budget of one solve [s].")] = 30.0,
-    jobs: Annotated[int, typer.Option(help="Number of processes, each with one thread.")] = 2,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of single results; an interrupted run continues from them.")] = _FOLDER,
-    truth: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the ground-truth pushes. Default: truth/ in --out.", show_default=False)
-    ] = None,
+    seconds: Annotated[float, typer.Option(callback=above_zero, help="Budget of one solve [s].")] = 30.0,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of processes, each with one thread.")] = 2,
+    out: _OutOption = _FOLDER,
+    truth: _TruthOption = None,
     recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
-    minutes: Annotated[float, typer.Option(min=0.5, help="Duration, for `endurance` [min].")] = 60.0,
-    goals: Annotated[int, typer.Option(help="Goals of each object, for `goals`.")] = 4,
+    minutes: Annotated[float, typer.Option(min=0.5, callback=above_zero, help="Duration, for `endurance` [min].")] = 60.0,
+    goals: Annotated[int, typer.Option(min=1, help="Goals of each object, for `goals`.")] = 4,
     json: JsonOption = None,
-    page: Annotated[
-        Path, typer.Option(metavar="FILE", help="Page that `report` writes from the JSON files in the folder of the same name.")
-    ] = _PAGE,
+    page: _PageOption = _PAGE,
 ) -> None:
     """Run one of the experiments on simulated ground truth, or write the page of all results."""
     known = sim_module("push_ident_sim.studies.registry").EXPERIMENTS
@@ -99,4 +114,5 @@ def sim_module(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"This needs the simulated cell, but {error.name} is not installed; run `make setup`.") from None
+        remedy = "run `make setup` in a clone of the repository"
+        raise InputError(f"This needs the simulated cell, but {error.name} is not installed; {remedy}.") from None

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from push_ident.cli.checks import writable_file
+from push_ident.cli.checks import above_zero, writable_file
 from push_ident.cli.output import console, warn
 from push_ident.errors import InputError
 from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
@@ -25,7 +25,9 @@ def export_command(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", callback=writable_file, help="Default: beside the model.", show_default=False)
     ] = None,
-    height: Annotated[float, typer.Option(metavar="M", help="Height of the object, which pushes do not determine [m].")] = DEFAULT_HEIGHT,
+    height: Annotated[
+        float, typer.Option(metavar="M", callback=above_zero, help="Height of the object, which pushes do not determine [m].")
+    ] = DEFAULT_HEIGHT,
     cells: Annotated[
         str,
         typer.Option(metavar="|".join(_CELLS), help="sliding: each cell carries its own weight. fixed: one rigid body."),

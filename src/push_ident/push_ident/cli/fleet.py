@@ -9,41 +9,47 @@ import numpy as np
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-from push_ident.cli.checks import writable_folder
+from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.identify import ObjectOption
 from push_ident.cli.output import Description, JsonOption, console, millimetres, warn, write_json
+from push_ident.extras import need
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
 from push_ident.identification.prior import Prior
-from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
+from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 
 __all__ = ["fleet_command"]
 
 _NOMINAL = Prior()
+_OutOption = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder of results; an interrupted run continues from them."),
+]
+_AddressOption = Annotated[
+    str, typer.Option(help="Address of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
+]
 
 
 def fleet_command(
     bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags, or folders that hold bags at any depth.", show_default=False)],
-    out: Annotated[
-        Path,
-        typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder of results; an interrupted run continues from them."),
-    ] = Path("out/fleet"),
-    address: Annotated[
-        str, typer.Option(help="Address of a Ray cluster, such as `auto` or ray://host:10001. Default: this machine.", show_default=False)
-    ] = "",
+    out: _OutOption = Path("out/fleet"),
+    address: _AddressOption = "",
     workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: one per core.")] = 0,
     again: Annotated[bool, typer.Option("--again", help="Retry bags that failed in an earlier run.")] = False,
     object_id: ObjectOption = "",
     method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
-    hold_out: Annotated[int, typer.Option(metavar="N", help="Hold out every Nth push as a test; 0: none.")] = 4,
-    nominal_mass: Annotated[float, typer.Option(help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
-    friction: Annotated[float, typer.Option(help="Nominal friction coefficient of the support.")] = _NOMINAL.friction,
-    pusher_friction: Annotated[float, typer.Option(help="Nominal friction coefficient of the pusher.")] = _NOMINAL.pusher_friction,
-    max_seconds: Annotated[float, typer.Option(help="Time limit of one solve [s].")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")] = 0,
+    hold_out: Annotated[int, typer.Option(min=0, metavar="N", help="Hold out every Nth push as a test; 0: none.")] = 4,
+    nominal_mass: Annotated[float, typer.Option(callback=above_zero, help="Nominal total mass [kg].")] = _NOMINAL.total_mass,
+    friction: Annotated[float, typer.Option(callback=above_zero, help="Nominal support friction.")] = _NOMINAL.friction,
+    pusher_friction: Annotated[float, typer.Option(callback=above_zero, help="Nominal pusher friction.")] = _NOMINAL.pusher_friction,
+    max_seconds: Annotated[float, typer.Option(callback=above_zero, help="Time limit of one solve [s].")] = 30.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw random numbers.")] = 0,
     json: JsonOption = None,
 ) -> None:
     """Identify many bags in parallel; a failed bag does not stop the others. Writes results.parquet, index.html and the models."""
+    solver_of(method)
+    need("fleet")
+    need("report")
     options = FleetOptions(
         prior=Prior(total_mass=nominal_mass, friction=friction, pusher_friction=pusher_friction),
         method=method,

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from push_ident.cli.checks import above_zero, writable_file, writable_folder
 from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import JsonOption, console, warn, write_json
 from push_ident.errors import InputError, PushIdentError
@@ -16,25 +17,43 @@ __all__ = ["fuzz_command"]
 
 _KINDS = ("messages", "bags", "frames")
 _OUT = Path("out/fuzz")
+_NodeOption = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="Executables to fuzz. Default: all of the suite.", show_default=False)
+]
+_OutOption = Annotated[
+    Path, typer.Option(metavar="DIR", callback=writable_folder, help="Logs of the nodes and what they wrote; emptied first.")
+]
+_CasesOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        callback=writable_folder,
+        help="Minimised failures: those there are tried first, new ones are written.",
+        show_default=False,
+    ),
+]
+_PageOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        callback=writable_file,
+        help="Write the page, and its numbers beside it; those of the other kinds stay.",
+        show_default=False,
+    ),
+]
 
 
 def fuzz_command(
-    minutes: Annotated[float, typer.Option(min=0.1, help="In all; the same share for messages, bags and frames.")] = 40.0,
+    minutes: Annotated[
+        float, typer.Option(min=0.1, callback=above_zero, help="In all; the same share for messages, bags and frames.")
+    ] = 40.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the mutations.")] = 0,
     only: Annotated[str, typer.Option(metavar="KIND", help="messages, bags or frames. Default: all.", show_default=False)] = "",
-    node: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Executables to fuzz. Default: all of the suite.", show_default=False)
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Logs of the nodes and what they wrote; emptied first.")] = _OUT,
-    cases: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Minimised failures: those there are tried first, new ones are written.", show_default=False),
-    ] = None,
+    node: _NodeOption = None,
+    out: _OutOption = _OUT,
+    cases: _CasesOption = None,
     json: JsonOption = None,
-    page: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the page, and its numbers beside it; those of the other kinds stay.", show_default=False),
-    ] = None,
+    page: _PageOption = None,
 ) -> None:
     """Mutated messages for every node, which must live, answer and still work; mutated bags for every command; mutated depth frames."""
     if only and only not in _KINDS:

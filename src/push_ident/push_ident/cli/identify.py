@@ -14,6 +14,7 @@ from rich.table import Table
 from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
 from push_ident.identification.identifiability import identifiability
@@ -63,6 +64,10 @@ TrainOption = Annotated[
 ]
 _SHOWN_PROBABILITY = 0.01
 """Priors that are less probable stand in the report and the JSON only [-]."""
+_RecordOption = Annotated[
+    bool, typer.Option("--record", help="In the report: each push predicted from those before it; about a second a push.")
+]
+_PicturesOption = Annotated[bool, typer.Option("--pictures", help="Into --out also map.png and knowledge.png, for slides.")]
 
 
 def identify_command(
@@ -80,12 +85,12 @@ def identify_command(
     max_seconds: Annotated[float, typer.Option(callback=above_zero, help="Longest time of the solve [s].")] = 30.0,
     max_simulations: Annotated[int | None, typer.Option(min=1, help="Largest number of simulated pushes.", show_default=False)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw at random.")] = 0,
-    record: Annotated[
-        bool, typer.Option("--record", help="In the report: each push predicted from those before it; about a second a push.")
-    ] = False,
-    pictures: Annotated[bool, typer.Option("--pictures", help="Into --out also map.png and knowledge.png, for slides.")] = False,
+    record: _RecordOption = False,
+    pictures: _PicturesOption = False,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
+    if out is not None:
+        need("report")
     takes_effects = solver_of(method).capabilities.takes_effects
     numbers = parse_numbers(train, "--train") if train else None
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)

@@ -17,6 +17,7 @@ from push_ident.bags.importers import (
     import_mit,
 )
 from push_ident.bags.importers.tables import read_table
+from push_ident.cli.checks import above_zero
 from push_ident.cli.identify import read_camera
 from push_ident.cli.import_report import BagOption, show_import
 from push_ident.cli.importing_tracked import PositionStdOption, YawStdOption, csv_command, rosbag_command
@@ -55,7 +56,9 @@ def mocap_command(
     file: FileArgument,
     out: BagOption,
     supports: SupportsOption = None,
-    mass: Annotated[float | None, typer.Option(help="Mass of the object, if it was weighed [kg].", show_default=False)] = None,
+    mass: Annotated[
+        float | None, typer.Option(callback=above_zero, help="Mass of the object, if it was weighed [kg].", show_default=False)
+    ] = None,
     outline: OutlineOption = None,
     frame_in_body: Annotated[
         Path | None,
@@ -82,7 +85,7 @@ def mit_command(
         str, typer.Option(help=f"Object, one of {', '.join(MIT_SHAPES)}. Default: by the file names.", show_default=False)
     ] = "",
     outline: OutlineOption = None,
-    radius: Annotated[float, typer.Option(help="Radius of the probe [m].")] = _MIT.radius,
+    radius: Annotated[float, typer.Option(callback=above_zero, help="Radius of the probe [m].")] = _MIT.radius,
     position_std: PositionStdOption = None,
     yaw_std: YawStdOption = None,
     ends_only: Annotated[bool, typer.Option("--ends-only", help="Keep only the poses before and after each push.")] = False,

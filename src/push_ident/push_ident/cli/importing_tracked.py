@@ -25,10 +25,11 @@ from push_ident.bags.importers.rosbag import parse_map
 from push_ident.bags.importers.shapes import CELL_SIZE
 from push_ident.bags.importers.tables import parse_columns
 from push_ident.bags.importers.tracked_poses import POSE_ROLES, PUSHER_ROLES
-from push_ident.cli.checks import above_zero, at_least_zero, writable_file
+from push_ident.cli.checks import above_zero, at_least_zero, finite, writable_file
 from push_ident.cli.import_report import BagOption, draw_import, show_import
 from push_ident.cli.output import JsonOption
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
@@ -101,13 +102,14 @@ AxesOption = Annotated[
     str, typer.Option(metavar="A,B,C", help="Axes of the poses that are x, y and z of the table; of a file with y up x,-z,y.")
 ]
 PusherAxesOption = Annotated[str, typer.Option(metavar="A,B,C", help="The same of the pusher.")]
-TimeOffsetOption = Annotated[float, typer.Option(help="Added to the times of pusher and force [s].")]
+TimeOffsetOption = Annotated[float, typer.Option(callback=finite, help="Added to the times of pusher and force [s].")]
 PusherFrameOption = Annotated[
     str,
     typer.Option(metavar="X,Y,YAW", help="Where the frame of the pusher lies in that of the poses [m, m, rad].", show_default=False),
 ]
 LiftedOption = Annotated[
-    float | None, typer.Option("--lifted-above", help="Height z of the pusher above which it is lifted [m].", show_default=False)
+    float | None,
+    typer.Option("--lifted-above", callback=finite, help="Height z of the pusher above which it is lifted [m].", show_default=False),
 ]
 CellSizeOption = Annotated[float, typer.Option(callback=above_zero, help="Edge of the cells of the object [m].")]
 PictureOption = Annotated[
@@ -236,6 +238,7 @@ def rosbag_command(
 @contextmanager
 def _picture_of_a_miss(out: Path, picture: Path | None) -> Iterator[None]:
     """Where the pusher never comes near the object, the picture shows where it is instead."""
+    need("report")
     try:
         yield
     except OverlapError as error:

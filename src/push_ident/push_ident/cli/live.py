@@ -16,7 +16,7 @@ from rich.table import Table
 
 from push_ident.bags.pushes import count_pushes, split_pushes
 from push_ident.bags.reader import read_bag
-from push_ident.cli.checks import new_bag
+from push_ident.cli.checks import above_zero, at_least_zero, new_bag
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.overrides import overrides_of
@@ -24,6 +24,7 @@ from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.robot import RobotOption, robot_for
 from push_ident.cli.supervisor import Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
+from push_ident.extras import need_ros
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.network import listens_on
 from push_ident.offline.loading import most_pushed
@@ -68,6 +69,7 @@ def up_command(
 
     A node that dies is started again after a pause of 1 s, doubled up to 30 s while it dies early; the maps go on where they were.
     """
+    need_ros()
     names = node_names(kind.value)
     chosen = None if robot is None else robot_for(kind.value, robot)
     # Of two rules for one name ROS takes the first: those of the command line come before those of the robot.
@@ -98,7 +100,8 @@ def up_command(
 def replay_command(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="Bag to play.", show_default=False)],
     rate: Annotated[
-        float, typer.Option(min=0.0, help="Speed relative to real time, where the nodes keep up; 0: as fast as they can.")
+        float,
+        typer.Option(min=0.0, callback=at_least_zero, help="Speed relative to real time, where the nodes keep up; 0: as fast as they can."),
     ] = 1.0,
     view: ViewOption = False,
     out: OutOption = None,
@@ -108,6 +111,7 @@ def replay_command(
 
     The exit status is 0 only where as many pushes were learned as the bag has.
     """
+    need_ros()
     contents = read_bag(bag)  # an unusable bag is refused before any process starts
     if contents.has_poses:
         split_pushes(contents, most_pushed(contents))
@@ -199,10 +203,12 @@ def _camera_parameters(camera_in_table: Any) -> dict[str, object]:
 
 
 _PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "open3d", "pybullet", "pin", "rosbags", "mcap", "matplotlib")
+_EXTRA_OF: Final = {"torch": "torch", "open3d": "pcd", "pin": "arm", "matplotlib": "report"}
+"""Packages that only some features need, and the extra of the wheel that brings each."""
 
 
 def doctor_command(
-    seconds: Annotated[float, typer.Option(min=0.5, help="How long to listen.")] = 4.0,
+    seconds: Annotated[float, typer.Option(min=0.5, callback=above_zero, help="How long to listen.")] = 4.0,
     robot: RobotOption = None,
     spacing: Annotated[
         float, typer.Option(min=0.01, max=1.0, help="Distance of the places at which pushes are planned, with --robot [m].")
@@ -228,7 +234,8 @@ def doctor_command(
             installed[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             installed[name] = None
-            problems.append(f"the package {name} is not installed; run `make setup`")
+            extra = f"`pip install 'push_ident[{_EXTRA_OF[name]}]'`, or " if name in _EXTRA_OF else ""
+            problems.append(f"the package {name} is not installed; run {extra}`make setup` in a clone of the repository")
     table = Table(title="installed", show_header=False)
     table.add_row("python", f"{sys.version.split()[0]}, {sys.executable}")
     for name, version in installed.items():
@@ -262,7 +269,9 @@ def _ros(problems: list[str]) -> dict[str, str]:
 
         found["rclpy"] = str(Path(rclpy.__file__).parent)
     except ImportError as error:
-        problems.append(f"rclpy cannot be imported ({error}); run `make setup`, or source /opt/ros/jazzy/setup.bash")
+        problems.append(
+            f"rclpy cannot be imported ({error}); run `make setup` in a clone of the repository, or source /opt/ros/jazzy/setup.bash"
+        )
         found["rclpy"] = "missing"
         return found
     from rclpy.utilities import get_rmw_implementation_identifier

@@ -12,10 +12,11 @@ from rich.table import Table
 
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.reader import read_depth
-from push_ident.cli.checks import writable_folder
+from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
 from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError, PerceptionError
+from push_ident.extras import need, need_ros
 from push_ident.files import write_whole
 from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.parameter_file import parameter_text
@@ -38,46 +39,58 @@ _TOPIC: Final = topic_of(Role.DEPTH)
 _OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder for picture, page and parameter file.")
 ]
+_SourceArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SOURCE",
+        help="A bag with depth images, a folder of depth images (16-bit PNG, 32-bit TIFF, .npy, organised PCD), or one of them; "
+        f"with --live the topic of the images, {_TOPIC} by default.",
+        show_default=False,
+    ),
+]
+_IntrinsicsOption = Annotated[
+    str,
+    typer.Option(
+        metavar="FX,FY,CX,CY",
+        help="Of the images of a folder, in pixels. Default: its camera_info.yaml, or the points of a PCD.",
+        show_default=False,
+    ),
+]
+_DepthUnitOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        callback=above_zero,
+        help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.",
+        show_default=False,
+    ),
+]
+_KnownOption = Annotated[
+    str,
+    typer.Option(
+        metavar="WxDxH",
+        help="Size in metres of a box, or of the legs of a right-angled mark, on the table: checks focal length and depth scale. "
+        "The height may be left out.",
+        show_default=False,
+    ),
+]
 
 
 def look_command(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="A bag with depth images, a folder of depth images (16-bit PNG, 32-bit TIFF, .npy, organised PCD), or one of them; "
-            f"with --live the topic of the images, {_TOPIC} by default.",
-            show_default=False,
-        ),
-    ] = "",
+    source: _SourceArgument = "",
     live: Annotated[bool, typer.Option("--live", help="Listen to the depth camera that runs now.")] = False,
-    seconds: Annotated[float, typer.Option(min=0.5, help="Longest time to wait for a rest of a live camera [s].")] = 15.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.5, callback=above_zero, help="Longest time to wait for a rest of a live camera [s].")
+    ] = 15.0,
     out: _OutFolder = Path("out/look"),
     json: JsonOption = None,
     camera: CameraOption = None,
-    intrinsics: Annotated[
-        str,
-        typer.Option(
-            metavar="FX,FY,CX,CY",
-            help="Of the images of a folder, in pixels. Default: its camera_info.yaml, or the points of a PCD.",
-            show_default=False,
-        ),
-    ] = "",
-    depth_unit: Annotated[
-        float | None,
-        typer.Option(metavar="METRES", help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.", show_default=False),
-    ] = None,
-    known: Annotated[
-        str,
-        typer.Option(
-            metavar="WxDxH",
-            help="Size in metres of a box, or of the legs of a right-angled mark, on the table: checks focal length and depth scale. "
-            "The height may be left out.",
-            show_default=False,
-        ),
-    ] = "",
+    intrinsics: _IntrinsicsOption = "",
+    depth_unit: _DepthUnitOption = None,
+    known: _KnownOption = "",
 ) -> None:
     """Find table, noise and objects in depth images, without any setting, and say what is refused and why."""
+    need("report")
     size, given = _known(known), read_camera(camera)
     if depth_unit is not None and not 0 < depth_unit < 1000:
         raise InputError(f"--depth-unit is {depth_unit:g}, expected metres per unit, such as 0.001 for millimetres.")
@@ -139,6 +152,7 @@ def _check_live(source: str, intrinsics: str, unit: float | None) -> None:
 
 def _listen(topic: str, seconds: float, show: Callable[[str], None]) -> _Seen:
     """What a camera that runs now has. Raises InputError or FrameError."""
+    need_ros()
     from push_ident.nodes.depth_capture import DepthCapture  # without --live no ROS is needed
 
     with DepthCapture(topic, seconds=seconds, on_progress=show) as camera:

@@ -11,6 +11,7 @@ from push_ident import __version__
 from push_ident.cli.lazy import LazyGroup
 from push_ident.cli.output import console, warn
 from push_ident.errors import PushIdentError
+from push_ident.extras import how_to_get
 
 __all__ = ["app", "main"]
 
@@ -68,4 +69,10 @@ def main() -> None:
         app(standalone_mode=True)
     except PushIdentError as error:
         warn(f"push-ident: {error}")
+        sys.exit(1)
+    except ModuleNotFoundError as error:
+        remedy = how_to_get(error.name or "")
+        if remedy is None:
+            raise
+        warn(f"push-ident: {remedy}")
         sys.exit(1)

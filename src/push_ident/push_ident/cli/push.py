@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 import typer
 
+from push_ident.cli.checks import at_least_zero, finite
 from push_ident.cli.output import JsonOption, console, warn, write_json
 from push_ident.errors import InputError
+from push_ident.extras import need_ros
 from push_ident.limits import check_object_id, plain_text, printable
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
@@ -32,10 +34,14 @@ def push_command(
         str | None, typer.Option(metavar="X,Y", help="Push at the point of the outline next to this one [m].", show_default=False)
     ] = None,
     direction: Annotated[
-        float | None, typer.Option(metavar="ANGLE", help="Heading of the push, from the x axis [rad].", show_default=False)
+        float | None, typer.Option(metavar="ANGLE", callback=finite, help="Heading of the push, from the x axis [rad].", show_default=False)
     ] = None,
-    distance: Annotated[float, typer.Option(min=0.0, metavar="M", help="Travel after contact [m]; 0: that of the executor.")] = 0.0,
-    speed: Annotated[float, typer.Option(min=0.0, metavar="M/S", help="Speed [m/s]; 0: that of the executor.")] = 0.0,
+    distance: Annotated[
+        float, typer.Option(min=0.0, callback=at_least_zero, metavar="M", help="Travel after contact [m]; 0: that of the executor.")
+    ] = 0.0,
+    speed: Annotated[
+        float, typer.Option(min=0.0, callback=at_least_zero, metavar="M/S", help="Speed [m/s]; 0: that of the executor.")
+    ] = 0.0,
     in_object: Annotated[bool, typer.Option("--in-object", help="--at and --direction are in the object frame, not the table's.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of random pushes: the same seed on the same object gives the same pushes.")] = 0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Plan and check only; the arm does not move.")] = False,
@@ -49,6 +55,7 @@ def push_command(
         raise InputError("say what to push: --random N, or --at X,Y with --direction ANGLE.")
     if object_id:
         check_object_id(object_id)
+    need_ros()
     from push_ident_msgs.action import ExecutePush
 
     if at is not None and direction is not None:

@@ -11,8 +11,10 @@ import numpy as np
 import typer
 from rich.markup import escape
 
+from push_ident.cli.checks import above_zero, finite
 from push_ident.cli.output import JsonOption, console, warn, write_json
 from push_ident.errors import InputError
+from push_ident.extras import need_ros
 from push_ident.geometry.se2 import quaternion_of_yaw, wrap_angle, yaw_of_quaternion
 from push_ident.limits import printable
 from push_ident.types import Float64Array
@@ -207,24 +209,37 @@ def goal_message(
 
 
 def push_to_command(
-    x: Annotated[float | None, typer.Option(help="Goal of the object's origin in the table frame [m].", show_default=False)] = None,
-    y: Annotated[float | None, typer.Option(help="Goal of the object's origin in the table frame [m].", show_default=False)] = None,
-    yaw: Annotated[float | None, typer.Option(help="Goal of the object's turn in the table frame [rad].", show_default=False)] = None,
+    x: Annotated[
+        float | None, typer.Option(callback=finite, help="Goal of the object's origin in the table frame [m].", show_default=False)
+    ] = None,
+    y: Annotated[
+        float | None, typer.Option(callback=finite, help="Goal of the object's origin in the table frame [m].", show_default=False)
+    ] = None,
+    yaw: Annotated[
+        float | None, typer.Option(callback=finite, help="Goal of the object's turn in the table frame [rad].", show_default=False)
+    ] = None,
     path: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Goals in a row along a path: a line for each pose, x, y, yaw [m, rad].", show_default=False),
     ] = None,
-    spacing_mm: Annotated[float, typer.Option("--spacing-mm", min=1.0, help="Between the goals along a path [mm].")] = 40.0,
-    tolerance_mm: Annotated[float, typer.Option("--tolerance-mm", min=0.1, help="Largest distance from the goal [mm].")] = 20.0,
-    tolerance_deg: Annotated[float, typer.Option("--tolerance-deg", min=0.1, help="Largest angle to the goal [degrees].")] = 5.73,
+    spacing_mm: Annotated[
+        float, typer.Option("--spacing-mm", min=1.0, callback=above_zero, help="Between the goals along a path [mm].")
+    ] = 40.0,
+    tolerance_mm: Annotated[
+        float, typer.Option("--tolerance-mm", min=0.1, callback=above_zero, help="Largest distance from the goal [mm].")
+    ] = 20.0,
+    tolerance_deg: Annotated[
+        float, typer.Option("--tolerance-deg", min=0.1, callback=above_zero, help="Largest angle to the goal [degrees].")
+    ] = 5.73,
     explore: Annotated[int, typer.Option(min=0, help="Random pushes first; 0: use what is known of the object.")] = 0,
     max_pushes: Annotated[int, typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.")] = 15,
-    time_limit: Annotated[float, typer.Option("--time-limit", min=1.0, help="Longest time for a goal [s].")] = 300.0,
+    time_limit: Annotated[float, typer.Option("--time-limit", min=1.0, callback=above_zero, help="Longest time for a goal [s].")] = 300.0,
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)] = "",
     json: JsonOption = None,
 ) -> None:
     """Push an object of a live cell to a goal pose, or along a path; exit status 0 only where it was reached. Ctrl-C holds the arm."""
     poses = goals_of(x, y, yaw, path, spacing_mm)
+    need_ros()
     from push_ident.nodes.client import CellClient
 
     reports: list[GoalReport] = []

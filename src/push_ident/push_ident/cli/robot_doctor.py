@@ -13,6 +13,7 @@ from push_ident.cli.output import console, write_json
 from push_ident.cli.robot import check_nodes
 from push_ident.cli.robot_live import find_live
 from push_ident.cli.robot_parameters import check_parameters
+from push_ident.extras import need
 from push_ident.files import write_whole
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.robot.checks import check_reach, check_robot
@@ -38,6 +39,8 @@ def examine_robot(file: Path, *, spacing: float, seconds: float, out: Path | Non
         out: Folder for picture, description and parameters; None writes none.
         json: File for the findings; None writes none.
     """
+    if out is not None:
+        need("report")
     robot = read_robot(file)
     check_nodes(robot)
     findings, kinematics = check_robot(robot)

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from push_ident.errors import InputError, PushIdentError
+from push_ident.extras import need
 from push_ident.files import json_text, write_whole
 from push_ident.fleet.job import FleetOptions, Job, Outcome, identify_bag
 
@@ -50,7 +51,8 @@ def run_fleet(
         Outcomes in the order of the jobs.
 
     Raises:
-        InputError: Ray is not installed, or the cluster cannot be reached.
+        InputError: The cluster cannot be reached.
+        MissingPackageError: Ray is not installed.
         PushIdentError: `folder` cannot be written.
     """
     outcomes: dict[str, Outcome] = {}
@@ -118,10 +120,9 @@ def _start(address: str, workers: int, scratch: str) -> Any:
     # Ray reads these when it is imported.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        import ray
-    except ImportError as error:
-        raise InputError(f"Ray is not installed ({error}); run `pip install --no-deps -r requirements/fleet.txt`.") from None
+    need("fleet")
+    import ray
+
     # One thread per bag, since the bags run in parallel.
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
     here: dict[str, Any] = {}

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.files import replaced
 from push_ident.fleet.job import Outcome
 
@@ -65,7 +66,7 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
     """Write all outcomes to a Parquet file; an interrupted write leaves no file.
 
     Raises:
-        InputError: pyarrow is not installed.
+        MissingPackageError: pyarrow is not installed.
         PushIdentError: the file cannot be written.
     """
     pa, parquet = _pyarrow()
@@ -99,11 +100,10 @@ def read_table(path: Path) -> list[dict[str, Any]]:
 
 
 def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise InputError(f"pyarrow is not installed ({error}); run `pip install --no-deps -r requirements/fleet.txt`.") from None
+    need("fleet")
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow, pyarrow.parquet
 
 

@@ -4,39 +4,18 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
 from push_ident.errors import InputError
+from push_ident.geometry.rod import Rod
 from push_ident.types import Float64Array
 
-__all__ = ["ArmShape", "Rod"]
+__all__ = ["ArmShape"]
 
 _ROOT: Final = "table"
-
-
-@dataclass(frozen=True, slots=True)
-class Rod:
-    """A cylinder with flat ends and any direction."""
-
-    start: Float64Array
-    """Centre of one end [m], shape (3,)."""
-    end: Float64Array
-    """Centre of the other end [m], shape (3,)."""
-    radius: float
-    """[m]"""
-
-    def moved(self, pose: Float64Array) -> Rod:
-        """The rod in another frame; `pose`, shape (4, 4), is the pose of this rod's frame in that one."""
-        return Rod(pose[:3, :3] @ self.start + pose[:3, 3], pose[:3, :3] @ self.end + pose[:3, 3], self.radius)
-
-    @property
-    def lowest(self) -> float:
-        """Lower bound of the height of the rod [m]."""
-        return float(min(self.start[2], self.end[2])) - self.radius
 
 
 class ArmShape:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NoReturn
 
+from push_ident.extras import how_to_get
 from push_ident.nodes.lifetime import LIFETIME
 
 __all__ = ["NODES", "main", "run_executable"]
@@ -43,4 +44,8 @@ def run_executable(name: str, nodes: Mapping[str, str]) -> NoReturn:
     LIFETIME.begin()
     if name not in nodes:
         sys.exit(f"there is no executable {name!r}, expected one of {', '.join(nodes)}")
-    LIFETIME.leave(importlib.import_module(nodes[name]).main())
+    try:
+        node = importlib.import_module(nodes[name])
+    except ModuleNotFoundError as error:
+        sys.exit(how_to_get(error.name or "") or f"{name} cannot be loaded: {error}")
+    LIFETIME.leave(node.main())

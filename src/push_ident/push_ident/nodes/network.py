@@ -32,10 +32,10 @@ def choose_network(environ: MutableMapping[str, str]) -> None:
     if "fastrtps" not in environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") or not is_ours:
         environ.setdefault(RANGE, "LOCALHOST")
     elif known in ("", "LOCALHOST", "OFF") or (known == "SYSTEM_DEFAULT" and Path(profile).name != _NETWORK):
-        environ[PROFILE] = str(_config_file(_LOCAL))
+        environ[PROFILE] = str(Path(__file__).with_name(_LOCAL))
         environ[RANGE] = "OFF" if known == "OFF" else "SYSTEM_DEFAULT"
     else:
-        environ[PROFILE] = str(_config_file(_NETWORK))
+        environ[PROFILE] = str(Path(__file__).with_name(_NETWORK))
 
 
 def listens_on(environ: MutableMapping[str, str]) -> str:
@@ -45,12 +45,3 @@ def listens_on(environ: MutableMapping[str, str]) -> str:
     if environ.get(RANGE, "").upper() == "LOCALHOST":
         return "this machine only for discovery (LOCALHOST); the profile or the middleware decides about sockets"
     return f"every interface ({RANGE}={environ.get(RANGE, 'not set')})"
-
-
-def _config_file(name: str) -> Path:
-    beside_sources = Path(__file__).resolve().parents[2] / "config" / name
-    if beside_sources.is_file():
-        return beside_sources
-    from ament_index_python.packages import get_package_share_directory
-
-    return Path(get_package_share_directory("push_ident")) / "config" / name

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import FrameError, InputError, PushIdentError
+from push_ident.extras import need
 from push_ident.files import read_regular
 from push_ident.limits import LIMITS, plain_text
 from push_ident.perception.depth import check_intrinsics, check_size
@@ -168,6 +169,7 @@ def read_cloud(path: Path) -> OrganisedCloud:
     Raises:
         InputError: It cannot be read, is not organised, or has too few points.
     """
+    need("pcd")
     import open3d
 
     width, height = _size_of_cloud(path)

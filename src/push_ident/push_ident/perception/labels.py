@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.geometry.arm_shape import Rod
+from push_ident.geometry.rod import Rod
 from push_ident.perception.kernels import label_heights, points_in_rods
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray

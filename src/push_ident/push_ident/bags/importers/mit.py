@@ -25,6 +25,7 @@ from push_ident.bags.importers.samples import ascending
 from push_ident.bags.importers.shapes import pose_covariance, shape_of_outline
 from push_ident.bags.records import write_records
 from push_ident.errors import BagError, InputError
+from push_ident.extras import need
 from push_ident.files import read_regular
 from push_ident.geometry.outline import polygon_centroid
 from push_ident.limits import LIMITS, check_coordinates, plain_text
@@ -235,12 +236,9 @@ def _other_fields(file: Path, names: Iterable[str]) -> BagError:
 
 
 def _read_h5(file: Path) -> dict[str, Any]:
-    try:
-        import h5py
-    except ImportError as error:
-        raise InputError(
-            f"h5py is not installed ({error}); run `pip install --no-deps -r requirements/mit.txt`, or import the .json files."
-        ) from None
+    need("mit")
+    import h5py
+
     found: dict[str, Any] = {}
     try:
         with h5py.File(file, "r") as content:

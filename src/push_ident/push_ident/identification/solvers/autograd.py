@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from push_ident.extras import need
 from push_ident.identification.descent import descend
 from push_ident.identification.problem import TAILS, FitProblem
 from push_ident.identification.solver import CellByCellSolver
@@ -31,6 +32,7 @@ class Autograd(CellByCellSolver):
 
     def solve(self, problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
         """As `CellByCellSolver.solve`; nothing is random."""
+        need("torch")
         graph: dict[str, torch.Tensor] = {}
 
         def cost(x: Float64Array) -> float:

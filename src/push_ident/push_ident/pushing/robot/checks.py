@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.geometry.arm_shape import ArmShape, Rod
+from push_ident.geometry.arm_shape import ArmShape
 from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
+from push_ident.geometry.rod import Rod
 from push_ident.limits import plain_text
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.robot.description import TIP_LINK, Urdf, cell_description, read_urdf

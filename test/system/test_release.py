@@ -1,0 +1,66 @@
+"""A release: one version everywhere, and a changelog from the fragments."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+import push_ident
+from helpers.paths import ROOT
+
+KINDS = ("added", "changed", "fixed", "removed")
+VERSIONED = (
+    "src/push_ident/push_ident/__init__.py",
+    "src/push_ident_sim/setup.py",
+    *(f"src/{p}/package.xml" for p in ("push_ident", "push_ident_msgs", "push_ident_sim")),
+    "CITATION.cff",
+)
+
+
+def release(root: Path, version: str) -> subprocess.CompletedProcess[str]:
+    call = [sys.executable, ROOT / "tools" / "release.py", version, "--date", "2031-02-03", "--root", root]
+    return subprocess.run(call, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """What a release touches, and two fragments."""
+    for name in (*VERSIONED, "pyproject.toml", "CHANGELOG.md", "tools/changelog.md.j2", "changelog/README.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    (tmp_path / "changelog" / "wheel.added.md").write_text("First line\nand second.\n")
+    (tmp_path / "changelog" / "door.fixed.md").write_text("A door.\n")
+    return tmp_path
+
+
+def test_release_writes_one_version_and_gathers_the_fragments(copy: Path) -> None:
+    for version in ("7.8.9", "7.9.0"):  # the second finds what the first has written
+        done = release(copy, version)
+        assert done.returncode == 0, done.stdout + done.stderr
+        for name in VERSIONED:
+            assert (copy / name).read_text().count(version) == 1, name
+    assert yaml.safe_load((copy / "CITATION.cff").read_text())["date-released"] == "2031-02-03"
+    assert [path.name for path in (copy / "changelog").iterdir()] == ["README.md"]
+    text = (copy / "CHANGELOG.md").read_text()
+    assert "## 7.8.9 (2031-02-03)\n\n### Added\n\n- First line\n  and second.\n\n### Fixed\n\n- A door.\n" in text
+    assert text.index("## 7.9.0") < text.index("## 7.8.9") and "wheel" not in text and "door.fixed" not in text
+
+
+def test_a_version_of_another_form_changes_nothing(copy: Path) -> None:
+    done = release(copy, "v2")
+    assert done.returncode == 1 and "MAJOR.MINOR.PATCH" in done.stderr
+    assert all((copy / name).read_bytes() == (ROOT / name).read_bytes() for name in VERSIONED)
+
+
+def test_every_fragment_has_a_kind_and_the_citation_the_paper_and_this_version() -> None:
+    names = [path.name for path in (ROOT / "changelog").iterdir() if path.name != "README.md"]
+    assert [name for name in names if not re.fullmatch(rf"[\w-]+\.({'|'.join(KINDS)})\.md", name)] == []
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == push_ident.__version__ and citation["license"] == "Apache-2.0"
+    assert [author["family-names"] for author in citation["references"][0]["authors"]] == ["Song", "Boularias"]
