@@ -46,4 +46,5 @@ def test_difference_that_poses_do_not_show_is_one_way() -> None:
 
 
 def test_a_failed_prediction_has_no_way() -> None:
-    assert ways_of(CELLS, Prediction(np.array([1.0]), np.full((1, 3), np.nan), np.eye(3)[None], np.nan, SolveStatus.SIMULATION_FAILED)) == []
+    failed = Prediction(np.array([1.0]), np.full((1, 3), np.nan), np.eye(3)[None], np.nan, SolveStatus.SIMULATION_FAILED)
+    assert ways_of(CELLS, failed) == []
