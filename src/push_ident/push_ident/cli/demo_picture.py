@@ -58,13 +58,13 @@ class PushPicture:
 
 
 def top_of(frame: DepthFrame, camera_in_table: Float64Array, pose: Float64Array, outline: Float64Array) -> float:
-    """Height at which an outline is seen [m]: the median over the pixels within it; 0 where none is."""
+    """Height at which an outline is seen [m]: the lower quartile over the pixels within it, since an arm may be above; 0 where none is."""
     from push_ident.geometry.outline import points_in_polygon
 
     points = points_in_table(frame, camera_in_table).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     inside = points_in_polygon(points[:, :2].astype(np.float64), transform_points(pose, outline))
-    return float(np.median(points[inside, 2])) if inside.any() else 0.0
+    return float(np.quantile(points[inside, 2], 0.25)) if inside.any() else 0.0
 
 
 def draw_pushes(path: Path, outline: Float64Array, pushes: Sequence[PushPicture], *, title: str) -> None:
@@ -85,7 +85,8 @@ def draw_pushes(path: Path, outline: Float64Array, pushes: Sequence[PushPicture]
     n_rows = -(-len(pushes) // n_columns)
     figure = Figure(figsize=(3.4 * n_columns, 3.5 * n_rows + 0.7), layout="constrained")
     panels = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
-    shown = [_draw(ax, outline, push) for ax, push in zip(panels, pushes, strict=False)]
+    height = min(top_of(push.frame, push.camera_in_table, push.before, outline) for push in pushes)
+    shown = [_draw(ax, outline, height, push) for ax, push in zip(panels, pushes, strict=False)]
     (left, top), (right, bottom) = np.vstack(shown).min(axis=0) - _MARGIN, np.vstack(shown).max(axis=0) + _MARGIN
     for number, (ax, push) in enumerate(zip(panels, pushes, strict=False), 1):
         ax.set_xlim(left, right)
@@ -101,18 +102,17 @@ def draw_pushes(path: Path, outline: Float64Array, pushes: Sequence[PushPicture]
         figure.savefig(file, dpi=110)
 
 
-def _draw(ax: Axes, outline: Float64Array, push: PushPicture) -> Float64Array:
-    """The picture of the camera and the outlines; their pixels, shape (n, 2)."""
+def _draw(ax: Axes, outline: Float64Array, height: float, push: PushPicture) -> Float64Array:
+    """The picture of the camera and the outlines at a height [m]; their pixels, shape (n, 2)."""
     depth = push.frame.depth
     near, far = np.nanquantile(depth, [0.01, 0.99])
     ax.imshow(depth, cmap="gray_r", vmin=near - 0.3 * (far - near), vmax=far + 0.3 * (far - near), interpolation="nearest")
-    height = top_of(push.frame, push.camera_in_table, push.before, outline)
     poses = [("before", push.before, _BEFORE, "-", 1.2)]
-    colours = ((_PREDICTED, "--"), (_OTHER, "-."))
-    names = ("predicted", "predicted, the other way")
-    poses += [(name, way.end, *style, 1.8) for name, way, style in zip(names, push.ways, colours, strict=False)]
     if push.seen is not None:
-        poses.append(("seen after it", push.seen, _SEEN, "-", 1.2))
+        poses.append(("seen after it", push.seen, _SEEN, "-", 2.5))
+    # Above what was seen: they cover each other where the prediction is good.
+    styles = (("predicted", _PREDICTED, "--", 1.5), ("predicted, the other way", _OTHER, "-.", 1.5))
+    poses += [(name, way.end, colour, style, width) for (name, colour, style, width), way in zip(styles, push.ways, strict=False)]
     drawn = []
     for label, pose, colour, style, width in poses:
         pixels = _pixels(push, transform_points(pose, outline), height)
