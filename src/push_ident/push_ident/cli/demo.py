@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import os
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from push_ident.cli.checks import writable_folder
+from push_ident.cli.demo_pushes import DemoPush, DemoPushes
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.push_to import GoalReport, GoalText, finish, goal_message, push_to_goal
@@ -25,36 +26,21 @@ from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
 if TYPE_CHECKING:
     from push_ident.nodes.client import CellClient
-    from push_ident_msgs.action import ExecutePush
 
 __all__ = ["demo_command"]
 
 _OK = 0
-_NO_CONTACT = -5
-_MAX_REFUSALS = 10
 _STARTUP = 30.0
-_N_TRAIN = 6
+_N_TRAIN = 4
 _N_TRAIN_FOR_GOAL = 2
 """Few: the pushes to the goal are learned as well."""
-_TEST_SEEDS = 100_000
-"""First seed of the test pushes; the training pushes have smaller ones."""
-
-
-@dataclass
-class _Score:
-    """Errors of one test push [m]."""
-
-    predicted_m: float
-    uniform_m: float
-    moved_m: float
-    expected_m: float
 
 
 @dataclass
 class _Outcome:
     object_id: str = ""
-    training: list[dict[str, Any]] = field(default_factory=list)
-    test: list[_Score] = field(default_factory=list)
+    training: list[DemoPush] = field(default_factory=list)
+    test: list[DemoPush] = field(default_factory=list)
     truth: ObjectModel | None = None
     report: GoalReport | None = None
     """Of the pushes to a goal."""
@@ -63,8 +49,8 @@ class _Outcome:
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
-    n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="6; with --goal 2")] = None,
-    n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, predicted before they are executed.")] = 6,
+    n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="4; with --goal 2")] = None,
+    n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, the score; each push is predicted before it is made.")] = 4,
     goal: Annotated[
         str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad] instead of test pushes.", show_default="none")
     ] = None,
@@ -103,9 +89,13 @@ def demo_command(
             def show(text: str, step: int) -> None:
                 progress.update(task, description=text, advance=step)
 
-            _train(client, outcome, n_train, seed, show)
+            _await_executor(client, outcome.object_id)
+            pushes = DemoPushes(client, outcome.object_id, seed, run, show)
+            pushes.make(n_train)
+            outcome.training = pushes.made[:]
             if where is None:
-                _test(client, outcome, n_test, seed, show)
+                pushes.make(n_test)
+                outcome.test = pushes.made[n_train:]
             else:
                 outcome.report = GoalReport(goal_message(where, object_id=outcome.object_id))
                 push_to_goal(client, outcome.report, lambda text: show(text, 0))
@@ -115,97 +105,6 @@ def demo_command(
         _finish(outcome, run, time.monotonic() - started, json)
     else:
         _finish_goal(outcome, where, run, time.monotonic() - started, json)
-
-
-def _train(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -> None:
-    from push_ident_msgs.action import ExecutePush
-
-    _await_executor(client, outcome.object_id)
-    done, tries = 0, 0
-    while done < n:
-        goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=outcome.object_id, seed=_push_seed(seed, tries))
-        tries += 1
-        show(f"training push {done + 1}: {_PHASES[0]}", 0)
-
-        def progress(feedback: ExecutePush.Feedback, number: int = done + 1) -> None:
-            show(f"training push {number}: {_PHASES[feedback.phase]}", 0)
-
-        result = client.execute_push(goal, on_feedback=progress)
-        if result.error_code != _OK:
-            _refused(result, tries - done)
-            continue
-        latest = client.wait_for_map(outcome.object_id, done + 1)
-        done += 1
-        outcome.training.append({"direction": result.direction, "distance": result.distance, "speed": result.speed})
-        spread = float(np.median(np.asarray(latest.mass_friction_std) / np.asarray(latest.mass_friction)))
-        show(f"training push {done}: identified, maps known to {100 * spread:.0f}%", 1)
-        console.print(
-            f"push {done}: {1e3 * result.distance:.0f} mm at {result.speed:.2f} m/s; pusher friction "
-            f"{latest.pusher_friction:.2f} ± {latest.pusher_friction_std:.2f}; cells known to {100 * spread:.0f}% (median)",
-            highlight=False,
-        )
-
-
-def _test(client: CellClient, outcome: _Outcome, n: int, seed: int, show: Any) -> None:
-    """Predict a test push from its plan, execute it, and compare with the pose that the camera measures."""
-    from push_ident.identification.identify import uniform_model
-    from push_ident.identification.prediction import cell_error
-    from push_ident.nodes.convert_model import pusher_path_from_msg
-    from push_ident.physics.scenario import PushScenario
-    from push_ident.physics.simulation import simulate
-    from push_ident_msgs.action import ExecutePush
-
-    done, tries = 0, 0
-    while done < n:
-        object_id = outcome.object_id
-        plan = ExecutePush.Goal(
-            mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=_push_seed(seed, _TEST_SEEDS + tries), dry_run=True
-        )
-        tries += 1
-        planned = client.execute_push(plan)
-        if planned.error_code != _OK:
-            _refused(planned, tries - done)
-            continue
-        latest = client.latest_map(object_id)
-        assert latest is not None
-        shape = client.shape(object_id)
-        before = client.pose_at_rest(object_id, after=-np.inf)
-        prediction = client.predict(object_id, planned.tool_path)
-        path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
-        uniform = simulate(uniform_model(shape), PushScenario(path, before, path.time[-1:])).pose[-1]
-        show(f"test push {done + 1}: predicted, now executed", 0)
-        goal = ExecutePush.Goal(
-            mode=ExecutePush.Goal.MODE_CONTACT,
-            object_id=object_id,
-            contact_point=planned.contact_point,
-            direction=planned.direction,
-            distance=planned.distance,
-            speed=planned.speed,
-        )
-        result = client.execute_push(goal)
-        if result.error_code not in (_OK, _NO_CONTACT):
-            _refused(result, tries - done)
-            continue
-        after = client.pose_at_rest(object_id, after=client.poses(object_id)[-1][0])
-        end = prediction.poses[-1].pose
-        predicted = np.array([end.position.x, end.position.y, 2 * np.arctan2(end.orientation.z, end.orientation.w)])
-        score = _Score(
-            predicted_m=cell_error(shape.cells, predicted, after),
-            uniform_m=cell_error(shape.cells, uniform, after),
-            moved_m=cell_error(shape.cells, before, after),
-            expected_m=float(prediction.cell_error_std),
-        )
-        outcome.test.append(score)
-        done += 1
-        show(f"test push {done}: error {millimetres(score.predicted_m)}", 1)
-        console.print(
-            f"test push {done}: travel {millimetres(score.moved_m)}; error of the prediction {millimetres(score.predicted_m)} "
-            f"(expected {millimetres(score.expected_m)}), equal cells {millimetres(score.uniform_m)}",
-            highlight=False,
-        )
-
-
-_PHASES = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
 
 
 def _await_executor(client: CellClient, object_id: str) -> None:
@@ -218,16 +117,6 @@ def _await_executor(client: CellClient, object_id: str) -> None:
         if time.monotonic() > deadline:
             raise PushIdentError(f"no push can be planned {_STARTUP:.0f} s after the start: {result.error_text}")
         time.sleep(0.5)
-
-
-def _push_seed(seed: int, number: int) -> int:
-    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-
-
-def _refused(result: ExecutePush.Result, refusals: int) -> None:
-    console.print(f"push not executed: {result.error_text}", style="yellow", highlight=False, soft_wrap=True)
-    if refusals > _MAX_REFUSALS:
-        raise PushIdentError(f"{refusals} pushes could not be executed; the last error: {result.error_text}")
 
 
 def _ground_truth(client: CellClient) -> ObjectModel:
@@ -265,15 +154,32 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
         "n_train": len(outcome.training),
         "identified_m": float(predicted.mean()),
         "uniform_m": float(uniform.mean()),
-        "per_push": [vars(score) for score in outcome.test],
-        "training": outcome.training,
+        "per_push": [asdict(push) for push in outcome.test],
+        "training": [_known(push) for push in outcome.training],
         "time_s": seconds,
     }
     write_json(run / "result.json", content)
     if json is not None:
         write_json(json, content)
     console.print(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}", highlight=False)
-    _say_files(run, "maps: map.png")
+    _write_report(run, len(outcome.test))
+    _say_files(run, "pushes as predicted and as seen: pushes.png", "maps: map.png", "report: report.html")
+
+
+def _write_report(run: Path, n_test: int) -> None:
+    """The page of the recording, identified again from all pushes but the last."""
+    from push_ident.identification.identify import identify
+    from push_ident.identification.push_errors import push_errors
+    from push_ident.identification.report import Provenance, write_report
+    from push_ident.offline.loading import load_pushes
+
+    loaded = load_pushes([run / "bag"])
+    n = len(loaded.records)
+    chosen = range(max(n - n_test, 1))
+    result = identify([loaded.records[i] for i in chosen], effects=loaded.nuisances)
+    fitted, held_out = (push_errors(result, loaded.records, list(pushes)) for pushes in (chosen, range(len(chosen), n)))
+    source = Provenance(loaded.object_id, tuple(loaded.records[i].source for i in chosen), tuple(loaded.notes))
+    write_report(run / "report.html", result, fitted, held_out, source, loaded.records[0].pusher.radius)
 
 
 def _finish_goal(outcome: _Outcome, where: Float64Array, run: Path, seconds: float, json: Path | None) -> None:
@@ -287,19 +193,24 @@ def _finish_goal(outcome: _Outcome, where: Float64Array, run: Path, seconds: flo
     if (pushes := [(line.expected, line.seen) for line in report.lines]) and report.outline is not None:
         title = f"{len(pushes)} pushes to the goal, after {len(outcome.training)} exploring ones"
         draw_goal_pushes(run / "goal.png", report.outline, report.start, pushes, Goal(where), title=title)
-    content = {**report.content(), "object_id": outcome.object_id, "training": outcome.training, "time_s": seconds}
+    training = [_known(push) for push in outcome.training]
+    content = {**report.content(), "object_id": outcome.object_id, "training": training, "time_s": seconds}
     write_json(run / "result.json", content)
     write_goal_page(run / "report.html", content)
     if json is not None:
         write_json(json, content)
-    _say_files(run, "way to the goal: report.html")
+    _say_files(run, "exploring pushes: pushes.png", "way to the goal: report.html")
     finish(report)
 
 
-def _say_files(run: Path, first: str) -> None:
-    what, file = first.split(": ")
+def _known(push: DemoPush) -> dict[str, Any]:
+    """Of a push, without what was not predicted."""
+    return {key: value for key, value in asdict(push).items() if not isinstance(value, float) or np.isfinite(value)}
+
+
+def _say_files(run: Path, *first: str) -> None:
     rest = (("numbers", "result.json"), ("model", "model.json"), ("recording", "bag"), ("logs of the nodes", "log"))
-    for name, path in ((what, file), *rest):
+    for name, path in (*(tuple(text.split(": ")) for text in first), *rest):
         console.print(f"{name}: {run / path}", highlight=False, soft_wrap=True)
     console.print(f"again, offline: push-ident identify {run / 'bag'}", highlight=False, soft_wrap=True)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -39,6 +39,8 @@ class Prediction:
     cell_error_std: float
     """Expected mean cell error of the last pose, root mean square [m]."""
     status: SolveStatus
+    ends: Float64Array = field(default_factory=lambda: np.empty((0, 3)))
+    """Last pose under each of the drawn models, shape (n_draws, 3); none where the prediction failed."""
 
 
 def cell_error(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> float:
@@ -108,7 +110,7 @@ def predict(
     travel = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
     covariance += np.einsum("f,i,ij->fij", travel**2, noise.model_discrepancy**2, np.eye(3))
     error_std = _cell_error_std(unknowns.shape.cells, centre.pose[-1], covariance[-1])
-    return Prediction(centre.time, centre.pose, covariance, error_std, centre.status)
+    return Prediction(centre.time, centre.pose, covariance, error_std, centre.status, np.array(poses)[:, -1])
 
 
 def _settings_of(

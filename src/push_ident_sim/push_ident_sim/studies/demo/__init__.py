@@ -1,0 +1,1 @@
+"""Experiment: the demo over objects and seeds."""
