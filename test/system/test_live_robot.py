@@ -34,7 +34,7 @@ def test_ur5e_of_its_file_pushes_the_object_in_the_simulated_cell(tmp_path: Path
     monkeypatch.setitem(os.environ, "ROS_DOMAIN_ID", str(own_domain()))
     simulated = robot_for("sim", robot_path("ur5e")).parameters(tmp_path, ())["sim_cell_node"]
     executor = robot_for("arm", robot_path("ur5e")).parameters(tmp_path, ())["push_executor_node"]
-    quick = {"object": "toolbox", "camera_rate": 0.0, "truth_as_perception": True, "real_time_factor": 0.0, "sensor": "plain"}
+    quick = {"object": "toolbox", "camera_rate": 0.0, "truth_as_perception": True, "sensor": "plain"}
     # A simulated arm may pause for longer than a real one.
     patient = {"use_sim_time": True, "arm_timeout": 1.0, "tracking_lag": 1.0, "home_posture": [0.4, *executor["home_posture"][1:]]}
     commands = [node_command("sim_cell_node", simulated | quick), node_command("push_executor_node", executor | patient)]
