@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from push_ident.cli.lazy import LazyGroup
@@ -49,8 +50,10 @@ def test_misspelt_command_is_answered_with_the_right_one() -> None:
     assert asked.exit_code == 2 and "identify" in asked.output
 
 
-def test_ctrl_c_while_a_dataclass_is_made_has_the_exit_code_of_any_other(tmp_path: Path) -> None:
-    text = "import sys\nfrom push_ident.cli.entry import _exit_code\nsys.exit(_exit_code(lambda: exec('raise KeyboardInterrupt'), 130))\n"
+@pytest.mark.parametrize("then", ["raise", "sys.exit(130)"])
+def test_ctrl_c_while_a_dataclass_is_made_has_the_exit_code_of_any_other(tmp_path: Path, then: str) -> None:
+    run = f"def run():\n    try:\n        exec('raise KeyboardInterrupt')\n    except KeyboardInterrupt:\n        {then}\n"
+    text = f"import sys\nfrom push_ident.cli.entry import _exit_code\n{run}sys.exit(_exit_code(run, 130))\n"
     (tmp_path / "interrupted.py").write_text(text)
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     done = subprocess.run([sys.executable, "-m", "interrupted"], env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)

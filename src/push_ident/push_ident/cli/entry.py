@@ -34,9 +34,9 @@ def _exit_code(run: Callable[[], None], interrupted: int) -> int | str | None:
             run()
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end of the interpreter is no place for a KeyboardInterrupt
+            # Python notes one that passed an `exec`, as of a dataclass being made, and would end by SIGINT; the next one clears the note.
+            exec("")
     except KeyboardInterrupt:
-        # Python notes one that passed an `exec`, as of a dataclass being made, and would end by SIGINT; the next `exec` clears the note.
-        exec("")
         return interrupted
     except SystemExit as end:
         return interrupted if end.code == _INTERRUPTED else end.code
