@@ -27,7 +27,7 @@ docs: setup  ## the documentation site, in out/site; open out/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build
 	@echo "written: out/site/index.html"
 
-bench: setup  ## time and error of engine, rivals and identification (six minutes), then docs/results/benchmarks.md
+bench: setup  ## time and error of engine, rivals and identification (ten minutes), then docs/results/benchmarks.md
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page

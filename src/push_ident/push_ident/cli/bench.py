@@ -36,7 +36,7 @@ def bench_command(
         Path, typer.Option(metavar="DIR", callback=writable_folder, help="Folder of the ground-truth pushes, shared with the experiments.")
     ] = _TRUTH,
 ) -> None:
-    """Measure time and error of the engine, of other engines and of identification; about six minutes."""
+    """Measure time and error of the engine, of other engines and of identification; about ten minutes."""
     known = sim_module("push_ident_sim.studies.registry").BENCHMARKS
     runner, pages = sim_module("push_ident_sim.studies.common.runner"), sim_module("push_ident_sim.studies.common.pages")
     settings = sim_module("push_ident_sim.studies.common.benchmark").Settings(truth, quick, seed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -320,28 +320,21 @@ def push_to_command(
     """
     poses = goals_of(x, y, yaw, path, spacing_mm)
     need_ros()
-    from push_ident.nodes.client import CellClient
-    from push_ident.nodes.lifetime import LIFETIME
-
+    goals = [
+        goal_message(
+            pose,
+            object_id=object_id,
+            tolerance_mm=tolerance_mm,
+            tolerance_deg=tolerance_deg,
+            explore=0 if number else explore,
+            max_pushes=max_pushes,
+            time_limit=time_limit,
+        )
+        for number, pose in enumerate(poses)
+    ]
     reports: list[GoalReport] = []
-    LIFETIME.patience = _TO_WRITE
     try:
-        with CellClient() as client, console.status("looking for the cell") as status:
-            for number, pose in enumerate(poses):
-                goal = goal_message(
-                    pose,
-                    object_id=object_id,
-                    tolerance_mm=tolerance_mm,
-                    tolerance_deg=tolerance_deg,
-                    explore=0 if number else explore,
-                    max_pushes=max_pushes,
-                    time_limit=time_limit,
-                )
-                prefix = f"goal {number + 1} of {len(poses)}: " if path is not None else ""
-                reports.append(GoalReport(goal))
-                push_to_goal(client, reports[-1], partial(_show, status, prefix))
-                if not reports[-1].is_reached:
-                    break
+        _pursue(goals, reports)
     finally:
         # Also after Ctrl-C, and where the cell does not answer any more.
         if reports and not np.isnan(reports[0].start[0]):
@@ -351,6 +344,21 @@ def push_to_command(
         finish(reports[0])
     else:
         _finish_path(PathReport(reports, len(poses)))
+
+
+def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None:
+    """Push to one goal after another, until one is not reached; `reports` gets a report for each that was begun."""
+    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.lifetime import LIFETIME
+
+    LIFETIME.patience = _TO_WRITE
+    with CellClient() as client, console.status("looking for the cell") as status:
+        for number, goal in enumerate(goals, 1):
+            prefix = f"goal {number} of {len(goals)}: " if len(goals) > 1 else ""
+            reports.append(GoalReport(goal))
+            push_to_goal(client, reports[-1], partial(_show, status, prefix))
+            if not reports[-1].is_reached:
+                break
 
 
 def _write(content: dict[str, Any], out: Path | None, json: Path | None) -> None:
