@@ -53,7 +53,7 @@ def test_misspelt_command_is_answered_with_the_right_one() -> None:
 @pytest.mark.parametrize("then", ["raise", "sys.exit(130)"])
 def test_ctrl_c_while_a_dataclass_is_made_has_the_exit_code_of_any_other(tmp_path: Path, then: str) -> None:
     run = f"def run():\n    try:\n        exec('raise KeyboardInterrupt')\n    except KeyboardInterrupt:\n        {then}\n"
-    text = f"import sys\nfrom push_ident.cli.entry import _exit_code\n{run}sys.exit(_exit_code(run, 130))\n"
+    text = f"import sys\nfrom push_ident.cli.entry import _run\n{run}_run(run, 130)\n"
     (tmp_path / "interrupted.py").write_text(text)
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     done = subprocess.run([sys.executable, "-m", "interrupted"], env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)

@@ -407,7 +407,6 @@ def test_exported_masses_are_those_of_the_model_file(model_file: Path, tmp_path:
     [
         (["{model}", "--format", "usd"], "expected one of sdf, urdf, mjcf"),
         (["{model}", "--format", "sdf", "--cells", "welded"], "expected one of sliding, fixed"),
-        (["{model}", "--format", "sdf", "--height", "0"], "height"),
         (["{model}", "--format", "mjcf", "--out", "{model}"], "is the model itself"),
         (["{model}", "--format", "urdf", "--out", "{model}/thing.urdf"], "Cannot write"),
         (["{folder}/missing.json", "--format", "sdf"], "Cannot read"),

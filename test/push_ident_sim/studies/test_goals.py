@@ -26,4 +26,4 @@ def test_result_has_what_scripts_read(tmp_path: Path) -> None:
 
 def test_number_of_goals_is_checked(tmp_path: Path) -> None:
     run = CliRunner().invoke(app, ["experiment", "goals", "--objects", "1", "--goals", "0", "--out", str(tmp_path)])
-    assert run.exit_code != 0 and "goals" in str(run.exception)
+    assert run.exit_code != 0 and "goals" in run.output

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NoReturn
 
 from push_ident.nodes.lifetime import LIFETIME
 
@@ -23,7 +23,16 @@ def main() -> None:
     LIFETIME.begin(interrupted)
     from push_ident.cli.main import main
 
-    sys.exit(_exit_code(main, interrupted))
+    _run(main, interrupted)
+
+
+def _run(command: Callable[[], None], interrupted: int) -> NoReturn:
+    """Run a command line that Ctrl-C may interrupt, and leave with its exit code."""
+    code = _exit_code(command, interrupted)
+    if code == interrupted:
+        # Where the KeyboardInterrupt has passed the making of a dataclass, Python notes it and would end by SIGINT under `python -m`.
+        LIFETIME.leave(interrupted)
+    sys.exit(code)
 
 
 def _exit_code(run: Callable[[], None], interrupted: int) -> int | str | None:
@@ -34,8 +43,6 @@ def _exit_code(run: Callable[[], None], interrupted: int) -> int | str | None:
             run()
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the end of the interpreter is no place for a KeyboardInterrupt
-            # Python notes one that passed an `exec`, as of a dataclass being made, and would end by SIGINT; the next one clears the note.
-            exec("")
     except KeyboardInterrupt:
         return interrupted
     except SystemExit as end:

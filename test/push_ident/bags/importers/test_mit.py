@@ -15,7 +15,7 @@ from push_ident.bags.importers import MIT_SHAPES, MitOptions, import_mit
 from push_ident.bags.importers.shapes import shape_of_outline
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
-from push_ident.errors import BagError, InputError
+from push_ident.errors import BagError, InputError, PushIdentError
 from push_ident.geometry.outline import polygon_centroid
 from push_ident.types import PushRecord
 
@@ -86,7 +86,7 @@ def test_h5_without_its_library_is_refused_with_a_remedy(tmp_path: Path, monkeyp
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     file = tmp_path / "motion_surface=abs_shape=rect1_a=0.h5"
     file.write_bytes(b"\x89HDF")
-    with pytest.raises(InputError, match=r"requirements/mit.txt.*json"):
+    with pytest.raises(PushIdentError, match=r"h5py is not installed.*mit"):
         import_mit([file], tmp_path / "bag")
 
 

@@ -37,7 +37,8 @@ processor, one thread.
 _BENCHMARKS = """# Benchmarks
 
 Every number and picture below is made by `make bench`. Every piece runs in a fresh process with one thread, and calls
-that are compared take turns in it; pieces may be of different runs, each names its seed and the load of the machine. Times are processor seconds, medians with their quartiles, unless the wall clock is named.
+that are compared take turns in it; pieces may be of different runs, each names its seed and the load of the machine.
+Times are processor seconds, medians with their quartiles, unless the wall clock is named.
 Lengths called cell error are means over the cells of the distance between two places of a cell.
 """
 
