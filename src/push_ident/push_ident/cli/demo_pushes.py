@@ -31,6 +31,8 @@ __all__ = ["DemoPush", "DemoPushes"]
 _OK: Final = 0
 _NO_CONTACT: Final = -5
 _MAX_REFUSALS: Final = 10
+_LEARN: Final = 30.0
+"""For a push to be learned [s]; a solve takes a second."""
 _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
 
 
@@ -97,7 +99,7 @@ class DemoPushes:
         known = self._n_learned()
         result = self._client.execute_push(ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RECENTRE, object_id=self._object_id))
         if result.error_code == _OK:
-            self._client.wait_for_map(self._object_id, known + 1)
+            self._learned(known + 1)
 
     def _planned(self) -> ExecutePush.Result | None:
         """A random push that the arm can make; None where it refused this one."""
@@ -149,7 +151,7 @@ class DemoPushes:
         self.made.append(push)
         self._refusals = 0
         if result.error_code == _OK:
-            client.wait_for_map(object_id, known + 1)
+            self._learned(known + 1)
         self._show(f"push {number} is made", 1)
         self._say(number, push)
         return True
@@ -169,6 +171,15 @@ class DemoPushes:
         unsure = f"; two ways it may end: {both}" if len(ways) > 1 else ""
         console.print(f"push {len(self.made) + 1} predicted, expected to {millimetres(found.cell_error_std)}{unsure}", highlight=False)
         return found.pose[-1]
+
+    def _learned(self, n: int) -> None:
+        """Wait until `n` pushes are learned; a push that identification refused, such as one of which poses are missing, is said and left."""
+        from push_ident.nodes.client import CellTimeout
+
+        try:
+            self._client.wait_for_map(self._object_id, n, _LEARN)
+        except CellTimeout as error:
+            console.print(f"the push was not learned: {error}", style="yellow", highlight=False, soft_wrap=True)
 
     def _n_learned(self) -> int:
         latest = self._client.latest_map(self._object_id)
