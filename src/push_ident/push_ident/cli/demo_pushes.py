@@ -173,7 +173,7 @@ class DemoPushes:
         return found.pose[-1]
 
     def _learned(self, n: int) -> None:
-        """Wait until `n` pushes are learned; a push that identification refused, such as one of which poses are missing, is said and left."""
+        """Wait until `n` pushes are learned; one that identification refused, such as for missing poses, is said and left."""
         from push_ident.nodes.client import CellTimeout
 
         try:
