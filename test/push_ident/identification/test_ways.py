@@ -1,4 +1,4 @@
-"""Two ways in which a push may end are told where the models part, and only there."""
+"""Two possible ends of a push are reported where the drawn models form two separate groups, and only there."""
 
 from __future__ import annotations
 

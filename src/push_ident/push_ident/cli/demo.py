@@ -134,6 +134,8 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
     _, posterior = load_model(run / "model.json")
     assert outcome.truth is not None
     predicted, uniform = (np.array([getattr(s, name) for s in outcome.test]) for name in ("predicted_m", "uniform_m"))
+    if not np.isfinite(predicted).all():
+        raise PushIdentError(f"identification learned no push before the test, so that nothing was predicted; see {run / 'log'}")
     table = Table(title=f"cell error on {len(outcome.test)} test pushes, poses from the camera")
     for heading in ("model", "mean", "median", "worst"):
         table.add_column(heading, justify="right" if heading != "model" else "left")

@@ -1,4 +1,4 @@
-"""The ways in which a push may end, where models that may be true part: it turns left under some of them, right under others."""
+"""The ways in which a push may end, where the drawn models disagree: it turns left under some of them, right under others."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from push_ident.types import CellGrid, Float64Array
 __all__ = ["Way", "ways_of"]
 
 _RARE: Final = 0.1
-"""Least chance of a way that is told [1]: what is rarer lies outside of the 90 % regions, which all predictions state."""
+"""Least chance of a way that is reported [1]: a rarer one lies outside the 90 % region of the prediction."""
 _APART: Final = 2.0
 """Standard deviations about its mean to which a way reaches; ways that overlap are one."""
 
