@@ -34,8 +34,8 @@ def test_ur5e_of_its_file_pushes_the_object_in_the_simulated_cell(tmp_path: Path
     monkeypatch.setitem(os.environ, "ROS_DOMAIN_ID", str(own_domain()))
     simulated = robot_for("sim", robot_path("ur5e")).parameters(tmp_path, ())["sim_cell_node"]
     executor = robot_for("arm", robot_path("ur5e")).parameters(tmp_path, ())["push_executor_node"]
-    quick = {"object": "toolbox", "camera_rate": 0.0, "truth_as_perception": True, "sensor": "plain"}
-    # A simulated arm may pause for longer than a real one.
+    quick = {"object": "toolbox", "camera_rate": 0.0, "truth_as_perception": True, "real_time_factor": 0.3, "sensor": "plain"}
+    # A slow clock: a pause of the machine is a short one for the arm, which would cut a corner to catch up and push further.
     patient = {"use_sim_time": True, "arm_timeout": 1.0, "tracking_lag": 1.0, "home_posture": [0.4, *executor["home_posture"][1:]]}
     commands = [node_command("sim_cell_node", simulated | quick), node_command("push_executor_node", executor | patient)]
     with Supervisor(commands, log_dir=tmp_path / "log") as supervisor, CellClient(check=supervisor.check) as client:
