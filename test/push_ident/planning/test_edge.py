@@ -16,7 +16,7 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import EdgeGoal, pregrasp
 from push_ident.planning.goal import Goal
-from push_ident.planning.goal_ports import GoalCode, GoalRefusedError
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.hold import RISK, EdgeHold
 from push_ident.planning.library import path_of
 from push_ident.planning.planner import GoalPlanner, PlanStatus

@@ -15,14 +15,15 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.nodes.convert import TABLE_FRAME
-from push_ident.planning.goal import Goal
 from push_ident.planning.planner import GoalPush
+from push_ident.planning.target import Target
 from push_ident.types import Float64Array
 
 __all__ = ["GoalDrawing", "draw_goal", "goal_markers_from_msg", "goal_markers_to_msg"]
 
 _GOAL: Final = ColorRGBA(r=0.94, g=0.89, b=0.26, a=1.0)
 _PUSH: Final = ColorRGBA(r=0.80, g=0.47, b=0.65, a=1.0)
+_EDGE: Final = ColorRGBA(r=0.84, g=0.37, b=0.0, a=1.0)
 _LINE: Final = 0.003
 """Width of an outline [m]."""
 _LETTER: Final = 0.015
@@ -37,32 +38,41 @@ class GoalDrawing:
     goal: Float64Array
     """Outline of the object at the goal, shape (n_vertices, 2)."""
     words: str
-    """Of the goal: its tolerances."""
+    """Of the goal: its tolerances, and how far the object overhangs an edge there."""
     tool: Float64Array | None = None
     """First and last place of the pusher's axis in the push under way, shape (2, 2); None where none is, or it explores."""
     end: Float64Array | None = None
     """Outline of the object where that push is expected to leave it, shape (n_vertices, 2)."""
     chance: str = ""
     """Of being at the goal after it, in words."""
+    edge: Float64Array | None = None
+    """First and last point of the edge that the object overhangs at the goal, shape (2, 2); None away from edges."""
 
 
-def draw_goal(object_id: str, outline: Float64Array, goal: Goal, plan: GoalPush | None, number: int) -> GoalDrawing:
+def draw_goal(object_id: str, outline: Float64Array, target: Target, plan: GoalPush | None, number: int) -> GoalDrawing:
     """What is shown of a goal.
 
     Args:
         object_id: of the object.
         outline: of the object in its frame [m], shape (n_vertices, 2).
-        goal: where it shall be.
+        target: where it shall be.
         plan: of push `number`, which is under way; None: no push to the goal is.
         number: from 1.
     """
+    goal = target.goal
     words = f"goal: within {1e3 * goal.position:.0f} mm and {np.degrees(goal.yaw):.1f}°"
     at_goal = transform_points(goal.pose, outline)
+    hold, edge = target.hold, None
+    if hold is not None:
+        edge = hold.edge.ends
+        words += f", {1e3 * target.overhang(at_goal):.0f} mm over the edge, held by {1e3 * target.margin(goal.pose):.0f} mm"
     if plan is None or plan.plan is None:
-        return GoalDrawing(object_id, at_goal, words)
+        return GoalDrawing(object_id, at_goal, words, edge=edge)
     tool = np.array([plan.plan.tool_at_contact, plan.plan.tool_end])
     chance = f"push {number}: {100 * plan.chance:.0f} % chance of the goal"
-    return GoalDrawing(object_id, at_goal, words, tool, transform_points(plan.end, outline), chance)
+    if hold is not None:
+        chance += f", {100 * plan.risk:.1f} % of being held by less than {1e3 * hold.margin:.0f} mm"
+    return GoalDrawing(object_id, at_goal, words, tool, transform_points(plan.end, outline), chance, edge)
 
 
 def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray:
@@ -86,6 +96,11 @@ def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray
             _outline(stamp, "expected" + own, _PUSH, drawing.end),
             _text(stamp, "chance" + own, _PUSH, drawing.end, drawing.chance),
         ]
+    if drawing.edge is not None:
+        line = _marker(stamp, "edge" + own, Marker.LINE_STRIP, _EDGE)
+        line.scale.x = 2 * _LINE
+        line.points = [Point(x=float(x), y=float(y)) for x, y in drawing.edge]
+        markers.append(line)
     return MarkerArray(markers=markers)
 
 
@@ -108,7 +123,7 @@ def goal_markers_from_msg(msg: MarkerArray) -> GoalDrawing | None:
         object_id = check_object_id(own)
         points[kind] = np.array([(point.x, point.y) for point in marker.points]).reshape(-1, 2)
         words[kind] = plain_text(marker.text)
-        if kind in ("goal", "push", "expected"):
+        if kind in ("goal", "push", "expected", "edge"):
             check_coordinates(points[kind], "Goal marker")
     if len(points.get("goal", ())) < 3:
         return None
@@ -120,6 +135,7 @@ def goal_markers_from_msg(msg: MarkerArray) -> GoalDrawing | None:
         points["push"] if shown else None,
         points["expected"][:-1] if shown else None,
         words.get("chance", "") if shown else "",
+        points["edge"] if len(points.get("edge", ())) == 2 else None,
     )
 
 

@@ -19,9 +19,9 @@ class Placed:
     """An outline at one place."""
 
     corners: Float64Array
-    """On the table [m], shape (n_vertices, 2)."""
+    """On the table [m], shape (n_vertices, 2); two points are a line."""
     style: str
-    """`before`, `goal`, `predicted` or `seen`, a class of the page's styles."""
+    """`before`, `goal`, `predicted`, `seen` or `edge`, a class of the page's styles."""
     text: str
     """Shown under the pointer."""
 

@@ -28,6 +28,8 @@ __all__ = ["Overhang", "TableEdge", "overhung_loads", "share_loads"]
 
 _ITERATIONS: Final = 30
 """Of Newton's method: the loads are linear between the changes of the cells that bear any, and few change."""
+_SHORTEST: Final = 0.01
+"""Edge between two points [m]."""
 _EXACT: Final = 1e-9
 """Remaining force and moment, as shares of the weight, and of the weight at the lever of the farthest cell [1]."""
 
@@ -44,6 +46,8 @@ class TableEdge:
     """Unit vector from the table into the air, shape (2,), table frame; scaled to length 1 here."""
     offset: float
     """Distance of the edge from the origin along `outward` [m]."""
+    span: tuple[float, float] = (-math.inf, math.inf)
+    """From where to where the edge goes, along `outward` turned to the left by a right angle [m]."""
 
     def __post_init__(self) -> None:
         outward = np.array(self.outward, dtype=np.float64)
@@ -53,9 +57,40 @@ class TableEdge:
                 f"The table's edge has the outward direction {self.outward} and the offset {self.offset}, expected two finite numbers that "
                 "are not both zero, and a finite distance in metres."
             )
+        if not self.span[0] < self.span[1]:
+            raise InputError(f"The table's edge goes from {self.span[0]} to {self.span[1]} m, expected a length.")
         outward /= length
         outward.setflags(write=False)
         object.__setattr__(self, "outward", outward)
+
+    @classmethod
+    def between(cls, first: Float64Array, second: Float64Array) -> TableEdge:
+        """The edge from one point to another, each of shape (2,) [m], with the table on the left.
+
+        Raises:
+            InputError: points that are not finite, or nearer to each other than a centimetre.
+        """
+        first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+        along = second - first
+        length = float(np.linalg.norm(along))
+        if not length >= _SHORTEST or not np.isfinite(length):
+            raise InputError(
+                f"The table's edge goes from {first.tolist()} to {second.tolist()} m, expected two finite points, {1e3 * _SHORTEST:.0f} mm "
+                "apart or more."
+            )
+        along /= length
+        outward = np.array([along[1], -along[0]])
+        return cls(outward, float(outward @ first), (float(along @ first), float(along @ second)))
+
+    @property
+    def along(self) -> Float64Array:
+        """Unit vector along the edge, shape (2,); the table is on its left."""
+        return np.array([-self.outward[1], self.outward[0]])
+
+    @property
+    def ends(self) -> Float64Array:
+        """First and last point [m], shape (2, 2), of an edge whose `span` is finite."""
+        return self.offset * self.outward + np.array(self.span)[:, None] * self.along
 
     def beyond(self, points: Float64Array) -> Float64Array:
         """How far points, shape (..., 2), table frame, lie beyond the edge [m]; negative on the table. Shape (...)."""

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
+from push_ident.geometry.table import Table
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import Goal
-from push_ident.planning.goal_ports import GoalCode, GoalRefusedError
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.hold import RISK, EdgeHold
+from push_ident.planning.target import Target
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["EdgeGoal", "pregrasp"]
+__all__ = ["EdgeGoal", "edge_target", "edges_of", "held_target", "pregrasp"]
 
 _TURNS: Final = 72
 """Headings that are compared."""
@@ -27,6 +30,8 @@ _ROOM: Final = 0.5
 """Of the tolerance of position, by which the centre of mass lies further inside than it must where that is possible [1]."""
 _LEVER: Final = 0.1
 """Distance that a turn by one radian is worth [m], where the nearest pre-grasp pose is looked for."""
+_ROUNDING: Final = 1e-9
+"""Of coordinates [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +43,7 @@ class EdgeGoal:
     """
 
     edge: TableEdge | None
-    """Table frame; None where it is not known, which is refused."""
+    """Table frame; None: the nearest known one."""
     overhang: float = 0.04
     """Of the outline beyond the edge [m]."""
     held: float = 0.01
@@ -49,6 +54,8 @@ class EdgeGoal:
     """Largest distance from the pre-grasp pose [m]."""
     turn: float = float(np.radians(15.0))
     """Largest angle to it [rad]."""
+    limit: float = RISK
+    """Largest chance that the object is not held by `held`, at the edge and in each push [1]."""
 
     def __post_init__(self) -> None:
         for name, value, low in (("overhang", self.overhang, 1e-3), ("held", self.held, 0.0)):
@@ -56,6 +63,45 @@ class EdgeGoal:
                 raise InputError(f"The {name} at the edge is {value} m, expected {low:g} to 1 m.")
         if self.yaw is not None and not np.isfinite(self.yaw):
             raise InputError(f"The heading at the edge is {self.yaw}, expected a finite number of radians, or none for the nearest.")
+        Goal(np.zeros(3), self.position, self.turn)
+
+
+def edges_of(table: Table) -> list[TableEdge]:
+    """The edges of a table."""
+    return [TableEdge.between(*pair) for pair in zip(table.corners, np.roll(table.corners, -1, axis=0), strict=True)]
+
+
+def edge_target(goal: EdgeGoal, edges: Sequence[TableEdge], belief: Belief, pose: Float64Array, settings: PushSettings) -> Target:
+    """The nearest pre-grasp pose at the edge of the goal, else at the nearest of `edges` where there is one.
+
+    Args:
+        goal: what is wanted.
+        edges: those that are known, table frame.
+        belief: what is known of the object.
+        pose: of it, shape (3,), table frame.
+        settings: limits of pushes.
+
+    Raises:
+        GoalRefusedError: no edge is known; else what `pregrasp` says of the nearest one.
+    """
+    candidates = [goal.edge] if goal.edge is not None else sorted(edges, key=lambda edge: -float(edge.beyond(pose[:2])))
+    if not candidates:
+        pregrasp(goal, belief, pose, settings)
+    refusal: GoalRefusedError | None = None
+    for edge in candidates:
+        try:
+            found, hold = pregrasp(replace(goal, edge=edge), belief, pose, settings)
+        except GoalRefusedError as error:
+            refusal = refusal or error
+        else:
+            return held_target(found, hold, belief)
+    assert refusal is not None, "there is an edge"
+    raise refusal
+
+
+def held_target(goal: Goal, hold: EdgeHold, belief: Belief) -> Target:
+    """A pose at an edge, with what is known of the object that is held there."""
+    return Target(goal, hold, belief.shape.cells.centres, _centres(belief))
 
 
 def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushSettings) -> tuple[Goal, EdgeHold]:
@@ -65,26 +111,27 @@ def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushS
         GoalRefusedError: the edge is not known, the workspace does not reach it, or the object would not be held there, as far as is known.
     """
     if goal.edge is None:
-        raise GoalRefusedError(GoalCode.INVALID_GOAL, "the table's edge is not known; give its place and its outward direction.")
-    hold, shape = EdgeHold(goal.edge, goal.held), belief.shape
-    models = belief.models(_DRAWS, np.random.default_rng(0))
-    centres = np.array([model.body.centre for model in models])
+        raise GoalRefusedError(
+            GoalCode.EDGE_UNKNOWN, "the table's edge is not known; give the edge with the goal, or the corners of the table to the node."
+        )
+    hold, shape = EdgeHold(goal.edge, goal.held, goal.limit), belief.shape
     turns = np.array([goal.yaw]) if goal.yaw is not None else pose[2] + 2 * np.pi * np.arange(_TURNS) / _TURNS
     poses = np.array([_at_edge(goal, goal.edge, shape.outline, pose, turn, settings) for turn in turns])
-    margins = np.array([hold.margins(shape.cells.centres, centre, poses) for centre in centres])
-    risk, mean = hold.risk(margins), margins.mean(axis=0)
     inside = np.array([_is_within(goal.edge, settings, transform_points(place, shape.outline)) for place in poses])
     if not np.any(inside):
         raise GoalRefusedError(
             GoalCode.OUTSIDE_WORKSPACE,
             f"no pose that overhangs the edge by {1e3 * goal.overhang:.0f} mm keeps the object within the workspace {settings.workspace} "
-            "m; choose another edge or heading, or widen the workspace.",
+            "m and between the ends of the edge; choose another edge or heading, or widen the workspace.",
         )
-    held = inside & (risk <= RISK)
+    poses = poses[inside]
+    margins = np.array([hold.margins(shape.cells.centres, centre, poses) for centre in _centres(belief)])
+    risk, mean = hold.risk(margins), margins.mean(axis=0)
+    held = risk <= hold.limit
     if not np.any(held):
-        best = int(np.argmax(np.where(inside, mean, -np.inf)))
+        best = int(np.argmax(mean))
         raise GoalRefusedError(
-            GoalCode.UNREACHABLE,
+            GoalCode.NOT_HELD,
             f"with an overhang of {1e3 * goal.overhang:.0f} mm the centre of mass would be {1e3 * mean[best]:.0f} mm (standard deviation "
             f"{1e3 * float(margins[:, best].std()):.0f} mm) inside its support, not surely the {1e3 * goal.held:.0f} mm of the goal; "
             "allow less overhang, or push the object a few times more so that its centre of mass is known better.",
@@ -95,22 +142,28 @@ def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushS
     return Goal(poses[best], goal.position, goal.turn), hold
 
 
+def _centres(belief: Belief) -> Float64Array:
+    """Of mass, by models that may be true, shape (n_models, 2), object frame."""
+    return np.array([model.body.centre for model in belief.models(_DRAWS, np.random.default_rng(0))])
+
+
 def _at_edge(
     goal: EdgeGoal, edge: TableEdge, outline: Float64Array, pose: Float64Array, turn: float, settings: PushSettings
 ) -> Float64Array:
     """The pose with a heading whose outline overhangs the edge as wanted, beside where the object is: shape (3,)."""
     turned = outline @ rotation(float(turn)).T
     out = edge.offset + goal.overhang - float(np.max(turned @ edge.outward))
-    along = np.array([-edge.outward[1], edge.outward[0]])
     x_min, x_max, y_min, y_max = settings.workspace
-    corners = np.array([[x, y] for x in (x_min, x_max) for y in (y_min, y_max)]) @ along
-    side = turned @ along
-    room = (float(np.min(corners) - np.min(side)), float(np.max(corners) - np.max(side)))
-    beside = float(np.clip(pose[:2] @ along, *room)) if room[0] <= room[1] else float(np.mean(room))
-    return np.array([*(out * edge.outward + beside * along), turn])
+    corners = np.array([[x, y] for x in (x_min, x_max) for y in (y_min, y_max)]) @ edge.along
+    first, last = max(float(np.min(corners)), edge.span[0]), min(float(np.max(corners)), edge.span[1])
+    side = turned @ edge.along
+    room = (first - float(np.min(side)), last - float(np.max(side)))
+    beside = float(np.clip(pose[:2] @ edge.along, *room)) if room[0] <= room[1] else float(np.mean(room))
+    return np.array([*(out * edge.outward + beside * edge.along), turn])
 
 
 def _is_within(edge: TableEdge, settings: PushSettings, outline: Float64Array) -> bool:
-    """Whether what is on the table lies within the workspace of the tool."""
-    on_table = outline[edge.beyond(outline) <= 0.0]
-    return len(on_table) > 0 and settings.excess(on_table) <= 0.0
+    """Whether what is on the table lies within the workspace of the tool, and all of the object between the ends of the edge."""
+    on_table, side = outline[edge.beyond(outline) <= 0.0], outline @ edge.along
+    between = edge.span[0] - _ROUNDING <= float(np.min(side)) and float(np.max(side)) <= edge.span[1] + _ROUNDING
+    return between and len(on_table) > 0 and settings.excess(on_table) <= _ROUNDING

@@ -24,8 +24,12 @@ _ENDED = {
     "PREEMPTED": "given up for a newer goal",
     "TIME_LIMIT": "out of time",
     "MAX_PUSHES": "out of pushes",
+    "NOT_HELD": "it might fall",
+    "FELL": "it fell",
 }
 """How it ended, for the title, by the code of the result; of any other: not reached."""
+_EDGE_POINTS = 2000
+"""Along an edge, to find the part of it that a drawing shows."""
 
 
 def write_goal_page(path: Path, content: Mapping[str, Any]) -> None:
@@ -42,7 +46,7 @@ def write_goal_page(path: Path, content: Mapping[str, Any]) -> None:
     n_goals = int(content.get("n_goals", 1))
     last = goals[-1]
     context = {
-        "title": f"Push {last['object_id'] or 'an object'} to {'a goal' if n_goals == 1 else f'{n_goals} goals'}: {_ended(last)}",
+        "title": f"Push {last['object_id'] or 'an object'} {_where(last, n_goals)}: {_ended(last)}",
         "headline": _headline(content, goals, n_goals),
         "reached": content["reached"],
         "code": last["code"],
@@ -51,6 +55,12 @@ def write_goal_page(path: Path, content: Mapping[str, Any]) -> None:
         "version": f"push_ident {__version__}, Python {platform.python_version()}",
     }
     write_page(path, __package__, "goal.html.j2", context)
+
+
+def _where(goal: Mapping[str, Any], n_goals: int) -> str:
+    if goal.get("kind") == "edge":
+        return "out over the edge"
+    return "to a goal" if n_goals == 1 else f"to {n_goals} goals"
 
 
 def _ended(goal: Mapping[str, Any]) -> str:
@@ -62,18 +72,28 @@ def _headline(content: Mapping[str, Any], goals: Sequence[Mapping[str, Any]], n_
     made = f"{n_pushes} {'push' if n_pushes == 1 else 'pushes'} in {seconds:.0f} s"
     if n_goals > 1:
         return f"{content['n_reached']} of {n_goals} goals along the path were reached with {made}."
+    if content.get("kind") == "edge" and content["goal"] is None:
+        return f"{made}; no pre-grasp pose was chosen."
     if _unknown(content["position_error_m"]):
         return f"{made}; the object was not seen."
+    if content.get("kind") == "edge":
+        over, inside = (_length(content[key]) for key in ("overhang_m", "margin_m"))
+        apart = _apart(content["position_error_m"], content["yaw_error_rad"])
+        return (
+            f"After {made} the object overhangs the edge by {over}, its centre of mass {inside} inside what supports it. It is {apart} from "
+            "the pre-grasp pose."
+        )
     return f"After {made} the object is {_apart(content['position_error_m'], content['yaw_error_rad'])} from the goal."
 
 
 def _goal(goal: Mapping[str, Any], number: int) -> dict[str, Any]:
     """One goal; `number` is from 1 along a path, 0 where there is only one."""
-    x, y, yaw = goal["goal"]
     tolerance = _apart(goal["tolerance_m"], goal["tolerance_rad"], digits=0)
+    is_at_edge = goal.get("kind") == "edge"
     return {
         "name": f"Goal {number}" if number else "Goal",
-        "words": f"({1e3 * x:.0f}, {1e3 * y:.0f}) mm, turned by {np.degrees(yaw):.1f}°; there within {tolerance}",
+        "words": f"{_wanted(goal) if is_at_edge else _target(goal)}; there within {tolerance}",
+        "at_edge": is_at_edge,
         "ended": f"{_ended(goal)}{'' if goal['code'] == 'NONE' else ' (' + goal['code'] + ')'}",
         "rows": _rows(goal),
         "panels": _panels(goal),
@@ -81,11 +101,22 @@ def _goal(goal: Mapping[str, Any], number: int) -> dict[str, Any]:
     }
 
 
+def _target(goal: Mapping[str, Any]) -> str:
+    x, y, yaw = goal["goal"]
+    return f"({1e3 * x:.0f}, {1e3 * y:.0f}) mm, turned by {np.degrees(yaw):.1f}°"
+
+
+def _wanted(goal: Mapping[str, Any]) -> str:
+    wanted = f"{_length(goal['wanted_overhang_m'])} over the edge, held by {_length(goal['wanted_margin_m'])}"
+    return wanted + (": no pre-grasp pose was chosen" if goal["goal"] is None else f": pre-grasp pose {_target(goal)}")
+
+
 def _rows(goal: Mapping[str, Any]) -> list[dict[str, str]]:
     return [
         {
             "number": str(push["number"]),
             "chance": "explores" if push["expected"] is None else f"{100 * push['chance']:.0f} %",
+            "risk": "–" if push.get("risk") is None else f"{100 * push['risk']:.1f} %",
             "predicted": "–" if push["expected"] is None else _pose(push["expected"]),
             "seen": _pose(push["seen"]),
             "missed": "–" if push["expected"] is None else _apart(*_difference(push["seen"], push["expected"])),
@@ -100,13 +131,14 @@ def _panels(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
     if goal["outline"] is None or goal["start"] is None:
         return []
     outline = np.array(goal["outline"])
-    target = transform_points(np.array(goal["goal"]), outline)
+    target = [] if goal["goal"] is None else [Placed(transform_points(np.array(goal["goal"]), outline), "goal", "goal")]
     poses = [goal["start"], *(pose for push in goal["pushes"] for pose in (push["seen"], push["expected"]) if pose is not None)]
-    every = np.vstack([target, *(transform_points(np.array(pose), outline) for pose in poses)])
+    every = np.vstack([*(placed.corners for placed in target), *(transform_points(np.array(pose), outline) for pose in poses)])
     frame = np.array([every.min(axis=0), every.max(axis=0)])
+    edge = _edge_within(goal.get("edge"), frame)
     found, before = [], goal["start"]
     for push in goal["pushes"]:
-        placed = [Placed(transform_points(np.array(before), outline), "before", "before the push"), Placed(target, "goal", "goal")]
+        placed = [Placed(transform_points(np.array(before), outline), "before", "before the push"), *target, *edge]
         if push["expected"] is None:
             title = f"Push {push['number']} explores"
         else:
@@ -118,8 +150,19 @@ def _panels(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
+def _edge_within(edge: Sequence[Sequence[float]] | None, frame: Float64Array) -> list[Placed]:
+    """The part of the edge that lies within the frame of a drawing, least and largest corner, shape (2, 2) [m]; none where it is outside."""
+    if edge is None:
+        return []
+    points = np.linspace(edge[0], edge[1], _EDGE_POINTS)
+    inside = points[np.all((points >= frame[0]) & (points <= frame[1]), axis=1)]
+    return [Placed(inside[[0, -1]], "edge", "edge of the table")] if len(inside) else []
+
+
 def _errors(goal: Mapping[str, Any]) -> str:
-    """Distance from the goal after each push, beside the one that was predicted."""
+    """Distance from the goal after each push, beside the one that was predicted; none where no pre-grasp pose was chosen."""
+    if goal["goal"] is None:
+        return ""
     series = (Series("seen", "dot", "var(--accent, #1f5fa8)"), Series("predicted before the push", "ring", "var(--warm, #b54a12)"))
     rows = []
     for push in goal["pushes"]:
@@ -146,6 +189,10 @@ def _apart(metres: float | None, radians: float | None, digits: int = 1) -> str:
     if metres is None or radians is None or _unknown(metres):
         return "not seen"
     return f"{1e3 * metres:.{digits}f} mm and {np.degrees(radians):.1f}°"
+
+
+def _length(metres: float | None) -> str:
+    return "an unknown distance" if metres is None or _unknown(metres) else f"{1e3 * metres:.0f} mm"
 
 
 def _unknown(value: float | None) -> bool:

@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.identification.result import ModelPosterior
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal
+from push_ident.planning.goal_code import GoalCode
 from push_ident.planning.planner import GoalPush
+from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
 
 __all__ = [
-    "GoalCode",
     "GoalOutcome",
     "GoalPorts",
     "GoalProgress",
-    "GoalRefusedError",
     "GoalRequest",
     "GoalState",
     "KnownModel",
-    "Planning",
     "PushReport",
     "PushUnderWay",
     "SessionLimits",
+    "UnderWay",
     "Wish",
 ]
+
+T_co = TypeVar("T_co", covariant=True)
 
 
 class GoalState(IntEnum):
@@ -41,34 +46,6 @@ class GoalState(IntEnum):
     PLAN = 2
     PUSH = 3
     LEARN = 4
-
-
-class GoalCode(IntEnum):
-    """How it ended; the numbers are those of the result of action/PushToGoal."""
-
-    NONE = 0
-    INVALID_GOAL = -1
-    UNKNOWN_OBJECT = -2
-    OUTSIDE_WORKSPACE = -3
-    UNREACHABLE = -4
-    TOLERANCE = -5
-    NOTHING_KNOWN = -6
-    OBJECT_LOST = -7
-    PUSH_FAILED = -8
-    ARM_SILENT = -9
-    TIME_LIMIT = -10
-    MAX_PUSHES = -11
-    CANCELED = -12
-    PREEMPTED = -13
-    MODEL = -14
-
-
-class GoalRefusedError(InputError):
-    """A goal that cannot be reached whatever is pushed; `code` is the `GoalCode`."""
-
-    def __init__(self, code: GoalCode, text: str) -> None:
-        super().__init__(text)
-        self.code = code
 
 
 class Wish(Enum):
@@ -89,7 +66,7 @@ class GoalRequest:
 
     object_id: str
     """Empty: the only object."""
-    goal: Goal
+    goal: Goal | EdgeGoal
     time_limit: float = 300.0
     """Wall time [s]."""
     max_pushes: int = 15
@@ -157,11 +134,11 @@ class PushUnderWay(Protocol):
         """Let the arm hold. Returns at once; may be called again."""
 
 
-class Planning(Protocol):
-    """A plan that is being made."""
+class UnderWay(Protocol[T_co]):
+    """Something that is being computed."""
 
-    def result(self) -> GoalPush | None:
-        """The plan; None while it is being made. Raises what planning raised."""
+    def result(self) -> T_co | None:
+        """What came of it; None while it is being computed. Raises what the computation raised."""
 
 
 class GoalPorts(Protocol):
@@ -192,9 +169,17 @@ class GoalPorts(Protocol):
     def push_settings(self) -> PushSettings | None:
         """Limits of pushes and the pusher; None before the executor has said what it pushes with."""
 
+    def known_edges(self) -> Sequence[TableEdge]:
+        """The edges of the table, table frame; none where they are not known."""
+
+    def begin_target(
+        self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
+    ) -> UnderWay[Target]:
+        """Begin to choose where an object shall be at one of the edges; returns at once. `chosen`: it stays where it was, as known now."""
+
     def begin_plan(
-        self, model: KnownModel, seen: TrackedObject, goal: Goal, obstacles: list[Float64Array], failed: list[PushPlan2D]
-    ) -> Planning:
+        self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
+    ) -> UnderWay[GoalPush]:
         """Begin to plan; returns at once."""
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> PushUnderWay:
@@ -217,6 +202,12 @@ class GoalProgress:
     """Those among them after which the object was observed."""
     pose: Float64Array = field(default_factory=lambda: np.full(3, np.nan))
     """As last observed, table frame, shape (3,)."""
+    target: Target | None = None
+    """Where the object shall be; None before that was chosen."""
+    overhang: float = float("nan")
+    """Of the outline beyond the edge, as last observed [m]; NaN where not known."""
+    margin: float = float("nan")
+    """Expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known."""
     error: Float64Array = field(default_factory=lambda: np.full(2, np.nan))
     """Distance [m] and angle [rad] to the goal as last observed, shape (2,)."""
     chance: float = 0.0

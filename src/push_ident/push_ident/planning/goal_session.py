@@ -11,23 +11,25 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
-from push_ident.planning.goal import CERTAIN
+from push_ident.planning.goal import CERTAIN, Goal
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import (
-    GoalCode,
     GoalOutcome,
     GoalPorts,
     GoalProgress,
-    GoalRefusedError,
     GoalRequest,
     GoalState,
     KnownModel,
     PushReport,
     PushUnderWay,
     SessionLimits,
+    UnderWay,
     Wish,
 )
 from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident.planning.target_choice import TargetChoice
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D
 
@@ -77,7 +79,9 @@ class GoalSession:
         on_progress: Callable[[GoalProgress], None] = lambda progress: None,
     ) -> None:
         self._request, self._ports, self._limits = request, ports, limits or SessionLimits()
-        self._goal, self._on_progress = request.goal, on_progress
+        self._on_progress = on_progress
+        self._choice = TargetChoice(request.goal, ports)
+        self._seen: TrackedObject | None = None
         self._object_id = request.object_id
         self._started = ports.now()
         self._reported = -np.inf
@@ -130,7 +134,18 @@ class GoalSession:
         settings = self._ports.push_settings()
         if settings is None:
             raise _Ended(GoalCode.ARM_SILENT, "nothing was received on pusher/shape yet; is push_executor_node running?")
-        at_goal, now = (settings.excess(transform_points(pose, seen.shape.outline)) for pose in (self._goal.pose, seen.pose))
+        if isinstance(self._request.goal, Goal):
+            self._check_pose(self._request.goal, seen, settings)
+        else:
+            self._check_edge(seen)
+        model = self._ports.model(seen.object_id)
+        is_learning = model is not None and self._ports.pushed_at(seen.object_id) > model.stamp
+        if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(seen):
+            raise self._nothing_known(seen)
+
+    @staticmethod
+    def _check_pose(goal: Goal, seen: TrackedObject, settings: PushSettings) -> None:
+        at_goal, now = (settings.excess(transform_points(pose, seen.shape.outline)) for pose in (goal.pose, seen.pose))
         # The planner accepts no push after which the outline reaches further out than before it.
         if at_goal > max(now, 1e-6):
             raise _Ended(
@@ -138,10 +153,23 @@ class GoalSession:
                 f"at the goal `{seen.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
                 "choose a goal further inside.",
             )
-        model = self._ports.model(seen.object_id)
-        is_learning = model is not None and self._ports.pushed_at(seen.object_id) > model.stamp
-        if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(seen):
-            raise self._nothing_known(seen)
+
+    def _check_edge(self, seen: TrackedObject) -> None:
+        """End where the object can be at no edge, as far as is known now."""
+        if not self._choice.edges():
+            raise _Ended(
+                GoalCode.EDGE_UNKNOWN,
+                "the table's edge is not known; give the edge with the goal, or the corners of the table as parameter table_corners.",
+            )
+        if (model := self._ports.model(seen.object_id)) is None:
+            return
+        self._choice.forget()
+        try:
+            self._settle(model, seen)
+        except _Ended as end:
+            # Where the centre of mass is, pushes show.
+            if end.code is not GoalCode.NOT_HELD or not self._request.explore:
+                raise
 
     @staticmethod
     def _nothing_known(seen: TrackedObject) -> _Ended:
@@ -154,11 +182,12 @@ class GoalSession:
         """Make the exploring pushes; the object after them."""
         # Another seed for each push that was learned: the same random push again would show little.
         made, seed = 0, 1000 * self._model(seen).n_pushes
+        self._choice.forget()
         while made < self._request.explore:
             self._check_pushes()
             self.progress.plan = None
             self._enter(GoalState.EXPLORE)
-            report = self._carry_out(self._ports.begin_push(seen.object_id, seed))
+            report = self._push_at_random(seen, seed)
             seed += 1
             if report.code is PushCode.NONE:
                 made, self._refusals = made + 1, 0
@@ -169,21 +198,56 @@ class GoalSession:
                 break
         return seen
 
-    def _plan(self, seen: TrackedObject) -> GoalPush:
-        self._check_pushes()
-        model = self._model(seen)
-        self._enter(GoalState.PLAN)
-        planning = self._ports.begin_plan(model, seen, self._goal, self._ports.obstacles(seen.object_id), list(self._failed))
+    def _push_at_random(self, seen: TrackedObject, seed: int) -> PushReport:
         try:
-            plan = self._wait(planning.result)
-            assert plan is not None, "without a timeout"
+            push = self._choice.random_push(seen, seed)
+        except PlanningError as error:
+            return PushReport(PushCode.UNREACHABLE, str(error))
+        return self._carry_out(self._ports.begin_push(seen.object_id, push))
+
+    def _settle(self, model: KnownModel, seen: TrackedObject) -> None:
+        """Choose the target, or judge it anew with a newer model."""
+        if (work := self._choice.begin(model, seen)) is not None:
+            self._choice.take(self._computed(work, seen), model)
+            self._compare(seen)
+
+    def _computed(self, work: UnderWay[T], seen: TrackedObject) -> T:
+        try:
+            found = self._wait(work.result)
+            assert found is not None, "without a timeout"
+            return found
         except _Ended:
             raise
+        except GoalRefusedError as error:
+            raise _Ended(error.code, str(error)) from error
         except Exception as error:
             raise _Ended(
                 GoalCode.MODEL,
                 f"no push can be planned with the model of `{seen.object_id}` ({type(error).__name__}: {error}); push it or load another.",
             ) from error
+
+    def _plan(self, seen: TrackedObject) -> GoalPush:
+        self._check_pushes()
+        model = self._model(seen)
+        self._enter(GoalState.PLAN)
+
+        def plan() -> GoalPush:
+            self._settle(model, seen)
+            assert self._choice.target is not None, "settled"
+            obstacles = self._ports.obstacles(seen.object_id)
+            return self._computed(self._ports.begin_plan(model, seen, self._choice.target, obstacles, list(self._failed)), seen)
+
+        plan_made = plan()
+        if plan_made.status is PlanStatus.UNHELD:
+            # From where the object lies now, by what is known now, another place may be nearer.
+            self._choice.forget()
+            plan_made = plan()
+        return self._usable(plan_made, seen)
+
+    def _usable(self, plan: GoalPush, seen: TrackedObject) -> GoalPush:
+        """A plan that proposes a push, or says that the object is there; ends with the reason of another one."""
+        if plan.status is PlanStatus.UNHELD:
+            raise _Ended(GoalCode.NOT_HELD, f"{plan.status.value} (the least chance is {100 * plan.risk:.1f} %).")
         if plan.status is PlanStatus.UNREACHABLE:
             tried = f", beside {len(self._failed)} that failed" if self._failed else ""
             raise _Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}.")
@@ -247,19 +311,42 @@ class GoalSession:
         seen = self._wait(lambda: self._ports.observe(self._object_id, self._limits.pose_timeout, after), patience)
         if seen is None:
             why = self._ports.why_unseen(self._object_id)
+            if code is GoalCode.OBJECT_LOST and self._was_over_edge():
+                raise _Ended(
+                    GoalCode.FELL,
+                    f"`{self._object_id}` was lost while it overhung the table's edge: it fell, as far as is known ({why}) Put it back on the "
+                    "table, then send the goal again, with less overhang or more of it held; what was learned is kept.",
+                )
             raise _Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
         return self._note_seen(seen)
 
     def _note_seen(self, seen: TrackedObject) -> TrackedObject:
         self._object_id = self.progress.object_id = seen.object_id
-        self.progress.observed = self.progress.pushes
-        self.progress.pose, self.progress.error = seen.pose, self._goal.error(seen.pose)
-        self.progress.chance = self._goal.chance(seen.pose, seen.covariance)
+        self.progress.observed, self.progress.pose, self._seen = self.progress.pushes, seen.pose, seen
+        self._compare(seen)
         self.report(at_once=True)
         return seen
 
+    def _compare(self, seen: TrackedObject) -> None:
+        """Note how far the object is from where it shall be."""
+        target, progress = self._choice.target, self.progress
+        progress.target = target
+        if target is not None:
+            progress.error, progress.chance = target.goal.error(seen.pose), target.goal.chance(seen.pose, seen.covariance)
+            progress.margin = target.margin(seen.pose)
+            progress.overhang = target.overhang(transform_points(seen.pose, seen.shape.outline))
+
+    def _was_over_edge(self) -> bool:
+        """Whether the object overhung the edge when it was last seen, or should after the push made then."""
+        seen, plan = self._seen, self.progress.plan
+        if seen is None:
+            return False
+        poses = [seen.pose] if plan is None or plan.plan is None else [seen.pose, plan.end]
+        return self._choice.overhangs(seen.shape.outline, poses)
+
     def _is_there(self, seen: TrackedObject) -> bool:
-        return self._goal.chance(seen.pose, seen.covariance) >= CERTAIN
+        target = self._choice.target
+        return target is not None and target.is_reached(seen.pose, seen.covariance)
 
     def _certain(self, seen: TrackedObject) -> TrackedObject:
         """The object by a pose that tells whether it is within the tolerances."""
@@ -276,13 +363,14 @@ class GoalSession:
         return self._note_seen(latest)
 
     def _can_tell(self, seen: TrackedObject) -> bool:
-        return self._goal.chance(self._goal.pose, seen.covariance) >= CERTAIN
+        tolerance = self._choice.tolerance
+        return tolerance.chance(tolerance.pose, seen.covariance) >= CERTAIN
 
     def _unsure(self, seen: TrackedObject) -> str:
-        std = np.sqrt(np.diag(seen.covariance))
+        std, tolerance = np.sqrt(np.diag(seen.covariance)), self._choice.tolerance
         return (
             f"the pose is known to {1e3 * float(np.hypot(std[0], std[1])):.1f} mm and {std[2]:.3f} rad (standard deviations): not enough "
-            f"for the tolerance of {1e3 * self._goal.position:.1f} mm and {self._goal.yaw:.3f} rad; allow more, or bring the camera nearer."
+            f"for the tolerance of {1e3 * tolerance.position:.1f} mm and {tolerance.yaw:.3f} rad; allow more, or bring the camera nearer."
         )
 
     def _model(self, seen: TrackedObject) -> KnownModel:
@@ -371,7 +459,7 @@ class GoalSession:
 
     def _distance(self) -> str:
         position, yaw = self.progress.error
-        return f"{1e3 * position:.1f} mm and {yaw:.3f} rad from it" if np.isfinite(position) else "never observed"
+        return f"{1e3 * position:.1f} mm and {yaw:.3f} rad from it" if np.isfinite(position) else "no distance is known"
 
     def _enter(self, state: GoalState) -> None:
         self.progress.state = state

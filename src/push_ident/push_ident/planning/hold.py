@@ -22,9 +22,12 @@ from push_ident.types import Float64Array
 __all__ = ["RISK", "EdgeHold"]
 
 RISK: Final = 0.01
-"""Largest chance that a push brings the centre of mass nearer to the border than the margin [1]: of falling it is far smaller."""
+"""Largest chance that a push brings the centre of mass nearer to the border than the margin, where nothing else is said [1]: of falling it
+is far smaller."""
 _DIRECTIONS: Final = 32
 """In which the border is looked for: its distance is exact to 0.5 %."""
+_DRAWS: Final = 64
+"""Poses that a chance is taken from, by their mean and deviation: both are known to an eighth of the deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +35,7 @@ class EdgeHold:
     """An edge, and how far inside its support the centre of mass of an object must stay.
 
     Raises:
-        InputError: a margin that is not a number >= 0.
+        InputError: a margin that is not a number >= 0, or a limit that is not a chance.
     """
 
     edge: TableEdge
@@ -40,15 +43,19 @@ class EdgeHold:
     margin: float = 0.01
     """Least distance of the centre of mass from the border of the cells on the table [m]. A push at a height h above the table moves the
     centre of the load by up to h times the friction coefficient: 10 mm for 25 mm and 0.4."""
+    limit: float = RISK
+    """Largest chance that a push brings it nearer [1]; what is riskier is not proposed."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.margin) and self.margin >= 0):
             raise InputError(f"The object is to be held by {self.margin} m, expected a number >= 0 in metres.")
+        if not 0.0 < self.limit <= 0.5:
+            raise InputError(f"The chance that the object is not held may be {self.limit}, expected more than 0 and at most 0.5.")
 
     def seen_from(self, frame: Float64Array) -> EdgeHold:
-        """The same in a frame that lies at `frame` in this one, shape (3,)."""
+        """The same in a frame that lies at `frame` in this one, shape (3,), but for the span of the edge."""
         outward = rotation(float(frame[2])).T @ self.edge.outward
-        return EdgeHold(TableEdge(outward, self.edge.offset - float(self.edge.outward @ frame[:2])), self.margin)
+        return EdgeHold(TableEdge(outward, self.edge.offset - float(self.edge.outward @ frame[:2])), self.margin, self.limit)
 
     def margins(self, cells: Float64Array, centre: Float64Array, poses: Float64Array) -> Float64Array:
         """Distance of the centre of mass from the border of its support [m], negative outside: shape (...).
@@ -80,3 +87,19 @@ class EdgeHold:
         safe = np.where(finite, margins, 0.0)
         spread = np.maximum(np.std(safe, axis=0), 1e-6)
         return np.asarray(np.where(finite, norm.cdf((self.margin - np.mean(safe, axis=0)) / spread), 1.0))
+    def chance(self, cells: Float64Array, centres: Float64Array, pose: Float64Array, covariance: Float64Array) -> float:
+        """Probability that the object is held by the margin [1].
+
+        Args:
+            cells: centres [m], shape (n_cells, 2), object frame.
+            centres: of mass, by models that may be true [m], shape (n_models, 2), object frame.
+            pose: as observed, shape (3,).
+            covariance: of it, shape (3, 3).
+        """
+        value, vector = np.linalg.eigh(covariance)
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+        # Each pose that may be true with a model that may be.
+        n = max(_DRAWS, len(centres))
+        poses = pose + np.random.default_rng(0).normal(size=(n, 3)) @ root.T
+        return 1.0 - float(self.risk(self.margins(cells, np.resize(centres, (n, 2)), poses)))
+

@@ -11,7 +11,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points, wrap_angle
-from push_ident.planning.goal_ports import GoalCode, GoalRefusedError
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape
 

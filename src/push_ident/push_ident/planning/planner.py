@@ -12,8 +12,8 @@ workspace or touch something else first are passed over. Contact, direction and 
 by the exact derivative, and what is expected of it is taken from more models and from the uncertainty of the pose.
 
 At an edge of the table these last simulations know which cells have left it. A push whose chance p_f to bring the centre of mass nearer to
-the border of its support than the margin is more than `RISK` is not proposed, unless the object is no less at risk where it lies; below
-that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands are not asked.
+the border of its support than the margin is more than `EdgeHold.limit` is not proposed, unless the object is no less at risk where it lies;
+below that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands are not asked.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from scipy.spatial import KDTree
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.planning.belief import Belief
+from push_ident.planning.edge_goal import held_target
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, Goal
-from push_ident.planning.hold import RISK, EdgeHold
+from push_ident.planning.hold import EdgeHold
 from push_ident.planning.library import BATCH_STEP, Library, Strokes, path_of, placed, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
@@ -157,7 +158,7 @@ class GoalPlanner:
     ) -> GoalPush:
         """As `plan`, all of it in the table frame of the arm."""
         chance = goal.chance(pose, covariance)
-        if chance >= CERTAIN:
+        if chance >= CERTAIN and (around.hold is None or held_target(goal, around.hold, belief).is_reached(pose, covariance)):
             return GoalPush(PlanStatus.ARRIVED, chance)
         if goal.chance(goal.pose, covariance) < CERTAIN:
             return GoalPush(PlanStatus.UNSURE, chance)
@@ -322,7 +323,7 @@ class _Present:
         if hold is not None:
             now = hold.margins(shape.cells.centres, centres, np.tile(pose, (len(centres), 1)))
         self._stands = now >= 0.0 if np.any(now >= 0.0) else np.ones(len(now), dtype=bool)
-        self.allowed = max(RISK, float(self.risk(now)))
+        self.allowed = max(0.0 if hold is None else hold.limit, float(self.risk(now)))
         """Largest risk of a push [1]: one that brings the object back to the table may not be refused for the risk of lying there."""
 
     def risk(self, margins: Float64Array) -> Float64Array:

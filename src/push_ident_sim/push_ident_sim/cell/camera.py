@@ -18,6 +18,7 @@ from push_ident.errors import InputError
 from push_ident.limits import plain_text
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.cell.robot import robot_description
+from push_ident_sim.engines.bullet.bullet_object import TABLE
 from push_ident_sim.objects import SimObject
 
 __all__ = ["ALBEDO", "INTRINSICS", "DepthCamera", "DepthNoise", "Mesh", "Placed", "View", "look_at"]
@@ -28,8 +29,6 @@ Mesh = tuple[FloatArray, NDArray[np.int64]]
 """Vertices [m], shape (n, 3), and the three vertices of each triangle, shape (m, 3)."""
 
 INTRINSICS = CameraIntrinsics(width=640, height=480, fx=600.0, fy=600.0, cx=319.5, cy=239.5)
-_TABLE_HALF = (0.8, 0.7)
-"""Half edges of the table [m]."""
 _TRIANGLES_PER_LINK = 200
 _FOCAL_BASELINE = 43.5
 """Of a Kinect [px m]: 580 px x 0.075 m."""
@@ -171,6 +170,10 @@ class DepthCamera:
         self.sim_object = sim_object
         self._links = _robot_meshes(description or robot_description())
 
+    def set_table(self, bounds: Sequence[float]) -> None:
+        """Another table: x_min, x_max, y_min, y_max [m]. Beside it no surface is."""
+        self._table = _table_depth(self._rays, bounds)
+
     @property
     def sim_object(self) -> SimObject:
         """What lies before the camera."""
@@ -186,7 +189,7 @@ class DepthCamera:
         """Perfect depth along the optical axis [m], shape (height, width), NaN where no surface is.
 
         Args:
-            pose_object: (x, y, yaw) of the object frame in `table`.
+            pose_object: (x, y, yaw) of the object frame in `table`, or homogeneous, shape (4, 4).
             robot_link_poses: homogeneous pose in `table` by link name; a link without a pose is not drawn.
         """
         return self.render_scene([Placed(self._sim_object, pose_object)], robot_link_poses)
@@ -319,12 +322,13 @@ def _pixel_rays(pose: FloatArray, intrinsics: CameraIntrinsics, distortion: floa
     return np.asarray(rays, dtype=np.float32)
 
 
-def _table_depth(rays: DepthImage) -> DepthImage:
-    """Depth of the empty table along `rays` [m], shape (height, width), NaN beside it."""
+def _table_depth(rays: DepthImage, bounds: Sequence[float] = TABLE) -> DepthImage:
+    """Depth of the empty table within `bounds`, x_min, x_max, y_min, y_max [m], along `rays` [m], shape (height, width), NaN beside it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = -rays[..., 2] / rays[..., 5]
         at = rays[..., :2] + depth[..., None] * rays[..., 3:5]
-    return np.where((depth > 0) & np.all(np.abs(at) <= _TABLE_HALF, axis=-1), depth, np.float32(np.nan))
+    low, high = np.array(bounds)[[0, 2]], np.array(bounds)[[1, 3]]
+    return np.where((depth > 0) & np.all((at >= low) & (at <= high), axis=-1), depth, np.float32(np.nan))
 
 
 def _merge(meshes: list[Mesh]) -> Mesh:

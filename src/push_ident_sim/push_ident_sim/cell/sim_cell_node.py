@@ -10,10 +10,9 @@ import json
 import queue
 import threading
 import time
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -31,6 +30,7 @@ from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from push_ident.errors import InputError
 from push_ident.geometry.se3 import pose_of_quaternion
+from push_ident.geometry.table import Table
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
@@ -43,15 +43,18 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
+from push_ident.nodes.convert_table import TABLE_TOPIC, table_to_msg
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.run import run_node
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera
+from push_ident_sim.cell.pace import Meter, Pace
 from push_ident_sim.cell.robot import cell_robot
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import PLAIN, SENSOR_NAMES
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
+from push_ident_sim.engines.bullet.bullet_object import TABLE
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
 from push_ident_sim.injected.equations import reported_forces
 from push_ident_sim.injected.sensing import PoseSensor, check_rendered, stamp_delay, true_camera
@@ -76,6 +79,14 @@ PARAMETERS: Final = (
     Parameter("seed", 0, "seed of the ground truth of the object's masses and frictions" + _SPAWNED, 0, 2**31 - 1),
     Parameter("start_pose", [0.0, 0.0, 0.0], "x [m], y [m], yaw [rad] of the object frame at the start" + _SPAWNED, -3.2, 3.2),
     Parameter("pusher_friction", 0.3, "friction coefficient of the pusher on the object" + _SPAWNED, 0.0, 2.0),
+    Parameter(
+        "table",
+        list(TABLE),
+        "x_min, x_max, y_min, y_max of the table [m]; of another size than this the object is one rigid body, which may fall, without effects",
+        -10.0,
+        10.0,
+        read_only=True,
+    ),
     Parameter("real_time_factor", 1.0, "largest number of simulated seconds per second; 0: no limit", 0.0, 100.0),
     Parameter("robot", "", "robot file of the arm; empty: an iiwa with a closed hand", read_only=True),
     Parameter("time_step", 1.0 / 240.0, "of the simulation [s]", 1e-3, 1e-2, read_only=True),
@@ -112,8 +123,6 @@ PARAMETERS: Final = (
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _STOP_WITHIN: Final = 1.0
 """Longest wait for both threads at the end [s]. A first rendering may take longer; nothing is lost with it."""
-_LAG: Final = 0.1
-"""A simulation that is further behind its pace than this does not try to catch up [s]."""
 _SOON: Final = 0.1
 """A trajectory that starts later is refused [s]: nobody may remember having sent it."""
 _BREATH: Final = 0.1
@@ -132,6 +141,7 @@ class _Snapshot:
     """Of the image [s]; later than the state under a latency."""
     thing: SimObject
     pose_object: FloatArray
+    """Planar, shape (3,), or homogeneous, shape (4, 4)."""
     robot_link_poses: dict[str, FloatArray]
 
 
@@ -154,7 +164,8 @@ class _SimCell(Component):
         values = self._settings.as_dict()
         effects = InjectedEffects.of({name: values[_EFFECT + name] for name in INJECTED})
         thing = _object_of(values)
-        config = WorldConfig(time_step=values["time_step"], effects=effects)
+        table = Table.rectangle(np.array(values["table"]))
+        config = WorldConfig(time_step=values["time_step"], table=tuple(values["table"]), effects=effects)
         robot = cell_robot(values["robot"])
         self._world = CellWorld(thing, config, pose=values["start_pose"], robot=robot)
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
@@ -166,6 +177,7 @@ class _SimCell(Component):
             check_rendered(effects)
             reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
             self._camera = self._sensor.camera(thing, *true_camera(effects, reported, self._sensor.intrinsics), robot.description)
+            self._camera.set_table(values["table"])
         (self._dropped,) = effects["dropped_frames"]
         self._wrench_noise = float(values["wrench_noise"])
         self._truth_std = np.array(values["truth_noise"])[[0, 0, 1]]
@@ -179,6 +191,8 @@ class _SimCell(Component):
         self._truth_pub = node.create_publisher(PoseStamped, "~/ground_truth/pose", 10)
         self._description_pub = node.create_publisher(String, "robot_description", _LATCHED)
         self._object_pub = node.create_publisher(String, "~/ground_truth/object", _LATCHED)
+        self._table_pub = node.create_publisher(PolygonStamped, TABLE_TOPIC, _LATCHED)
+        self._table_pub.publish(table_to_msg(table, stamp_to_msg(0.0)))
         if self._as_perception is not None:
             topic = f"objects/{_TRUTH_ID}/"
             self._pose_pub = node.create_publisher(PoseWithCovarianceStamped, topic + "pose", 10)
@@ -197,7 +211,7 @@ class _SimCell(Component):
         node.create_subscription(JointTrajectoryMsg, "joint_trajectory", self._new_trajectories.put, 10)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(Trigger, "~/spawn", self._on_spawn)
-        self._meter = _Meter()
+        self._meter = Meter()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._simulate, self._render)]
         for thread in self._threads:
             thread.start()
@@ -224,11 +238,11 @@ class _SimCell(Component):
     # --- thread of the simulation --------------------------------------------------------------------------------------
 
     def _simulate(self) -> None:
-        pace, schedule = _Pace(), _Schedule()
+        pace, schedule = Pace(), _Schedule()
         while not self._stop.is_set():
             if not self._running.is_set():
                 self._running.wait()
-                pace = _Pace()
+                pace = Pace()
                 continue
             was = self._node.guard.refused
             with self._node.guard.watch("simulation"):
@@ -257,7 +271,7 @@ class _SimCell(Component):
         if now >= schedule.image - 0.5 * step and self._camera is not None:
             schedule.image += self._camera_period
             if self._luck.random() >= self._dropped:
-                pose, links = self._world.object_pose(), self._world.robot_link_poses()
+                pose, links = self._world.object_transform(), self._world.robot_link_poses()
                 schedule.late.append(_Snapshot(now + stamp_delay(self._world.config.effects, now), self._world.object, pose, links))
         while schedule.late and schedule.late[0].stamp <= now + 0.5 * step:
             self._hand_over(schedule.late.popleft())
@@ -317,6 +331,8 @@ class _SimCell(Component):
 
     def _publish_as_perception(self, now: float) -> None:
         assert self._as_perception is not None
+        if self._world.has_fallen:
+            return  # A camera would lose it.
         for stamp, pose in self._as_perception.measure(now, self._world.object_pose()):
             self._pose_pub.publish(planar_pose_to_msg(stamp_to_msg(stamp), pose, np.diag(self._truth_std**2)))
 
@@ -389,6 +405,8 @@ class _SimCell(Component):
         text = f"{factor} simulated seconds per second"
         if effects:
             text += f"; injected: {', '.join(effects)}"
+        if self._world.has_fallen:
+            text += "; the object has fallen from the table: call ~/reset to put it back"
         if self._as_perception is not None:
             text += f"; objects/{_TRUTH_ID} comes from the truth, not from a camera"
         return Health(DiagnosticStatus.OK, text, values | {f"effect {name}": str(size) for name, size in effects.items()})
@@ -411,55 +429,6 @@ class _Request:
 
     work: Callable[[], None]
     done: Future[None] = field(default_factory=Future)
-
-
-class _Meter:
-    """Speed of the simulation and processor time of its parts."""
-
-    def __init__(self) -> None:
-        self.simulated = 0.0
-        """Simulated time [s]."""
-        self.n_images = 0
-        self._used: defaultdict[str, float] = defaultdict(float)
-        self._last = (time.perf_counter(), 0.0, 0, self._used.copy())
-
-    @contextmanager
-    def measure(self, part: str) -> Iterator[None]:
-        """Count the processor time that this thread spends inside; only one thread may measure each part."""
-        begin = time.thread_time()
-        yield
-        self._used[part] += time.thread_time() - begin
-
-    def read(self) -> dict[str, str]:
-        """Since the last call, as text: real-time factor, images per simulated second, seconds of the processor per simulated second."""
-        before = self._last
-        self._last = now = (time.perf_counter(), self.simulated, self.n_images, self._used.copy())
-        wall, simulated = now[0] - before[0], now[1] - before[1]
-        values = {"real time factor": f"{simulated / wall:.3f}", "simulated time [s]": f"{now[1]:.2f}"}
-        if simulated > 0:
-            values["images [1/s]"] = f"{(now[2] - before[2]) / simulated:.1f}"
-            values |= {f"processor, {part} [s/s]": f"{(now[3][part] - before[3][part]) / simulated:.3f}" for part in sorted(now[3])}
-        return values
-
-
-class _Pace:
-    """Keeps simulated time from running ahead of the wall clock."""
-
-    def __init__(self) -> None:
-        self._wall: float | None = None
-        self._sim = self._factor = 0.0
-
-    def wait(self, now: float, factor: float) -> None:
-        """Sleep until `factor` times the wall time since the reference has reached `now` [s]; 0 never sleeps."""
-        if self._wall is None or factor != self._factor:
-            self._wall, self._sim, self._factor = time.perf_counter(), now, factor
-        if factor == 0:
-            return
-        ahead = (now - self._sim) / factor - (time.perf_counter() - self._wall)
-        if ahead > 0:
-            time.sleep(ahead)
-        elif ahead < -_LAG:
-            self._wall, self._sim = time.perf_counter(), now
 
 
 def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) -> JointTrajectory:

@@ -1,4 +1,4 @@
-"""The simulated cell in Bullet: arm, hand, table and one object (`bullet_object`)."""
+"""The simulated cell in Bullet: arm, hand, table and one object: `bullet_object`, or `rigid_object` where the table ends near it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from push_ident_sim.engines.bullet.bullet_object import (
     ARM_GROUP,
     OUTLINE_GROUP,
     PUSHER_GROUP,
+    TABLE,
     TABLE_GROUP,
     BulletObject,
     add_table,
     checked_pose,
     connect,
 )
+from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.actuation import ToolErrors
 from push_ident_sim.injected.contact import bearing_torque, restitution
@@ -47,8 +49,23 @@ class WorldConfig:
     """Share of the joint position error that the arm corrects in one time step."""
     joint_effort: float = 300.0
     """[N m], largest motor torque."""
+    table: tuple[float, float, float, float] = TABLE
+    """x_min, x_max, y_min, y_max of the table [m]. With another one than the default, the object is one rigid body that may tilt and fall, and
+    no effects can be injected."""
     effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected effects; those on the camera act in `camera.py`."""
+
+    def __post_init__(self) -> None:
+        if self.is_rigid and self.effects.as_dict():
+            raise InputError(
+                f"The table is {self.table} m, and {', '.join(self.effects.as_dict())} is injected: an object that may fall has no effects; "
+                f"leave them out, or take the table {TABLE}."
+            )
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the object is one rigid body."""
+        return tuple(self.table) != TABLE
 
 
 _LOWERED = 0.06
@@ -78,10 +95,10 @@ class CellWorld:
         self._start_pose = checked_pose(pose)
         effects = self.config.effects
         self._client = connect(self.config.time_step, self.config.solver_iterations, self.config.gravity, effects)
-        self._table = add_table(self._client)
+        self._table = add_table(self._client, self.config.table)
         self._add_robot()
         self._tool = _DrivenTool(effects, self.config.time_step, self.robot) if ToolErrors.needed(effects) else None
-        self._thing = BulletObject(self._client, sim_object, self.config.gravity, effects)
+        self._thing = self._new_thing(sim_object)
         self._thing.place(self._start_pose)
         self._thing.start_push()
         self._n_steps = 0
@@ -198,6 +215,20 @@ class CellWorld:
 
     # --- object --------------------------------------------------------------------------------------------------------
 
+    def _new_thing(self, sim_object: SimObject) -> BulletObject | RigidObject:
+        if self.config.is_rigid:
+            return RigidObject(self._client, sim_object, self._table, self.config.gravity)
+        return BulletObject(self._client, sim_object, self.config.gravity, self.config.effects)
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the object tips over an edge of the table, or lies below it."""
+        return isinstance(self._thing, RigidObject) and self._thing.has_fallen
+
+    def object_transform(self) -> FloatArray:
+        """True pose of the object frame, homogeneous, shape (4, 4); of one that cannot tilt, planar, shape (3,)."""
+        return self._thing.transform() if isinstance(self._thing, RigidObject) else self._thing.pose()
+
     def object_pose(self) -> FloatArray:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
         return self._thing.pose()
@@ -224,7 +255,7 @@ class CellWorld:
         Raises InputError where the pusher occupies the place, and then keeps the old object.
         """
         pose = checked_pose(pose)
-        new = BulletObject(self._client, thing, self.config.gravity, self.config.effects)
+        new = self._new_thing(thing)
         new.place(pose)
         if new.touches(self._robot, self._contact_link):
             self._client.removeBody(new.body)

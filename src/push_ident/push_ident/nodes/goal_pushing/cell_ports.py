@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from geometry_msgs.msg import Point
 
@@ -12,10 +12,14 @@ from push_ident.errors import PlanningError
 from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.model_input import ModelInput
-from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, PlanUnderWay
+from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, WorkUnderWay
+from push_ident.nodes.table_input import TableInput
 from push_ident.nodes.tracked_objects import TrackedObjects
-from push_ident.planning.goal import Goal
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.edge_goal import EdgeGoal, edges_of
 from push_ident.planning.goal_ports import KnownModel, Wish
+from push_ident.planning.planner import GoalPush
+from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array
@@ -55,17 +59,18 @@ class WishOfClient:
 
 
 class CellView:
-    """What all goals share: objects, models, executor, planners."""
+    """What all goals share: objects, models, table, executor, planners."""
 
     def __init__(
         self,
         objects: TrackedObjects,
         models: ModelInput,
+        table: TableInput,
         executor: ExecutorLink,
         planners: PlannerThread,
         settings: Callable[[], PushSettings | None],
     ) -> None:
-        self.objects, self.models, self.executor, self.planners, self.settings = objects, models, executor, planners, settings
+        self.objects, self.models, self.table, self.executor, self.planners, self.settings = objects, models, table, executor, planners, settings
 
 
 class CellPorts:
@@ -119,13 +124,27 @@ class CellPorts:
         """As `GoalPorts`."""
         return self._view.settings()
 
-    def begin_plan(
-        self, model: KnownModel, seen: TrackedObject, goal: Goal, obstacles: list[Float64Array], failed: list[PushPlan2D]
-    ) -> PlanUnderWay:
+    def known_edges(self) -> Sequence[TableEdge]:
         """As `GoalPorts`."""
+        table = self._view.table.get()
+        return [] if table is None else edges_of(table)
+
+    def begin_target(
+        self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
+    ) -> WorkUnderWay[Target]:
+        """As `GoalPorts`."""
+        return self._view.planners.begin_target(model.posterior, self._settings(), seen, goal, edges, chosen)
+
+    def begin_plan(
+        self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
+    ) -> WorkUnderWay[GoalPush]:
+        """As `GoalPorts`."""
+        return self._view.planners.begin(model.posterior, self._settings(), seen, target, obstacles, failed)
+
+    def _settings(self) -> PushSettings:
         settings = self._view.settings()
         assert settings is not None, "the goal was checked"
-        return self._view.planners.begin(model.posterior, settings, seen, goal, obstacles, failed)
+        return settings
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> RequestedPush:
         """As `GoalPorts`."""

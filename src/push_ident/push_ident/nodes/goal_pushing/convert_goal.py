@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from geometry_msgs.msg import Pose
+import numpy as np
+from geometry_msgs.msg import Point, Pose
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
-from push_ident.limits import LIMITS, plain_text
+from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.nodes.convert import TABLE_FRAME, planar_pose_of
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest
+from push_ident.planning.target import Target
 from push_ident.types import Float64Array
 from push_ident_msgs.action import PushToGoal
 
-__all__ = ["feedback_to_msg", "planar_pose_msg", "request_from_msg", "result_to_msg"]
+__all__ = ["edge_points", "feedback_to_msg", "planar_pose_msg", "request_from_msg", "result_to_msg"]
 
 
 def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequest:
     """The goal of a request; `defaults` are the parameters that a zero stands for.
 
     Raises:
-        InputError: another frame, a pose tilted against the table, or numbers out of range.
+        InputError: another frame, another kind, a pose tilted against the table, an edge that is none, or numbers out of range.
     """
     frame = msg.goal.header.frame_id
     if frame not in ("", TABLE_FRAME):
@@ -32,11 +37,9 @@ def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequ
     position, turn = msg.goal.pose.position, msg.goal.pose.orientation
     if not all(map(math.isfinite, (position.x, position.y, turn.x, turn.y, turn.z, turn.w))):
         raise InputError("The goal has coordinates that are not finite; give x and y in metres and a quaternion about z.")
-    goal = Goal(
-        planar_pose_of(msg.goal.pose),
-        float(msg.position_tolerance) or defaults["position_tolerance"],
-        float(msg.yaw_tolerance) or defaults["yaw_tolerance"],
-    )
+    if msg.kind not in (PushToGoal.Goal.KIND_POSE, PushToGoal.Goal.KIND_EDGE):
+        raise InputError(f"The kind of the goal is {msg.kind}, expected KIND_POSE (0) or KIND_EDGE (1).")
+    goal = _pose_goal(msg, defaults) if msg.kind == PushToGoal.Goal.KIND_POSE else _edge_goal(msg, defaults)
     return GoalRequest(
         object_id=msg.object_id,
         goal=goal,
@@ -44,6 +47,43 @@ def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequ
         max_pushes=int(msg.max_pushes) or defaults["max_pushes"],
         explore=int(msg.explore),
     )
+
+
+def _pose_goal(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> Goal:
+    return Goal(
+        planar_pose_of(msg.goal.pose),
+        float(msg.position_tolerance) or defaults["position_tolerance"],
+        float(msg.yaw_tolerance) or defaults["yaw_tolerance"],
+    )
+
+
+def _edge_goal(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> EdgeGoal:
+    return EdgeGoal(
+        _edge_of(msg.edge),
+        float(msg.overhang) or defaults["edge_overhang"],
+        float(msg.held) or defaults["edge_held"],
+        float(planar_pose_of(msg.goal.pose)[2]) if msg.use_heading else None,
+        float(msg.position_tolerance) or defaults["position_tolerance"],
+        float(msg.yaw_tolerance) or defaults["edge_yaw_tolerance"],
+        defaults["edge_risk"],
+    )
+
+
+def _edge_of(points: Sequence[Point]) -> TableEdge | None:
+    if not points:
+        return None
+    if len(points) != 2:
+        raise InputError(f"The edge has {len(points)} point, expected two in `table`, or none for the nearest edge that is known.")
+    first, second = (np.array([point.x, point.y]) for point in points)
+    check_coordinates([first, second], "Edge of the table")
+    return TableEdge.between(first, second)
+
+
+def edge_points(target: Target | None) -> list[Point]:
+    """The edge that an object overhangs at its target, as in the goal of the action; empty where there is none."""
+    if target is None or target.hold is None:
+        return []
+    return [Point(x=float(x), y=float(y), z=0.0) for x, y in target.hold.edge.ends]
 
 
 def planar_pose_msg(pose: Float64Array) -> Pose:
@@ -59,10 +99,12 @@ def feedback_to_msg(progress: GoalProgress) -> PushToGoal.Feedback:
     """What the client sees of the progress."""
     msg = PushToGoal.Feedback(state=int(progress.state), pushes=int(progress.observed), elapsed=float(progress.elapsed))
     msg.position_error, msg.yaw_error = (float(value) for value in progress.error)
-    msg.pose = planar_pose_msg(progress.pose)
+    msg.pose, msg.target, msg.edge = planar_pose_msg(progress.pose), _target_msg(progress), edge_points(progress.target)
+    msg.overhang, msg.margin = float(progress.overhang), float(progress.margin)
     plan = progress.plan
     if plan is not None:
         msg.is_predicted, msg.expected_chance, msg.expected_pose = True, float(plan.chance), planar_pose_msg(plan.end)
+        msg.risk = float(plan.risk)
     return msg
 
 
@@ -71,5 +113,10 @@ def result_to_msg(outcome: GoalOutcome) -> PushToGoal.Result:
     progress = outcome.progress
     msg = PushToGoal.Result(error_code=int(outcome.code), error_text=plain_text(outcome.text))
     msg.position_error, msg.yaw_error = (float(value) for value in progress.error)
+    msg.target, msg.overhang, msg.margin = _target_msg(progress), float(progress.overhang), float(progress.margin)
     msg.chance, msg.pushes, msg.elapsed = float(progress.chance), int(progress.pushes), float(progress.elapsed)
     return msg
+
+def _target_msg(progress: GoalProgress) -> Pose:
+    return planar_pose_msg(np.full(3, np.nan) if progress.target is None else progress.target.goal.pose)
+

@@ -1,4 +1,4 @@
-"""Node `goal_pushing`: pushes an object to a goal pose, one push after another, and learns from each."""
+"""Node `goal_pushing`: pushes an object to a goal pose, or out over an edge of the table, one push after another, and learns from each."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, WishOf
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
 from push_ident.nodes.goal_pushing.model_input import ModelInput
-from push_ident.nodes.goal_pushing.parameters import PARAMETERS, push_settings, session_limits
+from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
 from push_ident.nodes.run import run_node
+from push_ident.nodes.table_input import TableInput
 from push_ident.nodes.tracked_objects import TrackedObjects
-from push_ident.planning.goal import Goal
-from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalRefusedError, GoalState, Wish
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalState, Wish
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.planner import GoalPush
+from push_ident.planning.target import Target
 from push_ident.pushing.push import PushSettings
 from push_ident_msgs.action import PushToGoal
 
@@ -52,9 +54,7 @@ class GoalPushingNode(CellNode):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(
-            "goal_pushing_node", PARAMETERS, check=lambda values: push_settings(values, PushSettings().pusher_radius), **kwargs
-        )
+        super().__init__("goal_pushing_node", PARAMETERS, check=check_values, **kwargs)
 
     def make_component(self) -> Component:
         """What is heard of the cell, the client of the executor, and the action."""
@@ -75,14 +75,15 @@ class _GoalPushing(Component):
         self._state = "ready"
         self._n_goals = self._n_reached = 0
         self._last = ""
-        self._drawn: tuple[Goal, GoalPush | None] | None = None
+        self._drawn: tuple[Target, GoalPush | None] | None = None
         self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", _LATCHED)
         housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._objects = TrackedObjects(node, housekeeping)
         self._models = ModelInput(node, heavy)
         node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED, callback_group=housekeeping)
         self._executor = ExecutorLink(node)
-        self._view = CellView(self._objects, self._models, self._executor, PlannerThread(), self._push_settings)
+        table = TableInput(node, housekeeping)
+        self._view = CellView(self._objects, self._models, table, self._executor, PlannerThread(), self._push_settings)
         node.create_action_server(PushToGoal, "push_to_goal", self._execute, failed=_failed, callback_group=ReentrantCallbackGroup())
 
     def resume(self) -> None:
@@ -153,7 +154,7 @@ class _GoalPushing(Component):
             with self._node.guard.watch("push_to_goal"):
                 goal.publish_feedback(feedback_to_msg(progress))
                 if self._pushing is wish:
-                    self._draw(request.goal, progress)
+                    self._draw(progress)
 
         request = request_from_msg(goal.request, values)
         return GoalSession(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
@@ -176,14 +177,14 @@ class _GoalPushing(Component):
                 self._publish_drawing(None)
             self._arm.release()
 
-    def _draw(self, goal: Goal, progress: GoalProgress) -> None:
+    def _draw(self, progress: GoalProgress) -> None:
         """Show the goal and the push under way, where they have changed."""
-        plan = progress.plan if progress.state is GoalState.PUSH else None
-        if not progress.object_id or (self._drawn is not None and self._drawn[0] is goal and self._drawn[1] is plan):
+        plan, target = progress.plan if progress.state is GoalState.PUSH else None, progress.target
+        if target is None or not progress.object_id or (self._drawn is not None and self._drawn[0] is target and self._drawn[1] is plan):
             return
         outline = self._objects.get(progress.object_id, math.inf).shape.outline
-        self._publish_drawing(draw_goal(progress.object_id, outline, goal, plan, progress.pushes + 1))
-        self._drawn = (goal, plan)
+        self._publish_drawing(draw_goal(progress.object_id, outline, target, plan, progress.pushes + 1))
+        self._drawn = (target, plan)
 
     def _publish_drawing(self, drawing: GoalDrawing | None) -> None:
         self._drawn = None

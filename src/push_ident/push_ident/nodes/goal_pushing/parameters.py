@@ -5,14 +5,23 @@ from __future__ import annotations
 from typing import Any, Final
 
 from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.table_input import CORNERS, table_of_corners
+from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings
 
-__all__ = ["PARAMETERS", "push_settings", "session_limits"]
+__all__ = ["PARAMETERS", "check_values", "push_settings", "session_limits"]
+
+_EDGE: Final = EdgeGoal(None)
 
 PARAMETERS: Final = (
     Parameter("position_tolerance", 0.02, "Largest distance from the goal, where a goal gives 0 [m]", 0.0001, 1.0),
     Parameter("yaw_tolerance", 0.1, "Largest angle to the goal, where a goal gives 0 [rad]", 0.001, 3.15),
+    Parameter("edge_overhang", _EDGE.overhang, "Beyond the edge of the table, where a goal at one gives 0 [m]", 0.001, 1.0),
+    Parameter("edge_held", _EDGE.held, "Least distance of the centre of mass from the border of its support, where a goal gives 0 [m]", 0.0, 1.0),
+    Parameter("edge_yaw_tolerance", _EDGE.turn, "Largest angle to the pre-grasp pose, where a goal at an edge gives 0 [rad]", 0.001, 3.15),
+    Parameter("edge_risk", _EDGE.limit, "Largest chance that a push at an edge leaves the object held by less [0..1]; riskier ones are not made", 1e-6, 0.5),
+    CORNERS,
     Parameter("time_limit", 300.0, "Longest time for a goal that gives 0, wall time [s]", 1.0, 86400.0),
     Parameter("max_pushes", 15, "Most pushes for a goal that gives 0", 1, 1000),
     Parameter("workspace", [-0.20, 0.20, -0.25, 0.25], "x_min, x_max, y_min, y_max of the tool, as of the executor [m]", -2.0, 2.0),
@@ -25,6 +34,12 @@ PARAMETERS: Final = (
     Parameter("executor_timeout", 60.0, "Longest silence of the executor during a push [s]; planning sends no feedback", 1.0, 600.0),
     Parameter("max_refusals", 8, "Pushes in a row that may be refused or miss before a goal is given up", 1, 100),
 )
+
+
+def check_values(values: dict[str, Any]) -> None:
+    """Raise InputError where parameters contradict each other, or the table is none."""
+    push_settings(values, PushSettings().pusher_radius)
+    table_of_corners(values[CORNERS.name])
 
 
 def push_settings(values: dict[str, Any], pusher_radius: float) -> PushSettings:

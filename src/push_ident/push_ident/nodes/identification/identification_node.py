@@ -14,6 +14,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from push_ident.errors import InputError
+from push_ident.geometry.se2 import transform_points
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.prediction import predict
 from push_ident.identification.prior import Prior
@@ -30,6 +31,7 @@ from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.paths import file_to_read, file_to_write
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node, settle_memory
+from push_ident.nodes.table_input import CORNERS, TableInput, table_of_corners
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.push import PushSettings
@@ -68,6 +70,7 @@ PARAMETERS: Final = (
     Parameter("update_period", 0.0, "Shortest time between two updates during a push [s]; 0: at every frame", 0.0, 10.0),
     Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
     Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
+    CORNERS,
     Parameter("suggest_candidates", 24, "Pushes to choose the next one from; 0: suggest none", 0, 500),
     Parameter("state_directory", "", "Where the state of each object is kept through restarts; empty: nowhere", read_only=True),
 )
@@ -80,7 +83,7 @@ class IdentificationNode(CellNode):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("identification_node", PARAMETERS, **kwargs)
+        super().__init__("identification_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)
 
     def make_component(self) -> Component:
         """Topics, services and the worker."""
@@ -110,6 +113,7 @@ class _Identification(Component):
         self._solving = threading.Lock()  # of changes of a session; reading its posterior needs none
         self._sessions: dict[str, ObjectSession] = {}
         self._outputs: dict[str, ObjectOutput] = {}
+        self._table = TableInput(node)
         self._solve_time = 0.0
         self._latencies: deque[float] = deque(maxlen=_N_LATENCIES)
         self._updated: dict[str, float] = {}
@@ -260,6 +264,7 @@ class _Identification(Component):
             started, stamp = time.perf_counter(), float(record.poses.time[-1])
             try:
                 with self._solving:
+                    self._check_on_table(session, record)
                     score = session.finish(record)
             except Exception as error:
                 # The next object of this push, and the next push, may be fine.
@@ -284,6 +289,19 @@ class _Identification(Component):
             self._say_unexplained(session, score)
             self._advise(record.object_id)
 
+    def _check_on_table(self, session: ObjectSession, record: PushRecord) -> None:
+        """Raise InputError where the object overhung the table: its cells in the air bear no load, which the model does not know of."""
+        if (over := self._beyond_table(record)) > 0.0:
+            session.drop_update()
+            raise InputError(f"it overhung the edge of the table by {1e3 * over:.0f} mm; such a push is left out.")
+
+    def _beyond_table(self, record: PushRecord) -> float:
+        """How far the object reached beyond the table [m]; negative on it, and where nobody said where it ends."""
+        table = self._table.get()
+        if table is None:
+            return -np.inf
+        return table.beyond(transform_points(record.poses.pose, record.shape.outline).reshape(-1, 2))
+
     def _say_unexplained(self, session: ObjectSession, score: PushScore) -> None:
         """Count and log a push that contradicts the model, or a model that contradicts its pushes."""
         if score.explained:
@@ -299,7 +317,7 @@ class _Identification(Component):
             return
         record = self._collector.partial(object_id)
         session = self._sessions.get(object_id)
-        if record is None or session is None:
+        if record is None or session is None or self._beyond_table(record) > 0.0:
             return
         self._updated[object_id] = now
         self._is_pushing = True

@@ -39,6 +39,8 @@ _OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT, _GOAL = (
 """Colours for all kinds of colour vision (Okabe and Ito)."""
 _REFUSED: Final = [86, 180, 233]
 """Of what is no object; from the same colours."""
+_EDGE: Final = _PREDICTED
+"""Of the table, where a goal is at one; from the same colours."""
 _SHOWN: Final = 0.25
 """Half the edge of the part of the table that the picture shows [m]."""
 _STEADY: Final = 0.1
@@ -218,6 +220,8 @@ class RerunScene:
             return
         height = top + 4 * _LIFT
         self._log(f"{name}/outline", self._lines([drawing.goal], height, _GOAL))
+        if drawing.edge is not None:
+            self._log(f"{name}/edge", self._lines([drawing.edge], height, _EDGE))
         labels = [(drawing.goal, drawing.words, _GOAL)]
         if drawing.tool is not None and drawing.end is not None:
             start, end = ([*point, height] for point in drawing.tool)

@@ -8,6 +8,8 @@ body of its own in that frame, so that it never catches on the edge between two 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pybullet as bullet
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +28,7 @@ __all__ = [
     "OUTLINE_GROUP",
     "OUTLINE_LINK",
     "PUSHER_GROUP",
+    "TABLE",
     "TABLE_GROUP",
     "BulletObject",
     "add_table",
@@ -36,6 +39,10 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
+TABLE = (-0.8, 0.8, -0.7, 0.7)
+"""x_min, x_max, y_min, y_max of the table [m]."""
+_THICKNESS = 0.04
+"""Of the table [m]."""
 TABLE_GROUP, CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, ARM_GROUP = (1 << bit for bit in range(8, 13))
 OUTLINE_LINK = 3
 """A force little larger than its weight holds it up: friction along z, which cannot push the object, takes no share of the cone then."""
@@ -77,11 +84,12 @@ def _normal_gravity(gravity: float, effects: InjectedEffects) -> float:
     return float(gravity * np.sqrt(1.0 - along @ along))
 
 
-def add_table(client: BulletClient) -> int:
-    """Put a table of 1.6 x 1.4 m with its top at z = 0; returns its body."""
-    half = np.array([0.8, 0.7, 0.02])
+def add_table(client: BulletClient, bounds: Sequence[float] = TABLE) -> int:
+    """Put a table with its top at z = 0, from x_min to x_max and from y_min to y_max [m]; returns its body."""
+    x_min, x_max, y_min, y_max = bounds
+    half = 0.5 * np.array([x_max - x_min, y_max - y_min, _THICKNESS])
     shape = client.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist())
-    table: int = client.createMultiBody(0.0, shape, basePosition=[0.0, 0.0, -half[2]])
+    table: int = client.createMultiBody(0.0, shape, basePosition=[0.5 * (x_min + x_max), 0.5 * (y_min + y_max), -half[2]])
     # Bullet multiplies the coefficients of the two bodies: the table and the pusher have 1, the object's side the coefficient itself.
     client.changeDynamics(table, -1, lateralFriction=1.0, restitution=0.0)
     client.setCollisionFilterGroupMask(table, -1, TABLE_GROUP, CELL_GROUP | ARM_GROUP)

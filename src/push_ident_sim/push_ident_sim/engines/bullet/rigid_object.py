@@ -86,6 +86,13 @@ class RigidObject:
         arm = -self._state()[1][:2, :2] @ self._centre
         return np.array([linear[0] - angular[2] * arm[1], linear[1] + angular[2] * arm[0], angular[2]])
 
+    def transform(self) -> FloatArray:
+        """Of the object frame in the table frame, homogeneous, shape (4, 4)."""
+        centre, turn = self._state()
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, centre - turn @ [*self._centre, self._height]
+        return pose
+
     @property
     def lean(self) -> float:
         """Angle between the object's and the table's normal [rad]."""
@@ -136,3 +143,7 @@ class RigidObject:
         for contact in self._client.getContactPoints(self.body, pusher, -1, link):
             force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
         return force
+    def touches(self, pusher: int, link: int) -> bool:
+        """Whether the outline overlaps a link of the body `pusher`."""
+        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, -1))
+

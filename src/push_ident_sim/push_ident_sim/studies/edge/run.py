@@ -11,7 +11,7 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal, pregrasp
 from push_ident.planning.goal import Goal
-from push_ident.planning.goal_ports import GoalCode, GoalRefusedError
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.hold import EdgeHold
 from push_ident.planning.planner import PlanStatus
 from push_ident.pushing.push import PushSettings
@@ -30,7 +30,7 @@ PUSHES = PushSettings(workspace=(0.2, 1.0, -0.5, 0.5), pusher_radius=0.008, clea
 """The tool reaches beyond the edge, so that it can pull as well."""
 _ON_TABLE = replace(PUSHES, workspace=(0.2, 0.75, -0.5, 0.5))
 """Of random pushes beside the edge."""
-_NOT_KNOWN = (f"refused: {GoalCode.UNREACHABLE.name}", PlanStatus.UNHELD.name)
+_NOT_KNOWN = (f"refused: {GoalCode.NOT_HELD.name}", PlanStatus.UNHELD.name)
 _DISTANCE = (0.05, 0.2)
 """Between the outline and the edge at the start [m]."""
 _ASIDE = 0.2

@@ -1,0 +1,90 @@
+"""Goals of the command line as those of the action PushToGoal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.geometry.se2 import quaternion_of_yaw, yaw_of_quaternion
+from push_ident.limits import plain_text
+from push_ident.types import Float64Array
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import Pose
+
+    from push_ident_msgs.action import PushToGoal
+
+__all__ = ["EdgeLine", "edge_message", "goal_message", "planar", "pose_message"]
+
+
+class EdgeLine:
+    """`X1,Y1,X2,Y2` of the command line: two points of an edge, with the table on the left of the way from the first to the second.
+
+    Raises:
+        InputError: it is not four finite numbers of two points that are apart.
+    """
+
+    def __init__(self, text: str) -> None:
+        from push_ident.physics.overhang import TableEdge
+
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 4:
+            raise InputError(f"--edge-line is {plain_text(text)!r}, expected X1,Y1,X2,Y2 in metres, such as 0.15,-0.3,0.15,0.3.")
+        self.points = np.reshape(numbers, (2, 2))
+        TableEdge.between(*self.points)
+
+
+def goal_message(
+    pose: Float64Array, *, object_id: str = "", tolerance_mm: float = 20.0, tolerance_deg: float = 5.73, **limits: Any
+) -> PushToGoal.Goal:
+    """The goal of the action at a pose, shape (3,); `limits` are further fields of it."""
+    from push_ident_msgs.action import PushToGoal
+
+    goal = PushToGoal.Goal(
+        object_id=object_id, position_tolerance=1e-3 * tolerance_mm, yaw_tolerance=float(np.radians(tolerance_deg)), **limits
+    )
+    goal.goal.header.frame_id = "table"
+    goal.goal.pose = pose_message(pose)
+    return goal
+
+
+def edge_message(yaw: float | None, line: EdgeLine | None, *, overhang_mm: float, held_mm: float, **fields: Any) -> PushToGoal.Goal:
+    """The goal of the action at an edge.
+
+    Args:
+        yaw: heading there [rad]; None: the nearest in which the object is held.
+        line: the edge; None: the nearest that the node knows.
+        overhang_mm: of the object beyond the edge [mm].
+        held_mm: least distance of the centre of mass from the border of its support [mm].
+        fields: as of `goal_message`.
+    """
+    from geometry_msgs.msg import Point
+
+    goal = goal_message(np.array([0.0, 0.0, yaw or 0.0]), **fields)
+    goal.kind, goal.use_heading = goal.KIND_EDGE, yaw is not None
+    goal.overhang, goal.held = 1e-3 * overhang_mm, 1e-3 * held_mm
+    goal.edge = [] if line is None else [Point(x=float(x), y=float(y), z=0.0) for x, y in line.points]
+    return goal
+
+
+def pose_message(pose: Float64Array) -> Pose:
+    """A pose (x, y, yaw) [m, m, rad], shape (3,)."""
+    from geometry_msgs.msg import Pose
+
+    msg = Pose()
+    msg.position.x, msg.position.y = float(pose[0]), float(pose[1])
+    turn = msg.orientation
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
+    return msg
+
+
+def planar(pose: Pose) -> Float64Array:
+    """(x, y, yaw) [m, m, rad] of a pose, shape (3,)."""
+    turn = pose.orientation
+    yaw = float(yaw_of_quaternion([turn.x, turn.y, turn.z, turn.w]))
+    return np.array([pose.position.x, pose.position.y, yaw])

@@ -1,0 +1,205 @@
+"""What comes of a goal of `push-ident push-to` and `demo --goal`: a line for each push, and the whole as JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from push_ident.cli.goal_messages import planar, pose_message
+from push_ident.cli.output import console
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.limits import printable
+from push_ident.types import Float64Array
+
+if TYPE_CHECKING:
+    from push_ident_msgs.action import PushToGoal
+
+__all__ = ["GoalReport", "PathReport", "PushLine", "broken_off", "last_feedback"]
+
+
+class PushLine:
+    """One push on the way: predicted and observed.
+
+    Attributes:
+        number: from 1.
+        seen: pose after it, table frame, shape (3,) [m, m, rad].
+        expected: predicted pose, or None for an exploring push.
+        chance: predicted probability of being at the goal after it [1].
+        risk: predicted probability that the object is held by less than it must, at an edge [1].
+        position_error: distance from the goal after it [m].
+        yaw_error: angle to the goal after it [rad].
+    """
+
+    def __init__(self, feedback: PushToGoal.Feedback) -> None:
+        self.number = int(feedback.pushes)
+        self.seen = planar(feedback.pose)
+        self.expected: Float64Array | None = planar(feedback.expected_pose) if feedback.is_predicted else None
+        self.chance, self.risk = float(feedback.expected_chance), float(feedback.risk)
+        self._is_at_edge = len(feedback.edge) == 2
+        self.position_error, self.yaw_error = float(feedback.position_error), float(feedback.yaw_error)
+
+    def __str__(self) -> str:
+        now = "no pre-grasp pose is chosen yet"
+        if np.isfinite(self.position_error):
+            now = f"{1e3 * self.position_error:.1f} mm and {np.degrees(self.yaw_error):.1f}° from the goal"
+        if self.expected is None:
+            return f"push {self.number}: explores; {now}"
+        off = self.seen - self.expected
+        risk = f", {100 * self.risk:.1f} % of not being held" if self._is_at_edge else ""
+        return (
+            f"push {self.number}: {now}; predicted to {1e3 * float(np.hypot(off[0], off[1])):.1f} mm and "
+            f"{np.degrees(abs(float(wrap_angle(off[2])))):.1f}°, {100 * self.chance:.0f} % chance of the goal{risk}"
+        )
+
+    def content(self) -> dict[str, Any]:
+        """For JSON: lengths in metres, angles in radians."""
+        return {
+            "number": self.number,
+            "seen": self.seen.tolist(),
+            "expected": None if self.expected is None else self.expected.tolist(),
+            "chance": None if self.expected is None else self.chance,
+            "risk": self.risk if self.expected is not None and self._is_at_edge else None,
+            "position_error_m": self.position_error,
+            "yaw_error_rad": self.yaw_error,
+        }
+
+
+class GoalReport:
+    """What came of a goal, so far: it can be written at any time, also where something broke it off.
+
+    Attributes:
+        goal: as it was sent.
+        result: of the action; until it ends, that of a goal that is broken off now.
+        lines: one for each push.
+        start: pose before them, table frame, shape (3,) [m, m, rad]; NaN where none was seen.
+        outline: of the object, object frame, shape (n_vertices, 2) [m]; None where it was not received.
+        target: where the object shall be, table frame, shape (3,) [m, m, rad]; NaN at an edge before the node has chosen it.
+        edge: first and last point of the edge that it shall overhang, shape (2, 2) [m]; None away from edges.
+        overhang: beyond that edge, as last observed [m]; NaN where not known.
+        margin: expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known.
+    """
+
+    def __init__(self, goal: PushToGoal.Goal) -> None:
+        self.goal, self.result = goal, broken_off()
+        self.lines: list[PushLine] = []
+        self.start = np.full(3, np.nan)
+        self.outline: Float64Array | None = None
+        self.target = planar(goal.goal.pose) if goal.kind == goal.KIND_POSE else np.full(3, np.nan)
+        self.edge: Float64Array | None = None
+        self.overhang = self.margin = float("nan")
+
+    def take(self, feedback: PushToGoal.Feedback) -> None:
+        """Note what a feedback says, and print a push that is new in it."""
+        if self.goal.kind == self.goal.KIND_EDGE and len(feedback.edge) == 2:
+            self.target = planar(feedback.target)
+            self.edge = np.array([[point.x, point.y] for point in feedback.edge])
+            self.overhang, self.margin = float(feedback.overhang), float(feedback.margin)
+        if feedback.pushes > (self.lines[-1].number if self.lines else 0):
+            self.lines.append(PushLine(feedback))
+            console.print(str(self.lines[-1]), highlight=False, soft_wrap=True)
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the object is at the goal."""
+        return int(self.result.error_code) == 0
+
+    def content(self) -> dict[str, Any]:
+        """For JSON."""
+        result = self.result
+        names = {value: name for name, value in _codes().items()}
+        return {
+            "reached": self.is_reached,
+            "code": names.get(int(result.error_code), str(result.error_code)),
+            "text": printable(result.error_text),
+            "object_id": printable(self.goal.object_id),
+            **self._at_edge(),
+            "goal": self.target.tolist() if np.isfinite(self.target).all() else None,
+            "tolerance_m": float(self.goal.position_tolerance),
+            "tolerance_rad": float(self.goal.yaw_tolerance),
+            "start": self.start.tolist() if np.isfinite(self.start).all() else None,
+            "outline": None if self.outline is None else self.outline.tolist(),
+            "position_error_m": float(result.position_error),
+            "yaw_error_rad": float(result.yaw_error),
+            "chance": float(result.chance),
+            "n_pushes": int(result.pushes),
+            "time_s": float(result.elapsed),
+            "pushes": [line.content() for line in self.lines],
+        }
+
+
+    def _at_edge(self) -> dict[str, Any]:
+        if self.goal.kind != self.goal.KIND_EDGE:
+            return {"kind": "pose"}
+        return {
+            "kind": "edge",
+            "edge": None if self.edge is None else self.edge.tolist(),
+            "wanted_overhang_m": float(self.goal.overhang),
+            "wanted_margin_m": float(self.goal.held),
+            "overhang_m": self.overhang,
+            "margin_m": self.margin,
+        }
+
+
+class PathReport:
+    """What came of goals in a row along a path: a report for each that was begun, of `n_goals`."""
+
+    def __init__(self, reports: list[GoalReport], n_goals: int) -> None:
+        self.reports, self.n_goals = reports, n_goals
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the object was at each of them."""
+        return len(self.reports) == self.n_goals and all(report.is_reached for report in self.reports)
+
+    def content(self) -> dict[str, Any]:
+        """For JSON: lengths in metres, angles in radians; root mean squares over the goals that were reached."""
+        reached = [report.result for report in self.reports if report.is_reached]
+        rms = np.sqrt(np.mean([(r.position_error**2, r.yaw_error**2) for r in reached], axis=0)) if reached else np.full(2, np.nan)
+        return {
+            "reached": self.is_reached,
+            "n_goals": self.n_goals,
+            "n_reached": len(reached),
+            "n_pushes": sum(int(report.result.pushes) for report in self.reports),
+            "rms_position_m": float(rms[0]) if reached else None,
+            "rms_yaw_rad": float(rms[1]) if reached else None,
+            "goals": [report.content() for report in self.reports],
+        }
+
+
+def _codes() -> dict[str, int]:
+    from push_ident.planning.goal_code import GoalCode
+
+    return {code.name: code.value for code in GoalCode}
+
+
+def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: Float64Array) -> PushToGoal.Feedback:
+    """The feedback that belongs to a result: ROS drops feedback that arrives after the result, as that of the last push may do.
+
+    Args:
+        result: of the goal.
+        latest: feedback that was received last; its prediction is that of the push made last, or then under way.
+        pose: of the object as it was seen last, shape (3,), table frame [m, m, rad].
+    """
+    from push_ident_msgs.action import PushToGoal
+
+    is_seen = bool(np.isfinite(result.position_error))
+    last = PushToGoal.Feedback(
+        pushes=result.pushes if is_seen else latest.pushes, position_error=result.position_error, yaw_error=result.yaw_error
+    )
+    last.is_predicted, last.expected_chance, last.expected_pose = latest.is_predicted, latest.expected_chance, latest.expected_pose
+    last.pose, last.target, last.edge = pose_message(pose), result.target, latest.edge
+    last.overhang, last.margin, last.risk = result.overhang, result.margin, latest.risk
+    return last
+
+
+def broken_off(latest: PushToGoal.Feedback | None = None) -> PushToGoal.Result:
+    """The result of a goal whose own result does not come any more, as of the latest feedback."""
+    from push_ident_msgs.action import PushToGoal
+
+    text = "broken off before it ended: the arm holds, and what was learned is kept. A push under way then is not listed."
+    result = PushToGoal.Result(error_code=PushToGoal.Result.CANCELED, error_text=text, position_error=float("nan"), yaw_error=float("nan"))
+    if latest is not None:
+        result.position_error, result.yaw_error = latest.position_error, latest.yaw_error
+        result.pushes, result.elapsed = latest.pushes, latest.elapsed
+    return result

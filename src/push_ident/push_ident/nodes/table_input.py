@@ -1,0 +1,60 @@
+"""Where the table ends, from a parameter of the node or from the topic `workspace/table`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from geometry_msgs.msg import PolygonStamped
+from rclpy.callback_groups import CallbackGroup
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from push_ident.errors import InputError
+from push_ident.geometry.table import Table
+from push_ident.nodes.cell_node import CellNode
+from push_ident.nodes.convert_table import TABLE_TOPIC, table_from_msg
+from push_ident.nodes.parameters import Parameter
+
+__all__ = ["CORNERS", "TableInput", "table_of_corners"]
+
+CORNERS: Final = Parameter(
+    "table_corners",
+    [0.0],
+    "corners of the convex table top in `table`, x, y of one after the other [m]; [0.0]: as the topic workspace/table says, if anything",
+    -100.0,
+    100.0,
+    any_length=True,
+)
+_UNKNOWN: Final = [0.0]
+
+
+def table_of_corners(values: Sequence[float]) -> Table | None:
+    """The table of the parameter; None where it says nothing. Raises InputError for corners that are no table."""
+    if list(values) == _UNKNOWN:
+        return None
+    if len(values) % 2:
+        raise InputError(f"table_corners has {len(values)} numbers, expected x and y of each corner, as in [-0.8, -0.7, 0.8, -0.7, 0.8, 0.7].")
+    return Table(np.reshape(values, (-1, 2)))
+
+
+class TableInput:
+    """The table that a node knows; a message that cannot be used does not replace the one before.
+
+    Args:
+        node: with the parameter `CORNERS`, which comes before what is published.
+        callback_group: of the subscription; None: that of the node.
+    """
+
+    def __init__(self, node: CellNode, callback_group: CallbackGroup | None = None) -> None:
+        self._node = node
+        self._heard: Table | None = None
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(PolygonStamped, TABLE_TOPIC, self._on_table, latched, callback_group=callback_group)
+
+    def get(self) -> Table | None:
+        """The table; None where nobody has said where it ends."""
+        return table_of_corners(self._node.settings[CORNERS.name]) or self._heard
+
+    def _on_table(self, msg: PolygonStamped) -> None:
+        self._heard = table_from_msg(msg)
