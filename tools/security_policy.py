@@ -57,11 +57,12 @@ EXTRA = {
         Right("topic", "publish", "~/done_until"),
     },
     "identification_node": {Right("topic", "subscribe", "bag_player_node/done")},
+    "push_ident_client": {Right("topic", "subscribe", f"depth/{name}") for name in ("image_rect", "camera_info", "camera_pose")},
     "push_ident_look": {Right("topic", "subscribe", f"depth/{name}") for name in ("image_rect", "camera_info", "camera_pose")}
     | {Right("topic", "publish", "parameter_events"), Right("service", "reply", "~/get_type_description")},
 }
-"""What nodes have on machines with tf2_ros only, which the wheels lack; what they have in a replay only; and what `push-ident look --live`
-has, which no cell starts."""
+"""What nodes have on machines with tf2_ros only, which the wheels lack; what they have in a replay only; what the demo
+has, which draws on the picture of the camera; and what `push-ident look --live` has, which no cell starts."""
 Graph = dict[str, set[Right]]
 """Rights of each node, by its name."""
 

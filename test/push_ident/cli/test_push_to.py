@@ -9,7 +9,9 @@ import pytest
 
 from helpers.commands import run_here
 from helpers.objects import hammer
-from push_ident.cli.push_to import GoalReport, GoalText, PathReport, PushLine, goal_message, goals_of, last_feedback
+from push_ident.cli.goal_messages import EdgeLine, edge_message, goal_message
+from push_ident.cli.goal_report import GoalReport, PathReport, PushLine, last_feedback
+from push_ident.cli.push_to import GoalText, goals_of
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.planning.goal import Goal
@@ -95,6 +97,40 @@ def test_file_that_is_no_path_is_refused_before_the_cell_is_looked_for(tmp_path:
     file = tmp_path / "path.csv"
     file.write_text(text, encoding="utf-8")
     done = run_here("push-to", "--path", str(file))
+    assert done.returncode == 1 and word in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_goal_at_an_edge_becomes_that_of_the_action_and_its_report_has_what_the_node_chose() -> None:
+    msg = edge_message(None, EdgeLine("0.15,-0.3,0.15,0.3"), overhang_mm=50.0, held_mm=12.0, tolerance_deg=15.0)
+    assert (msg.kind, msg.use_heading, msg.overhang, msg.held) == (msg.KIND_EDGE, False, pytest.approx(0.05), pytest.approx(0.012))
+    assert [(point.x, point.y) for point in msg.edge] == [(0.15, -0.3), (0.15, 0.3)]
+    turned = edge_message(0.4, None, overhang_mm=40.0, held_mm=10.0)
+    assert turned.use_heading and not turned.edge and turned.goal.pose.orientation.z == pytest.approx(np.sin(0.2))
+    report = GoalReport(msg)
+    assert report.content()["goal"] is None and report.content()["edge"] is None
+    seen = feedback(1, predicted=True)
+    seen.edge, seen.overhang, seen.margin, seen.risk = msg.edge, 0.031, 0.022, 0.004
+    seen.target.position.x = 0.12
+    report.take(seen)
+    content = report.content()
+    assert (content["kind"], content["overhang_m"], content["margin_m"]) == ("edge", 0.031, 0.022)
+    assert content["goal"][0] == 0.12 and content["edge"] == [[0.15, -0.3], [0.15, 0.3]] and content["pushes"][0]["risk"] == 0.004
+    assert "0.4 % of not being held" in str(report.lines[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--edge-line", "0,0,0,1"), "without --edge"),
+        (("--overhang-mm", 30), "without --edge"),
+        (("--edge", "--x", 0.1), "--x"),
+        (("--edge", "--path", "path.csv"), "--path"),
+        (("--edge", "--edge-line", "0,0,1"), "X1,Y1,X2,Y2"),
+        (("--edge", "--edge-line", "0,0,0,0.001"), "two finite points"),
+    ],
+)
+def test_options_of_an_edge_are_checked_before_the_cell_is_looked_for(options: tuple[object, ...], word: str) -> None:
+    done = run_here("push-to", *options)
     assert done.returncode == 1 and word in done.stderr and len(done.stderr.splitlines()) == 1
 
 

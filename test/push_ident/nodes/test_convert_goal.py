@@ -7,20 +7,32 @@ import math
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point
 
 from helpers.objects import hammer
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.geometry.table import Table
 from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert import planar_pose_of
+from push_ident.nodes.convert_table import table_from_msg, table_to_msg
+from push_ident.nodes.table_input import table_of_corners
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
-from push_ident.nodes.goal_pushing.parameters import PARAMETERS, push_settings
-from push_ident.planning.goal_ports import GoalCode, GoalOutcome, GoalProgress, GoalState
+from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.edge_goal import EdgeGoal
+from push_ident.planning.goal import Goal
+from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalState
+from push_ident.planning.hold import EdgeHold
 from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident.planning.target import Target
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import ModelPosterior
 
+EDGE = {"kind": PushToGoal.Goal.KIND_EDGE}
+POINTS = [Point(x=0.15, y=-0.3), Point(x=0.15, y=0.3)]
 DEFAULTS = {parameter.name: parameter.default for parameter in PARAMETERS}
 
 
@@ -61,6 +73,18 @@ def test_zeros_of_a_goal_stand_for_the_parameters() -> None:
     assert (given.goal.position, given.goal.yaw, given.time_limit, given.max_pushes, given.explore) == (0.01, 0.2, 7.0, 3, 2)
 
 
+def test_goal_at_an_edge_is_the_told_edge_or_the_nearest_with_parameters_for_zeros() -> None:
+    goal = request_from_msg(goal_msg(9.0, 9.0, 0.7, **EDGE), DEFAULTS).goal
+    assert isinstance(goal, EdgeGoal) and goal.edge is None and goal.yaw is None
+    assert (goal.overhang, goal.held, goal.position, goal.limit) == (0.04, 0.01, 0.02, 0.01) and goal.turn == pytest.approx(np.radians(15.0))
+    told = goal_msg(0, 0, 0.7, edge=POINTS, overhang=0.05, held=0.02, use_heading=True, position_tolerance=0.01, yaw_tolerance=0.3, **EDGE)
+    goal = request_from_msg(told, DEFAULTS | {"edge_risk": 0.003}).goal
+    assert isinstance(goal, EdgeGoal) and goal.edge is not None
+    np.testing.assert_allclose(goal.edge.outward, [1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(goal.edge.ends, [[0.15, -0.3], [0.15, 0.3]])
+    assert (goal.overhang, goal.held, goal.yaw, goal.position, goal.turn, goal.limit) == (0.05, 0.02, pytest.approx(0.7), 0.01, 0.3, 0.003)
+
+
 @pytest.mark.parametrize(
     ("msg", "word"),
     [
@@ -72,6 +96,13 @@ def test_zeros_of_a_goal_stand_for_the_parameters() -> None:
         (goal_msg(0, 0, 0, yaw_tolerance=math.nan), "positive"),
         (goal_msg(0, 0, 0, time_limit=-3.0), "time_limit"),
         (goal_msg(0, 0, 0, explore=16), "explore"),
+        (goal_msg(0, 0, 0, kind=7), "KIND_EDGE"),
+        (goal_msg(0, 0, 0, edge=POINTS[:1], **EDGE), "1 point"),
+        (goal_msg(0, 0, 0, edge=[POINTS[0]] * 2, **EDGE), "apart"),
+        (goal_msg(0, 0, 0, edge=[POINTS[0], Point(x=math.nan)], **EDGE), "Edge of the table"),
+        (goal_msg(0, 0, 0, overhang=math.nan, **EDGE), "overhang"),
+        (goal_msg(0, 0, 0, held=-0.01, **EDGE), "held"),
+        (goal_msg(0, 0, 0, yaw_tolerance=-1.0, **EDGE), "positive"),
         (goal_msg(0, 0, 0, object_id="o" * 2000), "object_id"),
     ],
 )
@@ -109,3 +140,31 @@ def test_parameters_that_contradict_each_other_are_refused() -> None:
     assert push_settings(DEFAULTS, 0.018).speed_range == (0.1, 0.1)
     with pytest.raises(InputError, match="workspace"):
         push_settings(DEFAULTS | {"workspace": [0.2, -0.2, 0.0, 0.1]}, 0.018)
+
+def test_progress_at_an_edge_names_the_pose_that_was_chosen_and_what_holds_the_object() -> None:
+    edge = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
+    target = Target(Goal(np.array([0.12, 0.0, 0.4])), EdgeHold(edge), np.zeros((1, 2)), np.zeros((1, 2)))
+    plan = GoalPush(PlanStatus.PUSH, 0.7, end=np.array([0.1, 0.2, 0.3]), risk=0.004)
+    progress = GoalProgress(GoalState.PUSH, target=target, overhang=-0.02, margin=0.03, plan=plan)
+    msg = feedback_to_msg(progress)
+    assert planar_pose_of(msg.target) == pytest.approx([0.12, 0.0, 0.4]) and (msg.overhang, msg.margin, msg.risk) == (-0.02, 0.03, 0.004)
+    assert [(point.x, point.y) for point in msg.edge] == pytest.approx([(0.15, -0.3), (0.15, 0.3)])
+    result = result_to_msg(GoalOutcome(GoalCode.NONE, "", progress))
+    assert planar_pose_of(result.target) == pytest.approx([0.12, 0.0, 0.4]) and (result.overhang, result.margin) == (-0.02, 0.03)
+    unknown = result_to_msg(GoalOutcome(GoalCode.EDGE_UNKNOWN, "", GoalProgress()))
+    assert math.isnan(unknown.target.position.x) and math.isnan(unknown.overhang) and math.isnan(unknown.margin)
+
+
+def test_table_survives_its_message_and_comes_from_the_parameter_first() -> None:
+    table = Table.rectangle(np.array([-0.5, 0.15, -0.4, 0.4]))
+    np.testing.assert_allclose(table_from_msg(table_to_msg(table, Time())).corners, table.corners, atol=1e-7)
+    other = table_to_msg(table, Time())
+    other.header.frame_id = "map"
+    with pytest.raises(InputError, match="'map', expected 'table'"):
+        table_from_msg(other)
+    given = table_of_corners([-0.5, -0.4, 0.15, -0.4, 0.15, 0.4, -0.5, 0.4])
+    assert given is not None and table_of_corners([0.0]) is None
+    np.testing.assert_array_equal(given.corners, table.corners)
+    with pytest.raises(InputError, match="3 numbers"):
+        check_values(DEFAULTS | {"table_corners": [0.0, 0.1, 0.2]})
+

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
@@ -10,8 +12,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
 from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
+from push_ident.physics.overhang import TableEdge
 from push_ident.planning.goal import Goal
+from push_ident.planning.hold import EdgeHold
 from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident.planning.target import Target
 from push_ident.pushing.push import PushPlan2D
 
 OUTLINE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.05]])
@@ -22,16 +27,26 @@ PLAN = GoalPush(
 
 
 def test_goal_and_push_come_back() -> None:
-    drawing = draw_goal("o1", OUTLINE, GOAL, PLAN, 3)
+    drawing = draw_goal("o1", OUTLINE, Target(GOAL), PLAN, 3)
     assert drawing.words == "goal: within 10 mm and 5.0°" and drawing.chance == "push 3: 82 % chance of the goal"
     found = goal_markers_from_msg(goal_markers_to_msg(drawing, Time(sec=3)))
     assert isinstance(found, GoalDrawing) and (found.object_id, found.words, found.chance) == ("o1", drawing.words, drawing.chance)
     np.testing.assert_allclose(found.goal, drawing.goal)
     np.testing.assert_allclose(found.tool, [[0.0, -0.01], [0.0, 0.06]], atol=1e-12)
     np.testing.assert_allclose(found.end, drawing.goal - [0.01, 0.0])
-    waiting = goal_markers_from_msg(goal_markers_to_msg(draw_goal("o1", OUTLINE, GOAL, None, 3), Time()))
+    assert found.edge is None
+    waiting = goal_markers_from_msg(goal_markers_to_msg(draw_goal("o1", OUTLINE, Target(GOAL), None, 3), Time()))
     assert waiting is not None and waiting.tool is None and waiting.end is None and waiting.chance == ""
     assert goal_markers_from_msg(goal_markers_to_msg(None, Time())) is None
+
+
+def test_edge_of_a_goal_comes_back_with_what_is_risked() -> None:
+    edge = TableEdge.between(np.array([0.25, -0.3]), np.array([0.25, 0.3]))
+    target = Target(GOAL, EdgeHold(edge, 0.012), np.array([[0.01, 0.01], [0.09, 0.01]]), np.array([[0.05, 0.01]]))
+    found = goal_markers_from_msg(goal_markers_to_msg(draw_goal("o1", OUTLINE, target, replace(PLAN, risk=0.004), 3), Time()))
+    assert found is not None and found.edge is not None and "over the edge, held by" in found.words
+    assert found.chance == "push 3: 82 % chance of the goal, 0.4 % of being held by less than 12 mm"
+    np.testing.assert_allclose(found.edge, [[0.25, -0.3], [0.25, 0.3]])
 
 
 def test_markers_of_another_frame_place_object_or_size_are_refused() -> None:
@@ -40,7 +55,7 @@ def test_markers_of_another_frame_place_object_or_size_are_refused() -> None:
         (lambda marker: setattr(marker.points[0], "x", float("nan")), "Goal marker"),
         (lambda marker: setattr(marker, "ns", "goal/1 2"), "1 2"),
     ):
-        msg = goal_markers_to_msg(draw_goal("o1", OUTLINE, GOAL, PLAN, 1), Time())
+        msg = goal_markers_to_msg(draw_goal("o1", OUTLINE, Target(GOAL), PLAN, 1), Time())
         change(msg.markers[1])
         with pytest.raises(InputError, match=words):
             goal_markers_from_msg(msg)

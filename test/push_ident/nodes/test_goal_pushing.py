@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from visualization_msgs.msg import MarkerArray
@@ -26,7 +27,8 @@ from push_ident.geometry.se2 import quaternion_of_yaw, transform_points
 from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
-from push_ident.planning.goal_ports import GoalCode, GoalState
+from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.goal_ports import GoalState
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import ModelPosterior
@@ -179,6 +181,7 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
     assert again.error_code == GoalCode.NONE and again.pushes == 0
 
 
+EDGE = [Point(x=0.12, y=-0.3), Point(x=0.12, y=0.3)]
 WRONG = {
     "not finite": ({"pose": (np.nan, 0.0, 0.0)}, GoalCode.INVALID_GOAL, "finite"),
     "another frame": ({"frame": "camera"}, GoalCode.INVALID_GOAL, "table"),
@@ -187,6 +190,10 @@ WRONG = {
     "more exploring pushes than pushes": ({"explore": 9, "max_pushes": 3}, GoalCode.INVALID_GOAL, "explore"),
     "unknown object": ({"object_id": "o9"}, GoalCode.UNKNOWN_OBJECT, "box"),
     "name of any length": ({"object_id": "x" * 5000}, GoalCode.INVALID_GOAL, "object_id"),
+    "no kind": ({"kind": 7}, GoalCode.INVALID_GOAL, "KIND_EDGE"),
+    "edge that nobody knows": ({"kind": 1}, GoalCode.EDGE_UNKNOWN, "table_corners"),
+    "edge out of reach": ({"kind": 1, "edge": [Point(x=0.5, y=-0.5), Point(x=0.5, y=0.5)]}, GoalCode.OUTSIDE_WORKSPACE, "another edge"),
+    "edge that cannot hold": ({"kind": 1, "edge": EDGE, "overhang": 0.09}, GoalCode.NOT_HELD, "less overhang"),
     "outside": ({"pose": (0.19, 0.0, 0.0)}, GoalCode.OUTSIDE_WORKSPACE, "further inside"),
 }
 

@@ -73,9 +73,20 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(folder / "identification.html", result, *errors, Provenance("o1", sources), 0.01)
     tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
     write_diagnosis(folder / "diagnosis.html", tilted, object_id="o1", sources=sources)
-    write_goal_page(folder / "goal.html", goal_content("NONE", 4))
+    write_goal_page(folder / "goal.html", goal_content("NONE", 4) | AT_EDGE)
     write_goal_page(folder / "broken_off.html", goal_content("CANCELED", 1))
     return {path.stem: path for path in folder.glob("*.html")}
+
+
+AT_EDGE = {
+    "kind": "edge",
+    "edge": [[0.09, -0.4], [0.09, 0.4]],
+    "wanted_overhang_m": 0.04,
+    "wanted_margin_m": 0.01,
+    "overhang_m": 0.037,
+    "margin_m": 0.024,
+}
+"""What comes beside it for a goal at an edge."""
 
 
 def goal_content(code: str, n_pushes: int) -> dict[str, object]:
@@ -87,6 +98,7 @@ def goal_content(code: str, n_pushes: int) -> dict[str, object]:
             "seen": poses[k].tolist(),
             "expected": None if k == 1 else (poses[k] + 0.003).tolist(),
             "chance": None if k == 1 else 0.2 * k,
+            "risk": None if k == 1 else 0.001 * k,
             "position_error_m": 0.1 / k,
             "yaw_error_rad": 0.5 / k,
         }

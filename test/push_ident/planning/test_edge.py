@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from push_ident.errors import InputError
+from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.se2 import compose, inverse, transform_points
+from push_ident.geometry.table import Table
 from push_ident.identification.result import prior_posterior
 from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
-from push_ident.planning.edge_goal import EdgeGoal, pregrasp
-from push_ident.planning.goal import Goal
+from push_ident.planning.edge_goal import EdgeGoal, edge_target, edges_of, held_target, pregrasp
+from push_ident.planning.explore import push_on_table
+from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.hold import RISK, EdgeHold
 from push_ident.planning.library import path_of
@@ -33,6 +35,11 @@ EDGE = TableEdge(np.array([1.0, 0.0]), 0.3)
 GOAL = EdgeGoal(EDGE)
 SURE = np.diag([3e-4, 3e-4, 3e-3]) ** 2
 START = np.array([0.1, 0.03, 2.0])
+
+
+def between(x: float, first: float, last: float) -> TableEdge:
+    """The edge at x from y = first to y = last [m], with the table on the side of smaller x."""
+    return TableEdge.between(np.array([x, first]), np.array([x, last]))
 
 
 def test_margin_is_the_distance_from_the_border_of_the_support() -> None:
@@ -65,10 +72,11 @@ def test_pregrasp_pose_overhangs_as_wanted_and_is_held() -> None:
 @pytest.mark.parametrize(
     ("goal", "belief", "code", "word"),
     [
-        (replace(GOAL, edge=None), KNOWN, GoalCode.INVALID_GOAL, "edge is not known"),
+        (replace(GOAL, edge=None), KNOWN, GoalCode.EDGE_UNKNOWN, "edge is not known"),
         (replace(GOAL, edge=TableEdge(np.array([1.0, 0.0]), 0.9)), KNOWN, GoalCode.OUTSIDE_WORKSPACE, "widen the workspace"),
-        (replace(GOAL, overhang=0.13), KNOWN, GoalCode.UNREACHABLE, "less overhang"),
-        (replace(GOAL, held=0.05), Belief.of(prior_posterior(MODEL.shape)), GoalCode.UNREACHABLE, "few times more"),
+        (replace(GOAL, edge=between(0.3, 0.0, 0.1)), KNOWN, GoalCode.OUTSIDE_WORKSPACE, "ends of the edge"),
+        (replace(GOAL, overhang=0.13), KNOWN, GoalCode.NOT_HELD, "less overhang"),
+        (replace(GOAL, held=0.05), Belief.of(prior_posterior(MODEL.shape)), GoalCode.NOT_HELD, "few times more"),
     ],
 )
 def test_goals_at_the_edge_that_cannot_be_are_refused_with_a_code(goal: EdgeGoal, belief: Belief, code: GoalCode, word: str) -> None:
@@ -83,6 +91,11 @@ def test_numbers_of_the_goal_are_checked() -> None:
             EdgeGoal(EDGE, **values)
     with pytest.raises(InputError, match="held by"):
         EdgeHold(EDGE, np.nan)
+    with pytest.raises(InputError, match="more than 0 and at most"):
+        EdgeHold(EDGE, 0.01, 0.0)
+    for points in (((0.0, 0.0), (0.0, 0.005)), ((0.0, np.nan), (0.0, 0.5))):
+        with pytest.raises(InputError, match="two finite points"):
+            TableEdge.between(*np.array(points))
 
 
 def test_known_object_is_pushed_out_over_the_edge_and_held_on_the_way() -> None:
@@ -100,6 +113,45 @@ def test_known_object_is_pushed_out_over_the_edge_and_held_on_the_way() -> None:
         pose = way[-1]
     assert plan.status is PlanStatus.ARRIVED and goal.relative_error(pose) <= 1.0
     assert float(np.max(EDGE.beyond(transform_points(pose, MODEL.shape.outline)))) > 0.02
+
+
+def test_object_stays_between_the_ends_of_the_edge_at_the_nearest_edge_that_can_be() -> None:
+    assert between(0.3, -0.2, 0.2).beyond(np.array([0.35, 0.0])) == pytest.approx(0.05)
+    ended = edge_target(replace(GOAL, edge=between(0.3, -0.4, -0.02)), [], KNOWN, START, SETTINGS)
+    assert float(np.max(transform_points(ended.goal.pose, MODEL.shape.outline)[:, 1])) <= -0.02 + 1e-9
+    # The nearest one is out of reach, the next nearest is taken.
+    table = Table.rectangle(np.array([-0.4, 0.3, -0.9, 0.06]))
+    target = edge_target(replace(GOAL, edge=None), edges_of(table), KNOWN, START, replace(SETTINGS, workspace=(-0.4, 0.4, -0.4, -0.1)))
+    assert target.hold is not None
+    np.testing.assert_allclose(target.hold.edge.ends, [[0.3, -0.9], [0.3, 0.06]], atol=1e-12)
+    with pytest.raises(GoalRefusedError, match="edge is not known"):
+        edge_target(replace(GOAL, edge=None), [], KNOWN, START, SETTINGS)
+
+
+def test_object_is_there_only_where_it_is_held() -> None:
+    goal, hold = pregrasp(GOAL, KNOWN, START, SETTINGS)
+    there, further = goal.pose, goal.pose + [0.009, 0.0, 0.0]
+    strict = replace(hold, margin=float(hold.margins(CELLS, CENTRE, there)) - 0.003)
+    target = held_target(goal, strict, KNOWN)
+    assert target.is_reached(there, SURE) and not target.is_reached(further, SURE)
+    blurred = np.diag([8e-3, 8e-3, 3e-3]) ** 2
+    assert goal.chance(there, blurred) > CERTAIN and not target.is_reached(there, blurred), "the covariance counts"
+    assert target.margin(there) == pytest.approx(strict.margin + 0.003)
+    assert target.overhang(transform_points(there, MODEL.shape.outline)) == pytest.approx(GOAL.overhang)
+    plan = GoalPlanner(MODEL.shape, SETTINGS).plan(KNOWN, further, SURE, goal, hold=strict)
+    assert plan.status is not PlanStatus.ARRIVED, "the planner and the session agree"
+
+
+def test_exploring_pushes_keep_the_object_on_the_table() -> None:
+    edge, near = between(0.3, -0.5, 0.5), np.array([0.21, 0.0, 0.4])
+    for pose in (START, near, near + [0.06, 0.0, 0.0]):
+        outline = transform_points(pose, MODEL.shape.outline)
+        for seed in range(5):
+            push = push_on_table(MODEL.shape, pose, seed, SETTINGS, [edge])
+            after = float(np.max(edge.beyond(outline + push.distance * push.heading)))
+            assert after < max(-0.009, float(np.max(edge.beyond(outline))) - 0.009)
+    with pytest.raises(PlanningError, match="keeps the object on the table"):
+        push_on_table(MODEL.shape, START, 0, SETTINGS, [between(0.0, -0.5, 0.5), TableEdge(np.array([-1.0, 0.0]), 0.0)])
 
 
 def test_what_is_not_known_is_not_risked() -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 import pytest
@@ -11,12 +12,13 @@ import pytest
 from helpers.objects import hammer
 from push_ident.errors import InputError
 from push_ident.identification.result import ModelPosterior, prior_posterior
+from push_ident.physics.overhang import TableEdge
+from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal
+from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import (
-    GoalCode,
     GoalOutcome,
     GoalProgress,
-    GoalRefusedError,
     GoalRequest,
     GoalState,
     KnownModel,
@@ -25,7 +27,9 @@ from push_ident.planning.goal_ports import (
     Wish,
 )
 from push_ident.planning.goal_session import GoalSession
+from push_ident.planning.hold import EdgeHold
 from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
@@ -34,6 +38,7 @@ GOAL = Goal(np.array([0.05, 0.05, 0.5]))
 SHAPE = hammer(1).shape
 PUSH_SECONDS = 8.0
 LEARN_SECONDS = 2.0
+T = TypeVar("T")
 
 
 @pytest.fixture(scope="module")
@@ -42,19 +47,19 @@ def posterior() -> ModelPosterior:
 
 
 @dataclass
-class Plan:
-    """A plan that is ready after a while."""
+class Computed(Generic[T]):
+    """What is there after a while."""
 
     cell: Cell
-    push: GoalPush | Exception
+    found: T | Exception
     ready: float
 
-    def result(self) -> GoalPush | None:
+    def result(self) -> T | None:
         if self.cell.now() < self.ready:
             return None
-        if isinstance(self.push, Exception):
-            raise self.push
-        return self.push
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
 
 
 @dataclass
@@ -108,6 +113,10 @@ class Cell:
     settings: PushSettings | None = field(default_factory=PushSettings)
     pushes: list[Push] = field(default_factory=list)
     asked: list[PushPlan2D | int] = field(default_factory=list)
+    edges: list[TableEdge] = field(default_factory=list)
+    """Of the table."""
+    targets: list[Goal | Exception] = field(default_factory=list)
+    """What is chosen at an edge, one after another; the last one again and again."""
     failed: list[int] = field(default_factory=list)
     """Number of failed pushes passed to each plan."""
 
@@ -138,14 +147,28 @@ class Cell:
     def push_settings(self) -> PushSettings | None:
         return self.settings
 
+    def known_edges(self) -> list[TableEdge]:
+        return self.edges
+
+    def begin_target(
+        self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
+    ) -> Computed[Target]:
+        if chosen is not None:
+            return Computed(self, chosen, self.time)
+        found = self.targets.pop(0) if len(self.targets) > 1 else self.targets[0]
+        if isinstance(found, Exception):
+            return Computed(self, found, self.time)
+        centre = np.zeros((1, 2))
+        return Computed(self, Target(found, EdgeHold(edges[0], goal.held), SHAPE.cells.centres, centre), self.time)
+
     def begin_plan(
-        self, model: KnownModel, seen: TrackedObject, goal: Goal, obstacles: list[Float64Array], failed: list[PushPlan2D]
-    ) -> Plan:
+        self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
+    ) -> Computed[GoalPush]:
         self.failed.append(len(failed))
         if self.plans:
-            return Plan(self, self.plans.pop(0), self.time + 1.0)
+            return Computed(self, self.plans.pop(0), self.time + 1.0)
         push = PushPlan2D(np.array([0.1 * len(failed), 0.0]), np.zeros(2), 0.0, 0.05, 0.1)
-        return Plan(self, GoalPush(PlanStatus.PUSH, 0.8, push, goal.pose, goal.pose[None], 1.3), self.time + 1.0)
+        return Computed(self, GoalPush(PlanStatus.PUSH, 0.8, push, target.goal.pose, target.goal.pose[None], 1.3), self.time + 1.0)
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> Push:
         self.asked.append(push)
@@ -312,6 +335,56 @@ def test_goal_with_impossible_limits_is_refused() -> None:
         GoalRequest("", GOAL, time_limit=np.nan)
     with pytest.raises(InputError, match="explore"):
         GoalRequest("", GOAL, explore=5, max_pushes=4)
+
+
+EDGE = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
+TOLD_EDGE = EdgeGoal(EDGE)
+AT_EDGE = Goal(GOAL.pose, TOLD_EDGE.position, TOLD_EDGE.turn)
+UNHELD = GoalRefusedError(GoalCode.NOT_HELD, "it might fall")
+
+
+def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough(posterior: ModelPosterior) -> None:
+    """Refused before anything is known, which exploring may cure; then chosen once, after the exploring pushes."""
+    cell = Cell(posterior, is_known=False, targets=[UNHELD, AT_EDGE])
+    outcome, seen = run(cell, goal=TOLD_EDGE, explore=2)
+    assert outcome.code is GoalCode.NONE and not cell.targets[1:]
+    explored = [push for push in cell.asked if isinstance(push, PushPlan2D)][:2]
+    assert len(explored) == 2, "the executor chooses none: it knows of no edge"
+    assert outcome.progress.target is not None and outcome.progress.overhang < 0.0 < outcome.progress.margin
+    assert seen[0].target is None and np.isnan(seen[0].error[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "fields", "code", "word"),
+    [
+        ({}, {"goal": EdgeGoal(None)}, GoalCode.EDGE_UNKNOWN, "table_corners"),
+        ({"targets": [UNHELD]}, {"goal": TOLD_EDGE}, GoalCode.NOT_HELD, "might fall"),
+        ({"targets": [UNHELD]}, {"goal": TOLD_EDGE, "explore": 1}, GoalCode.NOT_HELD, "might fall"),
+        ({"targets": [AT_EDGE], "plans": [GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)] * 2}, {"goal": TOLD_EDGE}, GoalCode.NOT_HELD, "4.0 %"),
+    ],
+)
+def test_goal_at_an_edge_that_cannot_be_ends_with_its_code(
+    posterior: ModelPosterior, change: dict[str, object], fields: dict[str, object], code: GoalCode, word: str
+) -> None:
+    outcome, _ = run(Cell(posterior, **change), **fields)  # type: ignore[arg-type]
+    assert outcome.code is code and word in outcome.text
+
+
+def test_where_each_push_would_risk_a_fall_another_place_is_chosen_once(posterior: ModelPosterior) -> None:
+    cell = Cell(posterior, targets=[Goal(np.array([0.0, 0.1, 0.0])), AT_EDGE], plans=[GoalPush(PlanStatus.UNHELD, 0.0)])
+    outcome, _ = run(cell, goal=TOLD_EDGE)
+    assert outcome.code is GoalCode.NONE and outcome.progress.target is not None
+    np.testing.assert_array_equal(outcome.progress.target.goal.pose, AT_EDGE.pose)
+
+
+def test_object_that_is_lost_at_the_edge_fell(posterior: ModelPosterior) -> None:
+    over = Goal(np.array([0.13, 0.0, 0.0]), TOLD_EDGE.position, TOLD_EDGE.turn)
+    gone = {"is_visible": lambda time: time < 105.0, "targets": [over]}
+    outcome, _ = run(Cell(posterior, **gone), goal=TOLD_EDGE)  # type: ignore[arg-type]
+    assert outcome.code is GoalCode.FELL and "less overhang" in outcome.text and outcome.progress.pushes == 1
+    # Far from the edge it is only lost.
+    outcome, _ = run(Cell(posterior, **gone | {"targets": [Goal(np.array([0.0, 0.1, 0.0]))]}), goal=TOLD_EDGE)  # type: ignore[arg-type]
+    assert outcome.code is GoalCode.OBJECT_LOST
 
 
 def test_codes_are_those_of_the_action() -> None:
