@@ -15,11 +15,11 @@ from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.table import Table
 from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert import planar_pose_of
-from push_ident.nodes.convert_table import table_from_msg, table_to_msg
-from push_ident.nodes.table_input import table_of_corners
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
+from push_ident.nodes.convert_table import table_from_msg, table_to_msg
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings
+from push_ident.nodes.table_input import table_of_corners
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal
@@ -76,7 +76,9 @@ def test_zeros_of_a_goal_stand_for_the_parameters() -> None:
 def test_goal_at_an_edge_is_the_told_edge_or_the_nearest_with_parameters_for_zeros() -> None:
     goal = request_from_msg(goal_msg(9.0, 9.0, 0.7, **EDGE), DEFAULTS).goal
     assert isinstance(goal, EdgeGoal) and goal.edge is None and goal.yaw is None
-    assert (goal.overhang, goal.held, goal.position, goal.limit) == (0.04, 0.01, 0.02, 0.01) and goal.turn == pytest.approx(np.radians(15.0))
+    assert (goal.overhang, goal.held, goal.position, goal.limit) == (0.04, 0.01, 0.02, 0.01) and goal.turn == pytest.approx(
+        np.radians(15.0)
+    )
     told = goal_msg(0, 0, 0.7, edge=POINTS, overhang=0.05, held=0.02, use_heading=True, position_tolerance=0.01, yaw_tolerance=0.3, **EDGE)
     goal = request_from_msg(told, DEFAULTS | {"edge_risk": 0.003}).goal
     assert isinstance(goal, EdgeGoal) and goal.edge is not None
@@ -141,6 +143,7 @@ def test_parameters_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(InputError, match="workspace"):
         push_settings(DEFAULTS | {"workspace": [0.2, -0.2, 0.0, 0.1]}, 0.018)
 
+
 def test_progress_at_an_edge_names_the_pose_that_was_chosen_and_what_holds_the_object() -> None:
     edge = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
     target = Target(Goal(np.array([0.12, 0.0, 0.4])), EdgeHold(edge), np.zeros((1, 2)), np.zeros((1, 2)))
@@ -167,4 +170,3 @@ def test_table_survives_its_message_and_comes_from_the_parameter_first() -> None
     np.testing.assert_array_equal(given.corners, table.corners)
     with pytest.raises(InputError, match="3 numbers"):
         check_values(DEFAULTS | {"table_corners": [0.0, 0.1, 0.2]})
-

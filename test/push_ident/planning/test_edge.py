@@ -130,7 +130,7 @@ def test_object_stays_between_the_ends_of_the_edge_at_the_nearest_edge_that_can_
 
 def test_object_is_there_only_where_it_is_held() -> None:
     goal, hold = pregrasp(GOAL, KNOWN, START, SETTINGS)
-    there, further = goal.pose, goal.pose + [0.009, 0.0, 0.0]
+    there, further = goal.pose, goal.pose + np.array([0.009, 0.0, 0.0])
     strict = replace(hold, margin=float(hold.margins(CELLS, CENTRE, there)) - 0.003)
     target = held_target(goal, strict, KNOWN)
     assert target.is_reached(there, SURE) and not target.is_reached(further, SURE)
@@ -144,7 +144,7 @@ def test_object_is_there_only_where_it_is_held() -> None:
 
 def test_exploring_pushes_keep_the_object_on_the_table() -> None:
     edge, near = between(0.3, -0.5, 0.5), np.array([0.21, 0.0, 0.4])
-    for pose in (START, near, near + [0.06, 0.0, 0.0]):
+    for pose in (START, near, near + np.array([0.06, 0.0, 0.0])):
         outline = transform_points(pose, MODEL.shape.outline)
         for seed in range(5):
             push = push_on_table(MODEL.shape, pose, seed, SETTINGS, [edge])

@@ -341,6 +341,7 @@ EDGE = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
 TOLD_EDGE = EdgeGoal(EDGE)
 AT_EDGE = Goal(GOAL.pose, TOLD_EDGE.position, TOLD_EDGE.turn)
 UNHELD = GoalRefusedError(GoalCode.NOT_HELD, "it might fall")
+NEVER_HELD = GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)
 
 
 def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough(posterior: ModelPosterior) -> None:
@@ -360,7 +361,12 @@ def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough(posteri
         ({}, {"goal": EdgeGoal(None)}, GoalCode.EDGE_UNKNOWN, "table_corners"),
         ({"targets": [UNHELD]}, {"goal": TOLD_EDGE}, GoalCode.NOT_HELD, "might fall"),
         ({"targets": [UNHELD]}, {"goal": TOLD_EDGE, "explore": 1}, GoalCode.NOT_HELD, "might fall"),
-        ({"targets": [AT_EDGE], "plans": [GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)] * 2}, {"goal": TOLD_EDGE}, GoalCode.NOT_HELD, "4.0 %"),
+        (
+            {"targets": [AT_EDGE], "plans": [GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)] * 2},
+            {"goal": TOLD_EDGE},
+            GoalCode.NOT_HELD,
+            "4.0 %",
+        ),
     ],
 )
 def test_goal_at_an_edge_that_cannot_be_ends_with_its_code(

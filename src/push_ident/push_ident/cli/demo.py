@@ -16,10 +16,10 @@ from rich.table import Table
 
 from push_ident.cli.checks import writable_folder
 from push_ident.cli.demo_pushes import DemoPush, DemoPushes
-from push_ident.cli.live_view import ViewOption, show_view
-from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.goal_messages import goal_message
 from push_ident.cli.goal_report import GoalReport
+from push_ident.cli.live_view import ViewOption, show_view
+from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
 from push_ident.cli.push_to import GoalText, finish, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError

@@ -127,7 +127,6 @@ class GoalReport:
             "pushes": [line.content() for line in self.lines],
         }
 
-
     def _at_edge(self) -> dict[str, Any]:
         if self.goal.kind != self.goal.KIND_EDGE:
             return {"kind": "pose"}

@@ -1,4 +1,4 @@
-"""`push-ident push-to`: push an object of a live cell to a goal pose, from one to the next along a path, or out over an edge of the table."""
+"""`push-ident push-to`: push an object of a live cell to a goal pose, from one to the next along a path, or out over an edge."""
 
 from __future__ import annotations
 
@@ -214,9 +214,10 @@ def finish(report: GoalReport) -> None:
     if report.edge is None:
         console.print(f"at the goal after {result.pushes} pushes and {result.elapsed:.0f} s: {where}", highlight=False)
         return
+    x, y, yaw = report.target
     console.print(
         f"over the edge by {1e3 * report.overhang:.0f} mm after {result.pushes} pushes and {result.elapsed:.0f} s, the centre of mass "
-        f"{1e3 * report.margin:.0f} mm inside its support; at ({report.target[0]:.3f}, {report.target[1]:.3f}) m, {report.target[2]:.2f} rad: {where}",
+        f"{1e3 * report.margin:.0f} mm inside its support; pre-grasp pose ({x:.3f}, {y:.3f}) m, {yaw:.2f} rad: {where}",
         highlight=False,
         soft_wrap=True,
     )

@@ -34,7 +34,9 @@ def table_of_corners(values: Sequence[float]) -> Table | None:
     if list(values) == _UNKNOWN:
         return None
     if len(values) % 2:
-        raise InputError(f"table_corners has {len(values)} numbers, expected x and y of each corner, as in [-0.8, -0.7, 0.8, -0.7, 0.8, 0.7].")
+        raise InputError(
+            f"table_corners has {len(values)} numbers, expected x and y of each corner, as in [-0.8, -0.7, 0.8, -0.7, 0, 0.7]."
+        )
     return Table(np.reshape(values, (-1, 2)))
 
 

@@ -53,6 +53,4 @@ def push_on_table(
         after = outline + push.distance * push.heading
         if all(float(np.max(edge.beyond(after))) <= most for edge, most in zip(edges, allowed, strict=True)):
             return push
-    raise PlanningError(
-        PushCode.UNREACHABLE, f"none of {_DRAWS} random pushes keeps the object on the table; move it away from the edge."
-    )
+    raise PlanningError(PushCode.UNREACHABLE, f"none of {_DRAWS} random pushes keeps the object on the table; move it away from the edge.")

@@ -80,8 +80,8 @@ def _headline(content: Mapping[str, Any], goals: Sequence[Mapping[str, Any]], n_
         over, inside = (_length(content[key]) for key in ("overhang_m", "margin_m"))
         apart = _apart(content["position_error_m"], content["yaw_error_rad"])
         return (
-            f"After {made} the object overhangs the edge by {over}, its centre of mass {inside} inside what supports it. It is {apart} from "
-            "the pre-grasp pose."
+            f"After {made} the object overhangs the edge by {over}, its centre of mass {inside} inside what supports it. It is {apart} "
+            "from the pre-grasp pose."
         )
     return f"After {made} the object is {_apart(content['position_error_m'], content['yaw_error_rad'])} from the goal."
 
@@ -151,7 +151,7 @@ def _panels(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _edge_within(edge: Sequence[Sequence[float]] | None, frame: Float64Array) -> list[Placed]:
-    """The part of the edge that lies within the frame of a drawing, least and largest corner, shape (2, 2) [m]; none where it is outside."""
+    """The part of the edge within the frame of a drawing, least and largest corner, shape (2, 2) [m]; none where it is outside."""
     if edge is None:
         return []
     points = np.linspace(edge[0], edge[1], _EDGE_POINTS)

@@ -31,7 +31,7 @@ from push_ident.planning.goal_ports import (
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.planning.target_choice import TargetChoice
 from push_ident.pushing.ports import TrackedObject
-from push_ident.pushing.push import PushCode, PushPlan2D
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 
 __all__ = ["GoalSession"]
 
@@ -314,8 +314,8 @@ class GoalSession:
             if code is GoalCode.OBJECT_LOST and self._was_over_edge():
                 raise _Ended(
                     GoalCode.FELL,
-                    f"`{self._object_id}` was lost while it overhung the table's edge: it fell, as far as is known ({why}) Put it back on the "
-                    "table, then send the goal again, with less overhang or more of it held; what was learned is kept.",
+                    f"`{self._object_id}` was lost while it overhung the table's edge: it fell, as far as is known ({why}) Put it back on "
+                    "the table, then send the goal again, with less overhang or more of it held; what was learned is kept.",
                 )
             raise _Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
         return self._note_seen(seen)

@@ -87,6 +87,7 @@ class EdgeHold:
         safe = np.where(finite, margins, 0.0)
         spread = np.maximum(np.std(safe, axis=0), 1e-6)
         return np.asarray(np.where(finite, norm.cdf((self.margin - np.mean(safe, axis=0)) / spread), 1.0))
+
     def chance(self, cells: Float64Array, centres: Float64Array, pose: Float64Array, covariance: Float64Array) -> float:
         """Probability that the object is held by the margin [1].
 
@@ -102,4 +103,3 @@ class EdgeHold:
         n = max(_DRAWS, len(centres))
         poses = pose + np.random.default_rng(0).normal(size=(n, 3)) @ root.T
         return 1.0 - float(self.risk(self.margins(cells, np.resize(centres, (n, 2)), poses)))
-

@@ -82,7 +82,7 @@ PARAMETERS: Final = (
     Parameter(
         "table",
         list(TABLE),
-        "x_min, x_max, y_min, y_max of the table [m]; of another size than this the object is one rigid body, which may fall, without effects",
+        "x_min, x_max, y_min, y_max of the table [m]; of another size the object is one rigid body, which may fall, without effects",
         -10.0,
         10.0,
         read_only=True,

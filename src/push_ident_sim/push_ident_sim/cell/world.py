@@ -50,15 +50,15 @@ class WorldConfig:
     joint_effort: float = 300.0
     """[N m], largest motor torque."""
     table: tuple[float, float, float, float] = TABLE
-    """x_min, x_max, y_min, y_max of the table [m]. With another one than the default, the object is one rigid body that may tilt and fall, and
-    no effects can be injected."""
+    """x_min, x_max, y_min, y_max of the table [m]. With another one than the default, the object is one rigid body that may tilt and fall,
+    and no effects can be injected."""
     effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected effects; those on the camera act in `camera.py`."""
 
     def __post_init__(self) -> None:
         if self.is_rigid and self.effects.as_dict():
             raise InputError(
-                f"The table is {self.table} m, and {', '.join(self.effects.as_dict())} is injected: an object that may fall has no effects; "
+                f"The table is {self.table} m, and {', '.join(self.effects.as_dict())} is injected: an object that may fall has none; "
                 f"leave them out, or take the table {TABLE}."
             )
 

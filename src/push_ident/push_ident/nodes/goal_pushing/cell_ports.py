@@ -70,7 +70,14 @@ class CellView:
         planners: PlannerThread,
         settings: Callable[[], PushSettings | None],
     ) -> None:
-        self.objects, self.models, self.table, self.executor, self.planners, self.settings = objects, models, table, executor, planners, settings
+        self.objects, self.models, self.table, self.executor, self.planners, self.settings = (
+            objects,
+            models,
+            table,
+            executor,
+            planners,
+            settings,
+        )
 
 
 class CellPorts:

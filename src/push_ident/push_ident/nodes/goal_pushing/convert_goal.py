@@ -117,6 +117,6 @@ def result_to_msg(outcome: GoalOutcome) -> PushToGoal.Result:
     msg.chance, msg.pushes, msg.elapsed = float(progress.chance), int(progress.pushes), float(progress.elapsed)
     return msg
 
+
 def _target_msg(progress: GoalProgress) -> Pose:
     return planar_pose_msg(np.full(3, np.nan) if progress.target is None else progress.target.goal.pose)
-

@@ -18,9 +18,17 @@ PARAMETERS: Final = (
     Parameter("position_tolerance", 0.02, "Largest distance from the goal, where a goal gives 0 [m]", 0.0001, 1.0),
     Parameter("yaw_tolerance", 0.1, "Largest angle to the goal, where a goal gives 0 [rad]", 0.001, 3.15),
     Parameter("edge_overhang", _EDGE.overhang, "Beyond the edge of the table, where a goal at one gives 0 [m]", 0.001, 1.0),
-    Parameter("edge_held", _EDGE.held, "Least distance of the centre of mass from the border of its support, where a goal gives 0 [m]", 0.0, 1.0),
+    Parameter(
+        "edge_held", _EDGE.held, "Least distance of the centre of mass from the border of its support, for such a goal [m]", 0.0, 1.0
+    ),
     Parameter("edge_yaw_tolerance", _EDGE.turn, "Largest angle to the pre-grasp pose, where a goal at an edge gives 0 [rad]", 0.001, 3.15),
-    Parameter("edge_risk", _EDGE.limit, "Largest chance that a push at an edge leaves the object held by less [0..1]; riskier ones are not made", 1e-6, 0.5),
+    Parameter(
+        "edge_risk",
+        _EDGE.limit,
+        "Largest chance that a push leaves it held by less; riskier ones are not made [0..1]",
+        1e-6,
+        0.5,
+    ),
     CORNERS,
     Parameter("time_limit", 300.0, "Longest time for a goal that gives 0, wall time [s]", 1.0, 86400.0),
     Parameter("max_pushes", 15, "Most pushes for a goal that gives 0", 1, 1000),

@@ -143,7 +143,7 @@ class RigidObject:
         for contact in self._client.getContactPoints(self.body, pusher, -1, link):
             force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
         return force
+
     def touches(self, pusher: int, link: int) -> bool:
         """Whether the outline overlaps a link of the body `pusher`."""
         return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, -1))
-
