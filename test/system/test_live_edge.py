@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from helpers.domains import own_domain
-from push_ident.cli.supervisor import Supervisor, node_command
+from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.client import CellClient
 
@@ -25,18 +25,16 @@ CELL = {
     "object": "toolbox",
     "seed": 1,
     "table": [-0.8, END, -0.7, 0.7],
-    "start_pose": [-0.02, 0.0, 0.0],
+    "start_pose": [0.0, 0.0, 0.0],
     "camera_rate": 0.0,
     "truth_as_perception": True,
 }
-PATIENT = {"use_sim_time": True, "arm_timeout": 1.0, "tracking_lag": 1.0}
 
 
 def test_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(os.environ, "ROS_DOMAIN_ID", str(own_domain()))
-    own = {"sim_cell_node": CELL, "push_executor_node": PATIENT}
-    names = ("sim_cell_node", "push_executor_node", "identification_node", "goal_pushing_node")
-    commands = [node_command(name, own.get(name, {})) for name in names]
+    without = ("perception_node", "gap_diagnosis_node")
+    commands = [command for command in node_commands("sim", parameters={"sim_cell_node": CELL}) if command.name not in without]
     with Supervisor(commands, log_dir=tmp_path / "log") as supervisor, CellClient(check=supervisor.check) as client:
         object_id = client.wait_for_object()
         options = ["--edge", "--explore", "1", "--overhang-mm", "30", "--time-limit", "200", "--out", str(tmp_path / "out")]

@@ -151,7 +151,7 @@ def test_progress_at_an_edge_names_the_pose_that_was_chosen_and_what_holds_the_o
     progress = GoalProgress(GoalState.PUSH, target=target, overhang=-0.02, margin=0.03, plan=plan)
     msg = feedback_to_msg(progress)
     assert planar_pose_of(msg.target) == pytest.approx([0.12, 0.0, 0.4]) and (msg.overhang, msg.margin, msg.risk) == (-0.02, 0.03, 0.004)
-    assert [(point.x, point.y) for point in msg.edge] == pytest.approx([(0.15, -0.3), (0.15, 0.3)])
+    np.testing.assert_allclose([(point.x, point.y) for point in msg.edge], [(0.15, -0.3), (0.15, 0.3)])
     result = result_to_msg(GoalOutcome(GoalCode.NONE, "", progress))
     assert planar_pose_of(result.target) == pytest.approx([0.12, 0.0, 0.4]) and (result.overhang, result.margin) == (-0.02, 0.03)
     unknown = result_to_msg(GoalOutcome(GoalCode.EDGE_UNKNOWN, "", GoalProgress()))
