@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from helpers.objects import hammer_shape
 from push_ident.errors import PushIdentError
+from push_ident.geometry.table import Table
 from push_ident.limits import LIMITS
 from push_ident.nodes.convert import (
     cylinder_radius_from_msg,
@@ -36,6 +37,7 @@ from push_ident.nodes.convert import (
     transform_from_msg,
 )
 from push_ident.nodes.convert_model import pusher_path_from_msg
+from push_ident.nodes.convert_table import table_from_msg, table_to_msg
 from push_ident.types import CameraIntrinsics, DepthFrame
 from push_ident_msgs.msg import PushRecord
 from push_ident_sim.fuzz.mutate_message import mutate_message
@@ -71,6 +73,7 @@ def a_path() -> Path:
     return path
 
 
+TABLE = Table.rectangle(np.array([-0.5, 0.15, -0.4, 0.4]))
 CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] = {
     "pose": (planar_pose_to_msg(STAMP, [0.1, 0.2, 0.3], 1e-6 * np.eye(3)), planar_pose_from_msg, a_pose),
     "position": (position_to_msg(STAMP, [0.1, 0.2, 0.3]), position_from_msg, a_position),
@@ -83,6 +86,11 @@ CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] 
     "pusher": (cylinder_to_msg(0.01, 0.1), cylinder_radius_from_msg, lambda radius: 0 <= radius < 1),
     "cells": (CELLS, shape_from_msgs, a_shape),
     "cells with outline": (CELLS, lambda msg: shape_from_msgs(msg, OUTLINE), a_shape),
+    "table": (
+        table_to_msg(Table.rectangle(np.array([-0.5, 0.15, -0.4, 0.4])), STAMP),
+        table_from_msg,
+        lambda table: np.isfinite(table.corners).all(),
+    ),
     "outline": (OUTLINE, lambda msg: shape_from_msgs(CELLS, msg), a_shape),
     "image": (IMAGE, lambda msg: depth_frame_from_msgs(msg, INFO), lambda frame: frame.depth.shape == (6, 8)),
     "camera": (
