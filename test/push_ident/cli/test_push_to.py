@@ -56,9 +56,9 @@ def test_push_whose_feedback_came_too_late_is_in_the_report() -> None:
     (push,) = report.content()["pushes"]
     assert (push["number"], push["position_error_m"], push["chance"]) == (1, 0.005, 0.8)
     np.testing.assert_allclose([push["seen"], push["expected"]], [[0.11, 0.0, 0.2], [0.104, 0.0, 0.2 + np.radians(2.0)]])
-    unseen = ended(pushes=1, position_error=np.nan)
-    unseen.take(last_feedback(unseen.result, under_way, np.zeros(3)))
-    assert unseen.lines == []
+    for unseen in (ended(pushes=1, position_error=np.nan), ended(pushes=1, position_error=0.2, error_code=PushToGoal.Result.FELL)):
+        unseen.take(last_feedback(unseen.result, under_way, np.zeros(3)))
+        assert unseen.lines == []
 
 
 def test_report_of_a_goal_that_has_not_ended_is_that_of_one_broken_off() -> None:

@@ -383,11 +383,24 @@ def test_where_each_push_would_risk_a_fall_another_place_is_chosen_once(posterio
     np.testing.assert_array_equal(outcome.progress.target.goal.pose, AT_EDGE.pose)
 
 
+@dataclass
+class Falling(Cell):
+    """Its object is seen where it was pushed to, which is beside the table."""
+
+    def begin_push(self, object_id: str, push: PushPlan2D | int) -> Push:
+        begun = super().begin_push(object_id, push)
+        begun.motion = np.array([0.4, 0.0, 0.0])
+        return begun
+
+
 def test_object_that_is_lost_at_the_edge_fell(posterior: ModelPosterior) -> None:
     over = Goal(np.array([0.13, 0.0, 0.0]), TOLD_EDGE.position, TOLD_EDGE.turn)
     gone = {"is_visible": lambda time: time < 105.0, "targets": [over]}
     outcome, _ = run(Cell(posterior, **gone), goal=TOLD_EDGE)  # type: ignore[arg-type]
     assert outcome.code is GoalCode.FELL and "less overhang" in outcome.text and outcome.progress.pushes == 1
+    beside = Goal(np.array([0.4, 0.0, 0.0]), TOLD_EDGE.position, TOLD_EDGE.turn)
+    outcome, _ = run(Falling(posterior, targets=[beside]), goal=TOLD_EDGE)
+    assert outcome.code is GoalCode.FELL and "beside the table" in outcome.text
     # Far from the edge it is only lost.
     outcome, _ = run(Cell(posterior, **gone | {"targets": [Goal(np.array([0.0, 0.1, 0.0]))]}), goal=TOLD_EDGE)  # type: ignore[arg-type]
     assert outcome.code is GoalCode.OBJECT_LOST

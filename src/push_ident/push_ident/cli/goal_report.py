@@ -182,7 +182,8 @@ def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: 
     """
     from push_ident_msgs.action import PushToGoal
 
-    is_seen = bool(np.isfinite(result.position_error))
+    is_lost = result.error_code in (PushToGoal.Result.OBJECT_LOST, PushToGoal.Result.FELL)
+    is_seen = bool(np.isfinite(result.position_error)) and not is_lost
     last = PushToGoal.Feedback(
         pushes=result.pushes if is_seen else latest.pushes, position_error=result.position_error, yaw_error=result.yaw_error
     )

@@ -312,13 +312,15 @@ class GoalSession:
         if seen is None:
             why = self._ports.why_unseen(self._object_id)
             if code is GoalCode.OBJECT_LOST and self._was_over_edge():
-                raise _Ended(
-                    GoalCode.FELL,
-                    f"`{self._object_id}` was lost while it overhung the table's edge: it fell, as far as is known ({why}) Put it back on "
-                    "the table, then send the goal again, with less overhang or more of it held; what was learned is kept.",
-                )
+                raise self._fell(f"was lost while it overhung the table's edge: it fell, as far as is known ({why})")
             raise _Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
+        if self._choice.is_off_table(seen.shape.outline, seen.pose):
+            raise self._fell("is seen beside the table: it fell.")
         return self._note_seen(seen)
+
+    def _fell(self, how: str) -> _Ended:
+        remedy = "Put it back on the table, then send the goal again, with less overhang or more of it held; what was learned is kept."
+        return _Ended(GoalCode.FELL, f"`{self._object_id}` {how} {remedy}")
 
     def _note_seen(self, seen: TrackedObject) -> TrackedObject:
         self._object_id = self.progress.object_id = seen.object_id

@@ -77,6 +77,11 @@ class TargetChoice:
             return seed
         return push_on_table(seen.shape, seen.pose, seed, settings, self.edges(), self._ports.obstacles(seen.object_id))
 
+    def is_off_table(self, outline: Float64Array, pose: Float64Array) -> bool:
+        """Whether all of an outline, shape (n, 2), object frame, lies beyond the edge of the target at a pose, shape (3,)."""
+        hold = None if self.target is None else self.target.hold
+        return hold is not None and float(np.min(hold.edge.beyond(transform_points(pose, outline)))) > 0.0
+
     def overhangs(self, outline: Float64Array, poses: Iterable[Float64Array]) -> bool:
         """Whether an outline, shape (n, 2), object frame, overhangs the edge of the target at one of some poses, each of shape (3,)."""
         target = self.target

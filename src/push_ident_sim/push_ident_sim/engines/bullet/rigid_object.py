@@ -101,7 +101,7 @@ class RigidObject:
     @property
     def has_fallen(self) -> bool:
         """Whether it tips over an edge, or lies below the table."""
-        return self.lean > _FALLEN
+        return self.lean > _FALLEN or float(self._state()[0][2]) < 0.0
 
     def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate)."""
