@@ -41,7 +41,7 @@ def test_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path, monkeypatch
         done = subprocess.run([*CLI, "push-to", *options], capture_output=True, text=True, timeout=240.0)
         assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
         left_out = "no push over the edge was left out"
-        client.wait(lambda: client.values_of("identification").get("pushes refused", "0") != "0", 60.0, left_out)
+        client.wait(lambda: client.values_of("identification").get("pushes refused", "0") != "0", 150.0, left_out)
         outline, pose = client.shape(object_id).outline, client.poses(object_id)[-1][1]
     content = json.loads((tmp_path / "out" / "result.json").read_text())
     assert content["code"] == "NONE" and content["object_id"] == object_id
