@@ -38,7 +38,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     """The strings allowed; empty allows all."""
     any_length: bool = False
-    """For a list of numbers with one for each joint: its length is that of the arm, which is not known here."""
+    """For a list of numbers whose length is not known here, as one for each joint of the arm, or the corners of a table."""
 
     def has_type(self, value: Any) -> bool:
         """Whether `value`, from a file, has the type of the default."""

@@ -250,7 +250,8 @@ class GoalSession:
             raise _Ended(GoalCode.NOT_HELD, f"{plan.status.value} (the least chance is {100 * plan.risk:.1f} %).")
         if plan.status is PlanStatus.UNREACHABLE:
             tried = f", beside {len(self._failed)} that failed" if self._failed else ""
-            raise _Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}.")
+            risky = "; at the edge, each may risk its fall as well" if self._choice.is_at_edge else ""
+            raise _Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}{risky}.")
         if plan.status is PlanStatus.UNSURE:
             raise _Ended(GoalCode.TOLERANCE, self._unsure(seen))
         return plan

@@ -293,7 +293,7 @@ class RerunScene:
                 ),
                 layout.Horizontal(
                     layout.Spatial3DView(
-                        name="Observed (green), predicted (orange), next push (pink), goal (yellow)",
+                        name="Observed (green), predicted (orange), next push (pink), goal (yellow), edge of the table (orange)",
                         origin="table",
                         contents=[*on_table, "+ table/load/**"],
                         eye_controls=above,
