@@ -108,9 +108,10 @@ def fleet(result: Identification, train: PushErrors, test: PushErrors) -> list[d
 
 
 def look(folder: Path) -> None:
-    """What `push-ident look` writes of a box and of two that lie on each other."""
+    """What `push-ident look` writes of a box, and of one that is partly hidden behind a taller one."""
     box = Prism(rectangle(-0.06, -0.04, 0.06, 0.04), 0.05)
-    scene = [box.at((-0.12, 0.0, 0.4)), box.at((0.12, 0.02, 0.0)), Prism(rectangle(-0.03, -0.05, 0.03, 0.05), 0.09).at((0.12, 0.02, 0.3))]
+    taller = Prism(rectangle(-0.03, -0.04, 0.03, 0.04), 0.15)
+    scene = [box.at((-0.12, 0.0, 0.4)), box.at((0.12, 0.12, 0.0)), taller.at((0.12, -0.01, 0.1))]
     images = folder / "images"
     images.mkdir()
     for number in range(2):
