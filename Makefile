@@ -35,8 +35,8 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment supports --seed 1000 --models 50 --json docs/results/experiments/supports.json
 	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
-	$(VENV)/push-ident experiment perception --seed 4000 --models 1 --json docs/results/experiments/perception.json
-	$(VENV)/push-ident experiment sensors --seed 4000 --models 1 --json docs/results/experiments/sensors.json
+	$(VENV)/push-ident experiment perception --seed 5000 --models 1 --json docs/results/experiments/perception.json
+	$(VENV)/push-ident experiment sensors --seed 5000 --models 1 --json docs/results/experiments/sensors.json
 	$(VENV)/push-ident experiment edge --seed 6000 --models 3 --json docs/results/experiments/edge.json
 	$(VENV)/push-ident experiment paths --seed 6100 --models 2 --json docs/results/experiments/paths.json
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
