@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind endurance faults fuzz test lint format dist dist-check changelog release clean
+.PHONY: help setup demo docs bench experiments blind endurance faults fuzz test test-long lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
@@ -35,12 +35,12 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment supports --seed 1000 --models 50 --json docs/results/experiments/supports.json
 	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
-	$(VENV)/push-ident experiment perception --seed 4000 --models 1 --json docs/results/experiments/perception.json
-	$(VENV)/push-ident experiment sensors --seed 4000 --models 1 --json docs/results/experiments/sensors.json
+	$(VENV)/push-ident experiment perception --seed 5000 --models 1 --json docs/results/experiments/perception.json
+	$(VENV)/push-ident experiment sensors --seed 5000 --models 1 --json docs/results/experiments/sensors.json
 	$(VENV)/push-ident experiment edge --seed 6000 --models 3 --json docs/results/experiments/edge.json
 	$(VENV)/push-ident experiment paths --seed 6100 --models 2 --json docs/results/experiments/paths.json
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
-	$(VENV)/push-ident experiment demo --seed 8000 --models 2 --json docs/results/experiments/demo.json
+	$(VENV)/push-ident experiment demo --seed 8200 --models 2 --json docs/results/experiments/demo.json
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 60
@@ -60,17 +60,20 @@ faults: setup  ## the fault suite against live nodes (twenty minutes; root for f
 
 # Tests that look at the clock run one by one; all others, and lint, fill the idle time of both cores at the lowest priority, in a session of
 # their own: Linux schedules sessions against each other first, and niceness alone counts only within one.
-test: setup  ## lint, types and all tests
+test: setup  ## lint, types and tests
 	@mkdir -p log; \
 	OMP_NUM_THREADS=1 setsid nice -n 19 bash -c 'echo 19 2>/dev/null >/proc/self/autogroup; \
 	  $(MAKE) --no-print-directory lint >log/lint.log 2>&1 & \
-	  $(VENV)/pytest -m "not alone" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
+	  $(VENV)/pytest -m "not alone and not long" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
 	  wait $$!; lint=$$?; exit $$((tests || lint))' \
 	  >log/tests.log 2>&1 & others=$$!; \
 	trap 'kill -- -$$others 2>/dev/null' EXIT; \
-	$(VENV)/pytest -m alone; alone=$$?; \
+	$(VENV)/pytest -m "alone and not long"; alone=$$?; \
 	echo "Lint and the other tests (log/tests.log):"; wait $$others; status=$$?; cat log/lint.log log/tests.log; \
 	exit $$((alone || status))
+
+test-long: setup  ## the tests that `make test` leaves out since they take long
+	OMP_NUM_THREADS=1 $(VENV)/pytest -m long
 
 lint: setup  ## ruff and mypy
 	$(VENV)/ruff check

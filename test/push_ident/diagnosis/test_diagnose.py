@@ -101,6 +101,7 @@ def test_small_error_of_a_traced_outline_joins_the_base_model_and_a_large_one_is
     assert "radius of the pusher" in large.sentence
 
 
+@pytest.mark.long
 def test_error_of_a_camera_within_its_accuracy_is_no_effect_and_a_larger_one_is_named() -> None:
     from_camera = DiagnosisSettings(outline_from_camera=True)
     within = diagnose(simulated_pushes(6, 1, {"camera_rotation": [2e-3]}), from_camera)
@@ -164,6 +165,7 @@ def test_filtered_poses_are_diagnosed(effects: dict[str, list[float]] | None, na
     assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
 
 
+@pytest.mark.long
 def test_negligible_effect_joins_the_base_model_however_strong_its_evidence() -> None:
     precise = 0.03 * NOISE
     found = diagnose(simulated_pushes(5, 3, {"pose_latency": [0.0015]}, noise=precise))
@@ -175,6 +177,7 @@ def test_negligible_effect_joins_the_base_model_however_strong_its_evidence() ->
     assert "pose_latency" in {*(effect.name for effect in larger.effects), *larger.confusion_set}
 
 
+@pytest.mark.long
 def test_object_that_moves_before_the_observed_contact_does_not_look_like_drift() -> None:
     found = diagnose(simulated_pushes(6, 3, {"tool_offset": [0.006, 0.0]}, noise=0.03 * NOISE))
     assert all(gate.passed for gate in found.gates)

@@ -71,6 +71,10 @@ def test_one_bad_bag_stops_nothing_and_a_second_run_does_nothing_again(bags: Pat
     page = (tmp_path / "index.html").read_text()
     assert "2 of 4 bags were identified, 2 failed." in page
     assert "noise.mcap" in page and "src=" not in page
+    for outcome in again:
+        if outcome["state"] == "done":
+            assert f'href="{outcome["page_file"]}"' in page
+            assert "mass and friction" in (tmp_path / outcome["page_file"]).read_text()
 
 
 def test_a_fleet_without_a_readable_bag_fails_with_a_count(bags: Path, tmp_path: Path) -> None:

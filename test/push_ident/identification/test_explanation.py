@@ -106,6 +106,7 @@ def test_fit_to_impossible_pushes_is_no_success(pushes: list[PushRecord], change
     assert result.status.is_failure or (result.status in (SolveStatus.POOR_FIT, SolveStatus.BUDGET_SPENT) and named)
 
 
+@pytest.mark.long
 def test_fit_that_fails_gives_the_prior_and_says_what_how_large_and_why() -> None:
     records = scaled(2.0)(simulated_pushes(6, 3))
     result = identify(records)

@@ -26,7 +26,7 @@ from push_ident.physics.simulation import simulate
 from push_ident.types import PoseTrack, PushRecord, SolveStatus, WrenchTrack
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.long)])
 def test_four_noisy_pushes_predict_others_within_three_millimetres(seed: int) -> None:
     truth = hammer(seed)
     records = random_records(truth, 12, seed)

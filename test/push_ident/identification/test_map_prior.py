@@ -72,6 +72,7 @@ def test_linear_evidence_is_that_of_a_fit_nearby(linear: tuple[LinearEvidence, F
     assert direct == pytest.approx(expected, abs=0.1)
 
 
+@pytest.mark.long
 def test_pushes_tell_an_even_object_from_an_uneven_one() -> None:
     uneven = hammer(3)
     cells = len(uneven.shape.cells)

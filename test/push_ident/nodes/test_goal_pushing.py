@@ -322,6 +322,7 @@ def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCe
     assert held < 2 * REACTION + 3 * stalls.worst
 
 
+@pytest.mark.long
 def test_executor_that_dies_in_the_middle_of_a_push_is_said(
     executor: subprocess.Popen[str], the_goal_cell: GoalCell, domain: int, tmp_path: Path
 ) -> None:

@@ -6,24 +6,31 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from helpers.browser import Tab, tab
+from helpers.commands import run_here
+from helpers.depth_scene import CAMERA, Prism, rectangle, render
 from helpers.diagnosis import simulated_pushes
 from helpers.objects import hammer, random_records
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.report import write_report as write_diagnosis
+from push_ident.fleet import write_index
 from push_ident.identification.identify import identify
-from push_ident.identification.push_errors import push_errors
+from push_ident.identification.push_errors import PushErrors, push_errors
 from push_ident.identification.report import Provenance, write_report
+from push_ident.identification.result import Identification
+from push_ident.identification.result_json import result_json
 from push_ident.planning.goal_page import write_goal_page
+from push_ident.types import CameraIntrinsics
 
 SMALLEST_TEXT = 11.0
 """[CSS px]; smaller letters are hard to read."""
 CONTRAST = 4.5
 """Least ratio of luminances of text and ground (WCAG 2.2, 1.4.3)."""
-MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "broken_off": 2}
+MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "broken_off": 2, "fleet": 2, "look": 3}
 """Of A4, for a handful of pushes."""
 NAMES = list(MOST_PAGES)
 WIDER = "letter-spacing: 0.04em"
@@ -68,13 +75,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     records = random_records(hammer(3), 6, 3)
     result = identify(records[:4])
-    errors = (push_errors(result, records, pushes) for pushes in ((0, 1, 2, 3), (4, 5)))
+    errors = [push_errors(result, records, pushes) for pushes in ((0, 1, 2, 3), (4, 5))]
     sources = tuple(f"bag push {number}" for number in range(1, 5))
     write_report(folder / "identification.html", result, *errors, Provenance("o1", sources), 0.01)
     tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
     write_diagnosis(folder / "diagnosis.html", tilted, object_id="o1", sources=sources)
     write_goal_page(folder / "goal.html", goal_content("NONE", 4) | AT_EDGE)
     write_goal_page(folder / "broken_off.html", goal_content("CANCELED", 1))
+    write_index(folder / "fleet.html", fleet(result, *errors))
+    look(folder)
     return {path.stem: path for path in folder.glob("*.html")}
 
 
@@ -87,6 +96,42 @@ AT_EDGE = {
     "margin_m": 0.024,
 }
 """What comes beside it for a goal at an edge."""
+
+
+def fleet(result: Identification, train: PushErrors, test: PushErrors) -> list[dict[str, object]]:
+    """Outcomes of four bags, one of which failed."""
+    done = {
+        "state": "done",
+        "error": "",
+        "host": "workstation",
+        "seconds": 2.1,
+        "result": result_json(result, "o1", train, test, []),
+        "model_file": "models/a.json",
+        "page_file": "pages/a.html",
+    }
+    failed = {
+        "state": "failed",
+        "error": "in none of its 6 pushes the object moves; see the note on clocks.",
+        "host": "workstation",
+        "seconds": 0.4,
+    }
+    return [*(done | {"bag": f"recordings/2026/cell_2/monday_{k}.mcap"} for k in range(3)), failed | {"bag": "recordings/noise.mcap"}]
+
+
+def look(folder: Path) -> None:
+    """What `push-ident look` writes of a box, and of one that is partly hidden behind a taller one."""
+    box = Prism(rectangle(-0.06, -0.04, 0.06, 0.04), 0.05)
+    taller = Prism(rectangle(-0.03, -0.04, 0.03, 0.04), 0.15)
+    scene = [box.at((-0.12, 0.0, 0.4)), box.at((0.12, 0.12, 0.0)), taller.at((0.12, -0.01, 0.1))]
+    images = folder / "images"
+    images.mkdir()
+    for number in range(2):
+        depth = render(
+            scene, CAMERA, rng=np.random.default_rng(number), intrinsics=CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+        ).depth
+        cv2.imwrite(str(images / f"{number}.png"), np.rint(np.nan_to_num(depth) * 1e3).astype(np.uint16))
+    done = run_here("look", images, "--intrinsics", "300,300,159.5,119.5", "--known", "0.12x0.08x0.05", "--out", folder)
+    assert done.returncode == 0, done.stderr
 
 
 def goal_content(code: str, n_pushes: int) -> dict[str, object]:

@@ -56,7 +56,7 @@ def test_displaced_edges_widen_the_covariance_of_a_turned_object_along_one_direc
         assert least <= np.sqrt(max(more[2], 0.0)) < most and abs(more[1]) < 1e-9
 
 
-@pytest.mark.parametrize("sensor", ["plain", "kinect_v1", "realsense_d435_640x480", "phoxi"])
+@pytest.mark.parametrize("sensor", ["plain", "kinect_v1", "realsense_d435_640x480", pytest.param("phoxi", marks=pytest.mark.long)])
 def test_turned_objects_are_within_their_90_percent_regions(sensor):
     """Two objects, turned by 0.4 and by 0.8 rad: the errors of their poses are those of camera and outline."""
     squares = []

@@ -132,6 +132,7 @@ def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: in
     assert make_requested_record(draw_truth("book", model, sensor=PLAIN), "book", model, asked, 8, NOISE) is None
 
 
+@pytest.mark.long
 def test_diagnosis_rejects_an_effect_that_only_one_push_supports() -> None:
     """Nothing is in this case; one of its pushes lies at an edge of sliding, and gains 40 nat for a friction of the pusher."""
     truth = draw_truth("hammer", 6030)

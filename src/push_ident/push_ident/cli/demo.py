@@ -71,7 +71,9 @@ def demo_command(
     run = out / time.strftime("%Y%m%d-%H%M%S")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
-    commands = node_commands("sim", record=run / "bag", view=view, parameters=own)
+    # On two cores each node that waits for nothing slows down the others.
+    unused = ("gap_diagnosis_node", *(("goal_pushing_node",) if where is None else ()))
+    commands = node_commands("sim", record=run / "bag", view=view, parameters=own, without=unused)
     columns = (
         SpinnerColumn(),
         Description(),

@@ -44,6 +44,7 @@ def fleet_command(
     pusher_friction: Annotated[float, typer.Option(callback=above_zero, help="Nominal pusher friction.")] = _NOMINAL.pusher_friction,
     max_seconds: Annotated[float, typer.Option(callback=above_zero, help="Time limit of one solve [s].")] = 30.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw random numbers.")] = 0,
+    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page for each bag; about a second of each.")] = True,
     json: JsonOption = None,
 ) -> None:
     """Identify many bags in parallel; a failed bag does not stop the others. Writes results.parquet, index.html and the models."""
@@ -57,6 +58,7 @@ def fleet_command(
         held_out=hold_out,
         max_seconds=max_seconds,
         seed=seed,
+        pages=pages,
     )
     jobs = find_jobs(bags, options)
     columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())

@@ -27,7 +27,8 @@ from push_ident.offline.loading import load_pushes
 __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
 
 Outcome = dict[str, Any]
-"""JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `process`, `seconds`, and if done `result` and `model`."""
+"""JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `process`, `seconds`, and if identified `result`, `model` and,
+where asked for, `page`."""
 
 _SUFFIXES: Final = (".mcap", ".db3", ".bag")
 
@@ -46,6 +47,8 @@ class FleetOptions:
     """Time limit of one solve [s]."""
     seed: int = 0
     """Seed of methods that draw random numbers."""
+    pages: bool = True
+    """Whether each bag gets a page, which takes about a second of it."""
 
     def __post_init__(self) -> None:
         if self.held_out < 0 or self.held_out == 1:
@@ -96,6 +99,11 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
         held_out = push_errors(result, loaded.records, [i for i in range(n) if i not in train])
         outcome["result"] = result_json(result, loaded.object_id, fitted, held_out, notes)
         outcome["model"] = model_content(result.posterior, loaded.object_id, sources, result.status).model_dump_json(indent=1)
+        if options.pages:
+            from push_ident.identification.report import Provenance, report_text
+
+            provenance = Provenance(loaded.object_id, tuple(sources), tuple(notes))
+            outcome["page"] = report_text(result, fitted, held_out, provenance, loaded.records[0].pusher.radius)
         if result.status.is_failure:
             outcome["error"] = result.explanation.failure or result.status.value
         else:

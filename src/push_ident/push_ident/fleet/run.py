@@ -41,7 +41,7 @@ def run_fleet(
     Args:
         jobs: from `find_jobs`. With several machines, the bags have the same paths on all of them.
         options: options of the identification.
-        folder: folder of the outcomes, one file per bag in `folder`/bags; models are in `folder`/models.
+        folder: folder of the outcomes, one file per bag in `folder`/bags; models are in `folder`/models, pages in `folder`/pages.
         address: address of a Ray cluster (`auto`, `ray://host:10001`); empty starts one on this machine.
         workers: processes on this machine; 0: one per core. Ignored with `address`: there all processors of the cluster work.
         again: whether bags that failed in an earlier run are tried again.
@@ -160,10 +160,11 @@ def _read(folder: Path, job: Job) -> Outcome | None:
 
 
 def _store(folder: Path, job: Job, outcome: Outcome) -> None:
-    """Write the model, then the outcome: a stored outcome implies that its model is complete."""
-    model = outcome.pop("model", None)
-    if model is not None:
-        path = folder / "models" / f"{job.key}.json"
-        write_whole(path, model, "the model", private=True)
-        outcome["model_file"] = str(path.relative_to(folder))
+    """Write model and page, then the outcome: a stored outcome implies that these are complete."""
+    for kind, ending, name in (("model", "json", "the model"), ("page", "html", "the page")):
+        content = outcome.pop(kind, None)
+        if content is not None:
+            path = folder / f"{kind}s" / f"{job.key}.{ending}"
+            write_whole(path, content, name, private=kind == "model")
+            outcome[f"{kind}_file"] = str(path.relative_to(folder))
     write_whole(_file(folder, job), json_text(outcome), "the outcome of a bag")

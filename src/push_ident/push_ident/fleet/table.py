@@ -49,7 +49,7 @@ _COLUMNS: Final = {
 
 def row_of(outcome: Outcome) -> dict[str, Any]:
     """One row: state of the bag, then the numbers of its result; None where there are none."""
-    row: dict[str, Any] = {name: outcome.get(name) for name in ("bag", "state", "error", "host", "seconds", "model_file")}
+    row: dict[str, Any] = {name: outcome.get(name) for name in ("bag", "state", "error", "host", "seconds", "model_file", "page_file")}
     for part in ("train", "test"):
         pushes = _at(outcome, f"result.{part}.pushes")
         row[f"n_{part}"] = None if pushes is None else len(pushes)
@@ -76,6 +76,7 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
             *text,
             ("seconds", pa.float64()),
             ("model_file", pa.string()),
+            ("page_file", pa.string()),
             ("n_train", pa.int64()),
             ("n_test", pa.int64()),
             *((name, pa.type_for_alias(kind)) for name, (kind, _) in _COLUMNS.items()),

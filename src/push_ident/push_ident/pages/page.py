@@ -15,7 +15,7 @@ from push_ident.limits import plain_text, printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure_text", "svg", "write_page"]
+__all__ = ["figure_text", "page_text", "svg", "write_page"]
 
 
 def figure_text(text: str) -> str:
@@ -35,17 +35,16 @@ def svg(figure: Figure) -> str:
     return text[text.index("<svg") :]
 
 
-def write_page(path: Path, package: str, template: str, context: Mapping[str, Any]) -> None:
-    """Fill a template and write the page.
+def page_text(package: str, template: str, context: Mapping[str, Any]) -> str:
+    """Fill a template.
 
     Args:
-        path: HTML file to write.
         package: package that contains the template.
         template: name of the template; it may extend `page.html.j2`, the common layout.
         context: values of the template's variables.
 
-    Raises:
-        InputError: the file cannot be written.
+    Returns:
+        The page, HTML.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
     from markupsafe import Markup
@@ -63,5 +62,9 @@ def write_page(path: Path, package: str, template: str, context: Mapping[str, An
     )
     environment.filters["mm"] = lambda metres, digits=1: "–" if metres is None or metres != metres else f"{1e3 * metres:.{digits}f} mm"
     environment.filters["figure"] = lambda text: Markup(text)
-    page = environment.get_template(template).render(**context)
-    write_whole(path, printable(page), "the report", error=InputError)
+    return printable(environment.get_template(template).render(**context))
+
+
+def write_page(path: Path, package: str, template: str, context: Mapping[str, Any]) -> None:
+    """Fill a template as `page_text` does, and write the page to `path`. Raises InputError where it cannot be written."""
+    write_whole(path, page_text(package, template, context), "the report", error=InputError)

@@ -33,6 +33,8 @@ _RESTORED: Final = 0.004
 """Largest distance of a restored corner from the contour [m]."""
 _PARALLEL: Final = 0.25
 """Two lines whose angle has a smaller sine have no corner."""
+_SAME_POINT: Final = 1e-6
+"""Points closer than this are one [m]: far above rounding, far below what a camera sees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +78,8 @@ def straighten(contour: Float64Array) -> Float64Array:
             vertices.extend(inner[1:-1])
         vertices.extend(_joint(here, following))
     outline = np.array(vertices)
-    # Two stretches may end in the same point; an edge without a length has no normal.
-    outline = outline[np.any(outline != np.roll(outline, 1, axis=0), axis=1)]
+    # Two stretches may end in the same point, or, by rounding, next to it; an edge without a length has no normal.
+    outline = outline[np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) > _SAME_POINT]
     return outline if len(outline) >= 3 else contour[_simplified(contour, _FINE)]
 
 

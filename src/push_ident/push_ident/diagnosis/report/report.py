@@ -156,10 +156,6 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         return None
     plan = proposal.push.plan
     x, y = map(float, plan.contact_point)
-    goal = (
-        f"{{mode: 0, frame_id: table, contact_point: {{x: {x:.4f}, y: {y:.4f}}}, direction: {plan.direction:.4f}, "
-        f"distance: {plan.distance:.4f}, speed: {plan.speed:.3f}}}"
-    )
     return {
         "figure": draw_proposal(proposal, diagnosis.selection.base.unknowns.shape),
         "aim": proposal.aim,
@@ -171,5 +167,7 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "expectation": "One such push is expected to be enough."
         if proposal.resolves
         else "One such push will hardly be enough; make several.",
-        "command": f'ros2 action send_goal execute_push push_ident_msgs/action/ExecutePush "{goal}"',
+        "command": (
+            f"push-ident push --at={x:.4f},{y:.4f} --direction={plan.direction:.4f} --distance {plan.distance:.4f} --speed {plan.speed:.3f}"
+        ),
     }

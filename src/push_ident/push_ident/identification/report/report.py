@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from push_ident import __version__
+from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident.identification.identifiability import Identifiability, Quantity, identifiability
 from push_ident.identification.proposal import N_CANDIDATES, propose_push
 from push_ident.identification.push_errors import PushErrors
@@ -19,10 +21,10 @@ from push_ident.identification.report.figures import draw_errors, draw_maps, dra
 from push_ident.identification.result import Candidate, Identification, ModelPosterior
 from push_ident.identification.scoring import PushScore, summarise_scores
 from push_ident.identification.supports import Support, supports
-from push_ident.pages.page import write_page
+from push_ident.pages.page import page_text
 from push_ident.types import SolveStatus
 
-__all__ = ["Provenance", "write_report"]
+__all__ = ["Provenance", "report_text", "write_report"]
 
 _MIN_SCORES = 2
 """Number of scores from which the report shows them."""
@@ -48,10 +50,21 @@ def write_report(
     pusher_radius: float,
     record: Sequence[PushScore] = (),
 ) -> None:
-    """Write the page.
+    """Write the page of `report_text` to `path`. Raises InputError where it cannot be written."""
+    write_whole(path, report_text(result, train, test, provenance, pusher_radius, record), "the report", error=InputError)
+
+
+def report_text(
+    result: Identification,
+    train: PushErrors,
+    test: PushErrors,
+    provenance: Provenance,
+    pusher_radius: float,
+    record: Sequence[PushScore] = (),
+) -> str:
+    """The page of an identification.
 
     Args:
-        path: HTML file to write.
         result: of the identification.
         train: errors of the pushes of the fit.
         test: errors of the held-out pushes; may be empty.
@@ -59,8 +72,8 @@ def write_report(
         pusher_radius: of the pusher that would make the next push [m].
         record: predictions made before each push, in order.
 
-    Raises:
-        InputError: the file cannot be written.
+    Returns:
+        HTML, all in one file.
     """
     posterior = result.posterior
     known = identifiability(posterior)
@@ -84,7 +97,7 @@ def write_report(
         "next_push": _next_push(posterior, pusher_radius),
         "provenance": _provenance(result, provenance),
     }
-    write_page(path, __package__ or "", "report.html.j2", context)
+    return page_text(__package__ or "", "report.html.j2", context)
 
 
 def _headline(result: Identification, train: PushErrors, test: PushErrors, known: Identifiability) -> str:
