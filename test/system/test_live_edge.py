@@ -33,8 +33,8 @@ CELL = {
 
 def test_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(os.environ, "ROS_DOMAIN_ID", str(own_domain()))
-    without = ("perception_node", "gap_diagnosis_node")
-    commands = node_commands("sim", parameters={"sim_cell_node": CELL}, without=without)
+    unused = ("perception_node", "gap_diagnosis_node")
+    commands = [command for command in node_commands("sim", parameters={"sim_cell_node": CELL}) if command.name not in unused]
     with Supervisor(commands, log_dir=tmp_path / "log") as supervisor, CellClient(check=supervisor.check) as client:
         object_id = client.wait_for_object()
         options = ["--edge", "--explore", "1", "--overhang-mm", "30", "--time-limit", "200", "--out", str(tmp_path / "out")]

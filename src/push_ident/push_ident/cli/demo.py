@@ -72,15 +72,9 @@ def demo_command(
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
     # On two cores each node that waits for nothing slows down the others.
-    unused = ("gap_diagnosis_node", *(("goal_pushing_node",) if where is None else ()))
-    commands = node_commands("sim", record=run / "bag", view=view, parameters=own, without=unused)
-    columns = (
-        SpinnerColumn(),
-        Description(),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(),
-    )
+    unused = {"gap_diagnosis_node"} | ({"goal_pushing_node"} if where is None else set())
+    commands = [command for command in node_commands("sim", record=run / "bag", view=view, parameters=own) if command.name not in unused]
+    columns = (SpinnerColumn(), Description(), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn())
     with Supervisor(commands, log_dir=run / "log") as supervisor:
         show_view(view)
         from push_ident.nodes.client import CellClient

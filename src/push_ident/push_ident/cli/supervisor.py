@@ -8,7 +8,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -322,7 +322,6 @@ def node_commands(
     parameters: Mapping[str, Mapping[str, object]] | None = None,
     overrides: Overrides = _NO_OVERRIDES,
     log_level: str = "info",
-    without: Collection[str] = (),
 ) -> list[NodeCommand]:
     """The processes of one kind of cell, as the launch files start them.
 
@@ -336,7 +335,6 @@ def node_commands(
         parameters: Parameters by name of the node; they override the installed parameter files.
         overrides: Parameter files and remappings of the user, for all nodes.
         log_level: ROS log level of all nodes.
-        without: Names of nodes that are left out.
 
     Raises:
         InputError: `bag` and `kind` contradict each other, or `parameters` names a node that is not started.
@@ -348,7 +346,6 @@ def node_commands(
         raise InputError(f"bag is {bag}, expected {'the path of a bag' if kind == 'replay' else 'none'} for kind `{kind}`")
     names = [name for name in _NODES[kind] if perception or kind != "replay" or name != "perception_node"]
     names += [name for name, wanted in (("bag_recorder_node", record is not None), ("viewer_node", view)) if wanted]
-    names = [name for name in names if name not in without]
     own = {name: dict(values) for name, values in (parameters or {}).items()}
     if record is not None:
         own.setdefault("bag_recorder_node", {})["bag"] = str(record.resolve())
