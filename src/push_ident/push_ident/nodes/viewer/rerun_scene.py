@@ -176,9 +176,9 @@ class RerunScene:
         if not refusals:
             self._log(name, self._rr.Clear(recursive=True))
             return
-        lines = self._rr.LineStrips3D(
-            [outline for outline, _ in refusals], labels=[why for _, why in refusals], colors=_REFUSED, radii=_WIDTH, show_labels=True
-        )
+        # The reason without the remedy: longer labels hide the object.
+        labels = [why.partition(";")[0] for _, why in refusals]
+        lines = self._rr.LineStrips3D([outline for outline, _ in refusals], labels=labels, colors=_REFUSED, radii=_WIDTH, show_labels=True)
         self._log(name, lines)
 
     def map(self, object_id: str, cells: CellMap) -> None:

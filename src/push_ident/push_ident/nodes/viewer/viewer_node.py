@@ -301,6 +301,8 @@ class _Viewer(Component):
         words["mean cell error of predictions"] = f"{mean:.1f} mm of {msg.n} pushes (equal cells {uniform:.1f} mm)"
         words["within the 90 % region"] = f"{100 * msg.share_within_90:.0f} %"
         self._show_words()
+        # The push is over; what is shown was predicted from the middle of it.
+        self._scene.predicted(msg.object_id, np.empty((0, 2)), np.empty((0, 3)), _NO_TOP)
 
     # ---- words
 
