@@ -177,13 +177,13 @@ STUDY = Experiment(
     title="What a diagnosis is worth",
     question=(
         "Objects of random shape and uneven maps are pushed in Bullet from one random goal to the next, as in `goals`, in a world "
-        "with one effect of typical size (a slope of 0.02 rad, friction that differs by 15 % along the grain, a lag of 20 ms, a "
-        "tool that is 2 mm beside its place), in any direction of the table. Six random pushes come first. The undiagnosed model is "
-        "identified from them and from up to four more without any effect. For the diagnosed one, a diagnosis of the six names effects, "
-        "which are then fitted with the maps and act in all that is planned; the true model knows maps and effect. At most 20 pushes "
-        "a goal, all tolerances together. Lost is what the undiagnosed model needs or errs more than the true one; in brackets the "
-        "interval of 95 % from a bootstrap over the objects. After a lag the tool comes to rest where it was sent, so that ends of pushes lose "
-        "nothing by it but what it does to the maps."
+        "with one effect of typical size (a slope of 0.02 rad, friction that differs by 15 % along the grain, a lag of 20 ms, a tool "
+        "that is 2 mm beside its place), in any direction of the table. Six random pushes come first. The undiagnosed model is "
+        "identified from them and from up to four more without any effect. For the diagnosed one, a diagnosis of the six names "
+        "effects, which are then fitted with the maps and act in all that is planned; the true model knows maps and effect. At most "
+        "20 pushes a goal, all tolerances together. Lost is what the undiagnosed model needs or errs more than the true one; in "
+        "brackets the interval of 95 % from a bootstrap over the objects. After a lag the tool comes to rest where it was sent, so "
+        "that ends of pushes lose nothing by it but what it does to the maps."
     ),
     objects=_EFFECTS,
     variants=_KINDS,

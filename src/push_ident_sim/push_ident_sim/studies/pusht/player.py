@@ -110,7 +110,7 @@ def push(game: Game, plan: PushPlan2D) -> PushRecord | None:
 def record_of(seen: Sequence[tuple[Float64Array, Float64Array]]) -> PushRecord:
     """Places of the disc and poses of the block, tick by tick, as a push; both are at rest at the start and at the end."""
     at_rest = [seen[0], *seen, seen[-1]]
-    time = TICK * np.arange(len(at_rest))
+    time = np.linspace(0.0, TICK * (len(at_rest) - 1), len(at_rest))
     poses = np.array([pose for _, pose in at_rest])
     track = PoseTrack(time, poses, np.broadcast_to(np.diag(_EXACT**2), (len(time), 3, 3)))
     return PushRecord("o1", BLOCK, track, PusherPath(time, np.array([disc for disc, _ in at_rest]), RADIUS))
