@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.diagnosis.diagnose import diagnose
+from push_ident.physics.effect import OnPusherFriction
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
 from push_ident_sim.injected import INJECTED, InjectedEffects
@@ -63,8 +64,9 @@ def _injected(name: str, rng: np.random.Generator) -> InjectedEffects:
 
 
 def _found(records: list[PushRecord]) -> tuple[str, ...]:
-    """Names of the effects that a diagnosis finds."""
-    return tuple(effect.name for effect in diagnose(records).effects)
+    """Names of the effects that a diagnosis finds, but for the friction of the pusher: it is an unknown of every identification."""
+    names = [effect.name for effect in diagnose(records).effects]
+    return tuple(name for name in names if not isinstance(EFFECTS[name].acts, OnPusherFriction))
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
