@@ -111,7 +111,7 @@ def test_a_surface_beside_its_outline_is_that_of_the_effect() -> None:
 )
 def test_effects_act_as_in_single_simulations(name: str) -> None:
     model, rng = models()[0], np.random.default_rng(5)
-    pushes = [push._replace(pusher=moved(PLACE, push.pusher), pose_object_in_table=PLACE) for push in pushes_of(rng, 5)]
+    pushes = [BatchPush(moved(PLACE, push.pusher), PLACE, push.time) for push in pushes_of(rng, 5)]
     body, numerics = body_of_cells(model.shape, model.mass, model.friction), SimulationSettings(step=1 / 120, resolve_events=True)
     sizes = [effect_values({name: [scale * p.typical + p.nominal for p in EFFECTS[name].parameters]}) for scale in (0.5, 1.0)]
     batch = [BatchModel(body, model.pusher_friction, effects=own) for own in sizes]
