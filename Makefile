@@ -40,7 +40,7 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment edge --seed 6000 --models 3 --json docs/results/experiments/edge.json
 	$(VENV)/push-ident experiment paths --seed 6100 --models 2 --json docs/results/experiments/paths.json
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
-	$(VENV)/push-ident experiment effects --seed 6300 --models 2 --json docs/results/experiments/effects.json
+	$(VENV)/push-ident experiment effects --seed 6300 --models 10 --json docs/results/experiments/effects.json
 	$(VENV)/push-ident experiment demo --seed 8000 --models 2 --json docs/results/experiments/demo.json
 	$(VENV)/push-ident experiment report
 

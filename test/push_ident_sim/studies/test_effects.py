@@ -21,6 +21,8 @@ def test_won_back_is_a_share_of_what_was_lost() -> None:
     assert won_back(undiagnosed, undiagnosed, truth)["share"] == 0.0 and won_back(undiagnosed, truth, truth)["share"] == 1.0
     mixed = won_back(undiagnosed, np.array([2.0, 4.0, 5.0]), truth)
     assert mixed["share"] == pytest.approx(4 / 6, abs=1e-4) and mixed["low"] < 0.6 < 0.7 < mixed["high"]
+    # One object has no spread.
+    assert won_back(undiagnosed[:1], truth[:1], truth[:1]) == {"lost": 2.0, "share": 1.0, "low": None, "high": None}
     assert won_back(truth, undiagnosed, truth) == {"lost": 0.0, "share": None, "low": None, "high": None}
 
 

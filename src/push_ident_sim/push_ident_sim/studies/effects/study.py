@@ -111,7 +111,7 @@ def won_back(undiagnosed: Float64Array, diagnosed: Float64Array, truth: Float64A
 
     Returns:
         `lost`, the mean difference of the first from the last; and `share` with its bootstrap interval (`low`, `high`) over the objects:
-        None where nothing is lost.
+        None where nothing is lost, no interval where there is one object.
     """
     lost, won = undiagnosed - truth, undiagnosed - diagnosed
     drawn = np.random.default_rng(0).integers(0, len(lost), (_RESAMPLED, len(lost)))
@@ -121,7 +121,8 @@ def won_back(undiagnosed: Float64Array, diagnosed: Float64Array, truth: Float64A
     if lost.mean() > 0:
         low, high = np.quantile(np.where(lost[drawn].mean(axis=1) > 0, shares, np.inf), [0.025, 0.975])
         found["share"] = round(float(won.mean() / lost.mean()), 4)
-        found |= {key: round(float(value), 4) if np.isfinite(value) else None for key, value in (("low", low), ("high", high))}
+        known = len(lost) > 1
+        found |= {key: round(float(value), 4) if known and np.isfinite(value) else None for key, value in (("low", low), ("high", high))}
     return found
 
 
@@ -153,8 +154,11 @@ def _share_text(row: Json, factor: float, unit: str) -> str:
     text = f"{factor * row['lost']:.2f}{unit}"
     if row["share"] is None:
         return f"{text}, –"
+    text += f", {100 * row['share']:.0f} %"
+    if row["low"] is None and row["high"] is None:
+        return text
     low, high = ("?" if row[key] is None else f"{100 * row[key]:.0f}" for key in ("low", "high"))
-    return f"{text}, {100 * row['share']:.0f} % ({low} to {high} %)"
+    return f"{text} ({low} to {high} %)"
 
 
 def _draw(summary: Json, folder: Path) -> dict[str, str]:
