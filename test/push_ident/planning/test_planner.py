@@ -11,11 +11,12 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import prior_posterior
+from push_ident.physics.effect_values import EffectsLike
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import Goal
-from push_ident.planning.library import path_of, strokes
+from push_ident.planning.library import Library, path_of, strokes
 from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.planning.refine import end_by_push, refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
@@ -28,23 +29,23 @@ MODEL = random_object(np.random.default_rng(7))
 PLANNER = GoalPlanner(MODEL.shape, SETTINGS)
 
 
-def after(model: ObjectModel, pose: Float64Array, plan: PushPlan2D) -> Float64Array:
+def after(model: ObjectModel, pose: Float64Array, plan: PushPlan2D, effects: EffectsLike | None = None) -> Float64Array:
     """Pose after a push, by fine steps."""
     path = path_of(plan.tool_at_contact, plan.heading, plan.distance, plan.speed, SETTINGS)
     numerics = SimulationSettings(step=1 / 960, resolve_events=True)
-    return simulate(model, PushScenario(path, pose, path.time[-1:]), settings=numerics).pose[-1]
+    return simulate(model, PushScenario(path, pose, path.time[-1:]), settings=numerics, effects=effects).pose[-1]
 
 
 def test_derivative_by_contact_and_direction_is_exact_in_sliding_contact() -> None:
-    mechanics, own = Belief.certain(MODEL).mean, strokes(MODEL.shape, SETTINGS)
+    belief, own = Belief.certain(MODEL), strokes(MODEL.shape, SETTINGS)
     sliding = 0
     for number in range(0, len(own), len(own) // 12):
         stroke = own.picked(number)
-        end, by_push = end_by_push(mechanics, stroke, 0.05, SETTINGS)
+        end, by_push = end_by_push(belief, stroke, 0.05, SETTINGS)
         assert end is not None and by_push is not None
         d = 2e-6
         for column, change in enumerate(((d, 0.0), (0.0, d))):
-            ends = [end_by_push(mechanics, stroke.changed(*(sign * np.array(change))), 0.05, SETTINGS)[0] for sign in (1.0, -1.0)]
+            ends = [end_by_push(belief, stroke.changed(*(sign * np.array(change))), 0.05, SETTINGS)[0] for sign in (1.0, -1.0)]
             difference = (ends[0] - ends[1]) / (2 * d)
             np.testing.assert_allclose(by_push[:, column], difference, rtol=2e-3, atol=2e-3)
         sliding += abs(stroke.direction_from_normal) > np.arctan(MODEL.pusher_friction)
@@ -56,10 +57,10 @@ def test_refined_push_ends_nearer_to_the_goal() -> None:
     belief, own = Belief.certain(MODEL), strokes(MODEL.shape, SETTINGS)
     left = []
     for number in range(5, len(own), len(own) // 8):
-        end, _ = end_by_push(belief.mean, own.picked(number), 0.06, SETTINGS)
+        end, _ = end_by_push(belief, own.picked(number), 0.06, SETTINGS)
         assert end is not None
         wanted = Goal(end + np.array([0.004, -0.003, 0.05]), 0.002, 0.02)
-        better = refine(belief.mean, own.picked(number), 0.06, wanted, SETTINGS)
+        better = refine(belief, own.picked(number), 0.06, wanted, SETTINGS)
         if better is not None:
             before, after = (np.linalg.norm((pose - wanted.pose) / wanted.tolerance) for pose in (end, better.motion))
             left.append(after / before)
@@ -176,3 +177,22 @@ def test_what_pushes_show_of_the_camera_is_part_of_the_belief() -> None:
     belief = Belief.of(replace(posterior, z=z))
     assert np.linalg.norm(belief.camera[:2]) == pytest.approx(np.hypot(2e-3, 2e-3)) and belief.camera[2] == pytest.approx(5e-3)
     assert belief.mean.effects.names == ()
+
+
+def test_pushes_are_planned_with_the_effects_of_the_table() -> None:
+    """Where the object lies, in its heading; after a turn the library is another one."""
+    effects = {"table_tilt": [0.08, -0.05]}
+    belief, pose, goal = Belief.certain(MODEL, effects), np.array([0.1, -0.05, 1.0]), Goal(np.array([0.14, -0.02, 1.3]), 0.005, 0.05)
+    known, unknown = PLANNER.plan(belief, pose, SURE, goal), PLANNER.plan(Belief.certain(MODEL), pose, SURE, goal)
+    assert known.plan is not None and unknown.plan is not None
+    error = [float(goal.relative_error(after(MODEL, pose, plan, effects))) for plan in (known.plan, unknown.plan)]
+    assert known.chance > 0.9 and error[0] < 0.5 and error[1] > 2 * error[0]
+    library = Library.of(belief, strokes(MODEL.shape, SETTINGS).picked(0), SETTINGS, pose, 0, np.random.default_rng(0))
+    near, turned = (pose + np.array([0.0, 0.0, turn]) for turn in (0.05, 0.5))
+    assert library.holds_at(belief, near) and not library.holds_at(belief, turned)
+    assert library.holds_at(Belief.certain(MODEL), turned)
+
+
+def test_a_lag_that_is_over_at_rest_changes_no_plan() -> None:
+    assert Belief.certain(MODEL, {"pusher_lag": [0.05]}).mean.effects.names == ()
+    assert Belief.certain(MODEL, {"tool_offset": [2e-3, 0.0]}).mean.effects.names == ("tool_offset",)

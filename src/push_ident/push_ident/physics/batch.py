@@ -1,26 +1,29 @@
 """Many pushes of many models in one compiled call, on all cores.
 
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
-between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives and without effects but that of
-a surface beside its outline. The table may have an edge that the object overhangs.
+between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives. Effects of a model act on its
+motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs; then no effects act but that of a
+surface beside its outline.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
 from push_ident.physics.body import BodyParameters, check_body, owned
+from push_ident.physics.effect_values import NO_EFFECTS, EffectValues, changed_friction, driven_path
 from push_ident.physics.kernel import kernel
 from push_ident.physics.measurement import StepClock
 from push_ident.physics.overhang import Overhang, TableEdge
-from push_ident.physics.rollout import Numerics, Push, rollout
+from push_ident.physics.rollout import Numerics, Push, new_effect_scratch, rollout
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.physics.tape import Frames, Tape, new_tape
 from push_ident.types import Float64Array, ObjectShape, PusherPath
@@ -43,6 +46,8 @@ class BatchModel(NamedTuple):
     displacement: Float64Array | None = None
     """Of the object at the start from the first pose of a push, in the frame of that pose (x, y, yaw), shape (3,): an error of the pose,
     which the path of the pusher does not follow. None: the object is there."""
+    effects: EffectValues = NO_EFFECTS
+    """Beside that of the surface; those that only change what is reported are left out."""
 
 
 class BatchPush(NamedTuple):
@@ -97,6 +102,17 @@ class _Shape(NamedTuple):
     radius: float
 
 
+class _Range(NamedTuple):
+    """Tasks that a thread takes at a time."""
+
+    first: int
+    last: int
+    pushes: _Pushes
+    """As these models drive them."""
+    active: ActiveEffects | None
+    """Of all models of the range."""
+
+
 @kernel
 def _roll_range(
     first: int,
@@ -105,7 +121,10 @@ def _roll_range(
     models: _Models,
     pushes: _Pushes,
     edges: Overhang | None,
+    active: ActiveEffects | None,
     eps: float,
+    quasi_static: bool,
+    scratch: Any,
     tape: Tape,
     poses: Float64Array,
 ) -> None:
@@ -123,10 +142,10 @@ def _roll_range(
             first_pose, pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
             models.centre[m], models.inertia[m], models.mu[m], models.surface[m],
         )  # fmt: skip
-        numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
+        numerics = Numerics(pushes.dt[p, :n], eps, False, quasi_static, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
         if edges is None:
-            failed_at, _ = rollout(push, numerics, None, None, frames, poses[m, p], force[:n], tape, None)
+            failed_at, _ = rollout(push, numerics, active, None, frames, poses[m, p], force[:n], tape, scratch)
         else:
             edge = Overhang(edges.outward, edges.offset, edges.weight[m])
             failed_at, _ = rollout(push, numerics, None, edge, frames, poses[m, p], force[:n], tape, None)
@@ -142,6 +161,7 @@ def rollouts(
     step: float,
     edge: TableEdge | None = None,
     smoothing_speed: float | None = None,
+    quasi_static: bool = False,
     n_threads: int | None = None,
 ) -> Float64Array:
     """Poses of every model under every push.
@@ -153,18 +173,22 @@ def rollouts(
         step: longest time step [s]; the first contact is resolved within its step.
         edge: of the table; all models have a `weight` then.
         smoothing_speed: of the support friction [m/s]; by default that of `SimulationSettings`.
+        quasi_static: leave inertia out.
         n_threads: by default as many as the processor has cores for this process.
 
     Returns:
         Poses in the table frame, shape (n_models, n_pushes, n_frames, 3); NaN where a simulation failed.
 
     Raises:
-        InputError: nothing to simulate, a body that cannot be simulated, or pushes of different pushers or numbers of frames.
+        InputError: nothing to simulate, a body that cannot be simulated, pushes of different pushers or numbers of frames, or effects at an
+            edge.
     """
     if not models or not pushes:
         raise InputError(f"There are {len(models)} models and {len(pushes)} pushes, expected one of each at least.")
     for model in models:
         check_body(shape, model.body, model.pusher_friction)
+        if edge is not None and len(model.effects) > 0:
+            raise InputError(f"At an edge of the table there is no law for {', '.join(model.effects.names)}; leave the effects out there.")
     by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
     if len(by_pusher) > 1:
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
@@ -174,14 +198,47 @@ def rollouts(
     poses = np.empty((len(models), len(pushes), len(pushes[0].time), 3))
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
 
-    def roll(first: int) -> None:
-        _roll_range(first, min(first + _TASKS_A_CALL, n_tasks), geometry, in_arrays, of_pushes, edges, eps, new_tape(0), poses)
+    def roll(own: _Range) -> None:
+        scratch, tape = None, new_tape(0)
+        if own.active is not None:
+            scratch, tape = new_effect_scratch(len(shape.cells), own.active), _tape(len(shape.cells), own.active)
+        _roll_range(
+            own.first, own.last, geometry, in_arrays, own.pushes, edges, own.active, eps, quasi_static, scratch, tape, poses
+        )  # fmt: skip
 
-    n_tasks = len(models) * len(pushes)
-    threads = n_threads or len(os.sched_getaffinity(0))
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(roll, range(0, n_tasks, _TASKS_A_CALL)))
+    with ThreadPoolExecutor(n_threads or len(os.sched_getaffinity(0))) as pool:
+        list(pool.map(roll, _ranges(shape, models, of_pushes)))
     return poses
+
+
+def _tape(n_cells: int, active: ActiveEffects) -> Tape:
+    """A tape that keeps nothing, of the form that the effects need."""
+    n_loaded, n_sums = n_cells if active.loads else 0, N_SUMS if active.shifts else 0
+    return new_tape(0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews)
+
+
+def _ranges(shape: ObjectShape, models: Sequence[BatchModel], pushes: _Pushes) -> Iterator[_Range]:
+    """All tasks; where a model has effects, those of each model by themselves."""
+    n = len(pushes.pose)
+    if all(len(model.effects) == 0 for model in models):
+        n_tasks = len(models) * n
+        yield from (_Range(first, min(first + _TASKS_A_CALL, n_tasks), pushes, None) for first in range(0, n_tasks, _TASKS_A_CALL))
+        return
+    for m, model in enumerate(models):
+        acting, arms = model.effects.of_motion, owned((shape.cells.centres - model.body.centre).T)
+        no_derivative = np.zeros((len(acting), 0, 3))
+        active = active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)
+        driven = pushes._replace(path=_driven(acting, pushes)) if acting.move_pusher else pushes
+        for first in range(m * n, (m + 1) * n, _TASKS_A_CALL):
+            yield _Range(first, min(first + _TASKS_A_CALL, (m + 1) * n), driven, active)
+
+
+def _driven(effects: EffectValues, pushes: _Pushes) -> Float64Array:
+    """The paths that the pusher drives where those of the pushes are reported."""
+    path = pushes.path.copy()
+    for own, n, dt in zip(path, pushes.n_steps, pushes.dt, strict=True):
+        own[: n + 1] = driven_path(effects, dt[:n], own[: n + 1])[0]
+    return path
 
 
 def _models(shape: ObjectShape, models: Sequence[BatchModel]) -> _Models:
@@ -191,7 +248,7 @@ def _models(shape: ObjectShape, models: Sequence[BatchModel]) -> _Models:
         limit=np.array([body.limit for body in bodies]),
         centre=np.array([body.centre for body in bodies]),
         inertia=np.array([[body.mass, body.mass, body.inertia] for body in bodies]),
-        mu=np.array([model.pusher_friction for model in models], dtype=np.float64),
+        mu=np.array([changed_friction(model.effects, model.pusher_friction)[0] for model in models], dtype=np.float64),
         surface=np.array([model.surface for model in models], dtype=np.float64),
         displacement=np.array([np.zeros(3) if model.displacement is None else model.displacement for model in models], dtype=np.float64),
     )

@@ -293,6 +293,8 @@ class Effect:
     memory: Memory | None = None
     needs_inertia: bool = False
     """Whether it has no meaning in a quasi-static push."""
+    fades_at_rest: bool = False
+    """Whether nothing is left of it some time after the pusher has stopped."""
     is_unknown_cause: bool = False
     """It names no cause: it measures what no named effect explains."""
     exact_twins: tuple[str, ...] = ()

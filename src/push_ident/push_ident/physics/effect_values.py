@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -79,12 +79,31 @@ class EffectValues:
         return self._but(OnPoses, OnForces, OnForceTimes)
 
     @property
+    def move_pusher(self) -> bool:
+        """Whether one changes the path of the pusher."""
+        return any(isinstance(effect.acts, OnPusherPath) for effect in self.effects)
+
+    @property
     def of_poses(self) -> EffectValues:
         """Those that poses show: all but errors of measured forces, with which nothing is simulated."""
         return self._but(OnForces, OnForceTimes)
 
+    @property
+    def at_rest(self) -> EffectValues:
+        """Those that decide where pushed objects come to rest."""
+        reported = (OnTimes, OnPoses, OnForces, OnForceTimes)
+        return self._only(effect for effect in self.effects if not (isinstance(effect.acts, reported) or effect.fades_at_rest))
+
+    @property
+    def beside_outline(self) -> EffectValues:
+        """All but an error of the outline."""
+        return self._only(effect for effect in self.effects if not effect.moves_outline)
+
     def _but(self, *places: type) -> EffectValues:
-        own = [effect for effect in self.effects if not isinstance(effect.acts, places)]
+        return self._only(effect for effect in self.effects if not isinstance(effect.acts, places))
+
+    def _only(self, kept: Iterable[Effect]) -> EffectValues:
+        own = tuple(kept)
         values = [self.values[self.slice_of(effect.name)] for effect in own]
         return EffectValues(tuple(effect.name for effect in own), np.concatenate([np.zeros(0), *values]))
 

@@ -1,4 +1,7 @@
-"""What a planner believes of an object: the most probable mechanics, and others that may be true."""
+"""What a planner believes of an object: the most probable mechanics, and others that may be true.
+
+Effects that were fitted with the maps are part of it, as far as they decide where a push ends: pushes are planned from rest to rest.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,9 @@ from push_ident.identification.observation import NoiseModel
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.batch import BatchModel
-from push_ident.physics.effect_values import EffectValues, effect_values, reported_poses
-from push_ident.physics.simulation import body_of_cells
+from push_ident.physics.effect import OnPusherPath, OnTable
+from push_ident.physics.effect_values import EffectsLike, EffectValues, effect_values, reported_poses
+from push_ident.physics.simulation import SimulationSettings, body_of_cells
 from push_ident.physics.tape import N_BODY_PARAMETERS
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
 
@@ -23,33 +27,43 @@ class Belief:
     """Mechanics with their uncertainty, in the frame of the arm."""
 
     mean: Mechanics
-    """Without the errors of the camera."""
+    """Without the errors of the camera, and without effects that are gone at rest."""
     posterior: ModelPosterior | None
     """Where other models are drawn from; None where the mean is certain."""
     camera: Float64Array = field(default_factory=lambda: np.zeros(3))
     """The table frame of the arm in that of the camera (x, y, yaw), shape (3,), as the pushes have shown it."""
     weight: Float64Array = field(default_factory=lambda: np.empty(0))
     """Of each cell as a share of the whole, shape (n_cells,), in the most probable model."""
+    numerics: SimulationSettings = field(default_factory=SimulationSettings)
+    """The law of friction that pushes are simulated with: its smoothing speed, and whether there is inertia."""
 
     @classmethod
-    def of(cls, posterior: ModelPosterior) -> Belief:
-        """What pushes have shown."""
+    def of(cls, posterior: ModelPosterior, numerics: SimulationSettings | None = None) -> Belief:
+        """What pushes have shown, where they were simulated with `numerics`."""
         mechanics = posterior.unknowns.mechanics(posterior.z)
         camera = reported_poses(mechanics.effects, np.zeros((1, 3)))[0][0]
         weight = _share(posterior.unknowns.model(posterior.z))
-        return cls(replace(mechanics, effects=mechanics.effects.of_motion), posterior, camera, weight)
+        return cls(_at_rest(mechanics), posterior, camera, weight, numerics or SimulationSettings())
 
     @classmethod
-    def certain(cls, model: ObjectModel) -> Belief:
-        """A model that is known to be true."""
+    def certain(cls, model: ObjectModel, effects: EffectsLike | None = None) -> Belief:
+        """A model that is known to be true, with the effects that act on its motion."""
         body = body_of_cells(model.shape, model.mass, model.friction)
-        derivative = np.zeros((N_BODY_PARAMETERS + len(model.shape.cells), 0))
-        return cls(Mechanics(model.shape, body, model.pusher_friction, effect_values(None), derivative), None, weight=_share(model))
+        acting = effect_values(effects)
+        derivative = np.zeros((N_BODY_PARAMETERS + len(model.shape.cells) + len(acting), 0))
+        mean = _at_rest(Mechanics(model.shape, body, model.pusher_friction, acting, derivative))
+        return cls(mean, None, reported_poses(acting, np.zeros((1, 3)))[0][0], _share(model))
 
     @property
     def shape(self) -> ObjectShape:
         """Of the object."""
         return self.mean.shape
+
+    @property
+    def depends_on_place(self) -> bool:
+        """Whether an object is moved otherwise by the same push where it lies elsewhere, or in another heading."""
+        acts = (effect.acts for effect in self.mean.effects.effects)
+        return any(isinstance(own, OnTable | OnPusherPath) for own in acts)
 
     def models(self, n: int, rng: np.random.Generator) -> list[BatchModel]:
         """The mean, then `n` models drawn at random: those that are equally likely to be true. None but the mean where that is certain."""
@@ -64,9 +78,14 @@ class Belief:
             drawn += [unknowns.mechanics(other) for other in others]
             weights += [_share(unknowns.model(other)) for other in others]
         return [
-            BatchModel(own.body, own.pusher_friction, _surface(own.effects) + beside, weight)
+            BatchModel(own.body, own.pusher_friction, _surface(own.effects) + beside, weight, effects=own.effects.at_rest.beside_outline)
             for own, beside, weight in zip(drawn, surface, weights, strict=False)
         ]
+
+
+def _at_rest(mechanics: Mechanics) -> Mechanics:
+    """Mechanics without what is gone at rest, or only changes what is reported; no unknown is asked for their derivative."""
+    return replace(mechanics, effects=mechanics.effects.at_rest)
 
 
 def _share(model: ObjectModel) -> Float64Array:

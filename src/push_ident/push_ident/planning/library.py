@@ -2,6 +2,9 @@
 
 On an even table a push displaces the object by a motion that does not depend on where the object lies. So one library holds for every pose,
 and the second and third push of a plan come from the same one. It holds that motion for the mean model and for models that may be true too.
+
+Effects such as a tilt of the table make the motion depend on the place and the heading. A library is then of one pose: exact for the push
+from there, and only near for those after it.
 """
 
 from __future__ import annotations
@@ -13,14 +16,15 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import PlanningError
-from push_ident.geometry.se2 import transform_points, wrap_angle
-from push_ident.physics.batch import BatchPush, rollouts
+from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
-__all__ = ["BATCH_STEP", "Library", "Strokes", "path_of", "placed", "strokes"]
+__all__ = ["BATCH_STEP", "Library", "Strokes", "moved", "path_of", "placed", "simulated", "strokes"]
 
 _CONTACTS: Final = 48
 """Along the outline."""
@@ -33,6 +37,9 @@ _LONGEST: Final = 0.16
 BATCH_STEP: Final = 1.0 / 100.0
 """Of batched simulations [s]: ends of pushes of 6 to 10 cm at 0.1 m/s lie within 0.1 mm of the default step's in the median, 0.2 mm in 95 %
 (`push-ident bench batches`)."""
+_SAME_PLACE: Final = np.array([0.02, 0.02, 0.1])
+"""Distance [m, m, rad] up to which a library of one pose is taken at another one: the turn changes a force of the table by a tenth of it,
+and the pushes that are chosen are simulated once more where they are made."""
 _CONE: Final = float(np.radians(45.0))
 """Largest angle between a push and the inward normal [rad]."""
 _EDGE: Final = 1e-3
@@ -97,23 +104,56 @@ class Library:
     """Of `motion` over the models [m^2, m^2, rad^2], shape (n_strokes, n_lengths, 3)."""
     centres: Float64Array
     """Centres of mass of the models [m], shape (n_models, 2), object frame."""
+    pose: Float64Array
+    """Of the object at the start of all strokes, table frame of the arm, shape (3,)."""
 
     @classmethod
-    def of(cls, belief: Belief, own: Strokes, settings: PushSettings, n_draws: int, rng: np.random.Generator) -> Library:
-        """Simulate all strokes with the mean model and with `n_draws` models that may be true."""
+    def of(
+        cls, belief: Belief, own: Strokes, settings: PushSettings, pose: Float64Array, n_draws: int, rng: np.random.Generator
+    ) -> Library:
+        """Simulate all strokes with the mean model and with `n_draws` models that may be true.
+
+        `pose` is that of the object, table frame of the arm, shape (3,); it counts where the motion depends on the place.
+        """
         lengths = np.arange(_STEP_OF_LENGTH, min(_LONGEST, settings.max_distance) + 1e-9, _STEP_OF_LENGTH)
         speed = settings.speed_range[0]
-        pushes = []
+        first, pushes = pose if belief.depends_on_place else np.zeros(3), []
         for tool, heading in zip(own.tool, own.heading(), strict=True):
             path = path_of(tool, heading, float(lengths[-1]), speed, settings)
-            pushes.append(BatchPush(path, np.zeros(3), (settings.clearance + lengths) / speed))
+            pushes.append(BatchPush(moved(first, path), first, (settings.clearance + lengths) / speed))
         models = belief.models(n_draws, rng)
         centres = np.array([model.body.centre for model in models])
-        motion = rollouts(belief.shape, models, pushes, step=BATCH_STEP)
+        motion = compose(inverse(first), simulated(belief, models, pushes))
         known = np.isfinite(motion)
         n, filled = np.maximum(np.sum(known, axis=0), 1), np.where(known, motion, 0.0)
         deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
-        return cls(own, lengths, motion, np.sum(deviation**2, axis=0) / n, centres)
+        return cls(own, lengths, motion, np.sum(deviation**2, axis=0) / n, centres, first)
+
+    def holds_at(self, belief: Belief, pose: Float64Array) -> bool:
+        """Whether it holds for an object at a pose, table frame of the arm, shape (3,)."""
+        if not belief.depends_on_place:
+            return True
+        away = np.append((pose - self.pose)[:2], wrap_angle(pose[2] - self.pose[2]))
+        return bool(np.all(np.abs(away) <= _SAME_PLACE))
+
+
+def simulated(belief: Belief, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None = None) -> Float64Array:
+    """As `rollouts`, with the step of planning and the law of friction of a belief."""
+    law = belief.numerics
+    return rollouts(
+        belief.shape,
+        models,
+        pushes,
+        step=BATCH_STEP,
+        edge=edge,
+        smoothing_speed=law.smoothing_speed,
+        quasi_static=law.quasi_static,
+    )
+
+
+def moved(pose: Float64Array, path: PusherPath) -> PusherPath:
+    """A path beside an object at (0, 0, 0) as one beside the object at a pose, shape (3,)."""
+    return PusherPath(path.time, transform_points(pose, path.position), path.radius)
 
 
 def path_of(tool: Float64Array, heading: Float64Array, distance: float, speed: float, settings: PushSettings) -> PusherPath:

@@ -82,10 +82,10 @@ class PathPlanner:
         self._belief: Belief | None = None
         self._library: Library | None = None
 
-    def _library_of(self, belief: Belief) -> Library:
-        if self._library is None or belief is not self._belief:
+    def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
+        if self._library is None or belief is not self._belief or not self._library.holds_at(belief, pose):
             self._belief = belief
-            self._library = Library.of(belief, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
+            self._library = Library.of(belief, self._strokes, self._settings, pose, _DRAWS, np.random.default_rng(self._seed))
         return self._library
 
     def plan(
@@ -112,7 +112,8 @@ class PathPlanner:
         now = max(done, float(place))
         if path.length - now < _LEAST:
             return PathPush(PathStatus.ARRIVED, now)
-        library, seen = self._library_of(belief), compose(away, pose)
+        seen = compose(away, pose)
+        library = self._library_of(belief, seen)
         around = Surroundings([transform_points(away, outline) for outline in obstacles], failed)
         for number, k, reached in self._ranked(library, pose, path, now):
             plan = placed(library.strokes, number, seen, float(library.lengths[k]), self._settings.speed_range[0])

@@ -11,9 +11,13 @@ All strokes and lengths are judged by the mean model, the best by all models, an
 workspace or touch something else first are passed over. Contact, direction and length of a push that may be the last one are then improved
 by the exact derivative, and what is expected of it is taken from more models and from the uncertainty of the pose.
 
-At an edge of the table these last simulations know which cells have left it. A push whose chance p_f to bring the centre of mass nearer to
-the border of its support than the margin is more than `EdgeHold.limit` is not proposed, unless the object is no less at risk where it lies;
-below that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands are not asked.
+Effects that were found are part of the models. Where they make a motion depend on the place, the library is made anew where the object
+lies.
+
+At an edge of the table these last simulations know which cells have left it, and leave out effects. A push whose chance p_f to bring the
+centre of mass nearer to the border of its support than the margin is more than `EdgeHold.limit` is not proposed, unless the object is no
+less at risk where it lies; below that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands
+are not asked.
 """
 
 from __future__ import annotations
@@ -27,16 +31,17 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
-from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.batch import BatchModel, BatchPush
+from push_ident.physics.effect_values import NO_EFFECTS
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.hold import EdgeHold
-from push_ident.planning.library import BATCH_STEP, Library, Strokes, path_of, placed, strokes
+from push_ident.planning.library import Library, Strokes, moved, path_of, placed, simulated, strokes
 from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
-from push_ident.types import Float64Array, ObjectShape, PusherPath
+from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["GoalPlanner", "GoalPush", "PlanStatus"]
 
@@ -112,11 +117,12 @@ class GoalPlanner:
         self._library: Library | None = None
         self._judges: list[BatchModel] = []
 
-    def _library_of(self, belief: Belief) -> Library:
-        if self._library is None or belief is not self._belief:
-            self._belief = belief
+    def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
+        if belief is not self._belief:
+            self._belief, self._library = belief, None
             self._judges = belief.models(_FINAL_DRAWS, np.random.default_rng(self._seed + 1))
-            self._library = Library.of(belief, self._strokes, self._settings, _DRAWS, np.random.default_rng(self._seed))
+        if self._library is None or not self._library.holds_at(belief, pose):
+            self._library = Library.of(belief, self._strokes, self._settings, pose, _DRAWS, np.random.default_rng(self._seed))
         return self._library
 
     def plan(
@@ -164,7 +170,7 @@ class GoalPlanner:
             return GoalPush(PlanStatus.UNSURE, chance)
         if len(self._strokes) == 0:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
-        library = self._library_of(belief)
+        library = self._library_of(belief, pose)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
         further = _Distance(goal) if self._greedy else _FurtherPushes(library, goal)
         ranked = _ranked(library, further, wanted)
@@ -186,15 +192,16 @@ class GoalPlanner:
         for (_, number, length), motion in zip(list(candidates), motions, strict=True):
             if wanted.relative_error(motion) > _NEAR:
                 continue
-            better = refine(belief.mean, own.picked(number), length, wanted, self._settings)
+            better = refine(belief, own.picked(number), length, wanted, self._settings, pose)
             if better is not None:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
                 if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
                     candidates.append((better.stroke, 0, better.length))
-        return self._best(further, candidates, pose, covariance, goal, around.hold)
+        return self._best(belief, further, candidates, pose, covariance, goal, around.hold)
 
     def _best(
         self,
+        belief: Belief,
         further: _FurtherPushes | _Distance,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
@@ -204,13 +211,15 @@ class GoalPlanner:
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
         models = self._displaced_judges(pose, covariance)
+        if hold is not None:
+            models = [model._replace(effects=NO_EFFECTS) for model in models]
         pushes = [(own.picked(number), length) for own, number, length in candidates]
         if hold is None:
             # A few models tell which pushes are worth asking all of them.
-            ends, _ = self._ends(models[: 1 + _DRAWS], pushes, pose, hold)
+            ends, _ = self._ends(belief, models[: 1 + _DRAWS], pushes, pose, hold)
             most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[:_FINALISTS]
             candidates, pushes = [candidates[k] for k in most], [pushes[k] for k in most]
-        ends, margins = self._ends(models, pushes, pose, hold)
+        ends, margins = self._ends(belief, models, pushes, pose, hold)
         present = _Present(hold, self._shape, np.array([model.body.centre for model in models]), pose)
         risk = present.risk(margins)
         value, allowed = _value(further, ends, goal) + _FALL * risk, risk <= present.allowed
@@ -241,7 +250,12 @@ class GoalPlanner:
         return [model._replace(displacement=own) for model, own in zip(models, beside, strict=True)]
 
     def _ends(
-        self, models: Sequence[BatchModel], pushes: Sequence[tuple[Strokes, float]], pose: Float64Array, hold: EdgeHold | None
+        self,
+        belief: Belief,
+        models: Sequence[BatchModel],
+        pushes: Sequence[tuple[Strokes, float]],
+        pose: Float64Array,
+        hold: EdgeHold | None,
     ) -> tuple[Float64Array, Float64Array]:
         """Ends of pushes of an object that is seen at a pose, under models, shape (n_models, n_pushes, 3), and the least margin on the way
         [m], shape (n_models, n_pushes)."""
@@ -251,9 +265,8 @@ class GoalPlanner:
             path = path_of(own.tool[0], own.heading()[0], length, speed, settings)
             first = 0.0 if hold is None else settings.clearance / speed
             # The tool goes where the observed pose has it.
-            moved = PusherPath(path.time, transform_points(pose, path.position), path.radius)
-            batch.append(BatchPush(moved, pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
-        poses = rollouts(self._shape, models, batch, step=BATCH_STEP, edge=None if hold is None else hold.edge)
+            batch.append(BatchPush(moved(pose, path), pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
+        poses = simulated(belief, models, batch, None if hold is None else hold.edge)
         if hold is None:
             return poses[:, :, -1], np.full(poses.shape[:2], np.inf)
         centres = np.array([model.body.centre for model in models])

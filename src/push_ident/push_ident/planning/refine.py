@@ -7,17 +7,17 @@ the end tells what another length does. Three numbers of the push for three of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.unknowns import Mechanics
+from push_ident.geometry.se2 import compose, inverse, rotation, wrap_angle
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
+from push_ident.planning.belief import Belief
 from push_ident.planning.goal import Goal
-from push_ident.planning.library import Strokes, path_of
+from push_ident.planning.library import Strokes, moved, path_of
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
 
@@ -36,6 +36,7 @@ _SHORTEST: Final = 0.003
 _WINDOW: Final = 0.003
 """Travel over which the motion at the end is averaged [m]: an object that has been hit runs ahead of the pusher for a moment."""
 _NUMERICS: Final = SimulationSettings(step=1.0 / 120.0, resolve_events=True)
+_ORIGIN: Final = np.zeros(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +51,13 @@ class RefinedStroke:
     """Pose of the object after it in its frame before it, shape (3,)."""
 
 
-def refine(mechanics: Mechanics, stroke: Strokes, length: float, wanted: Goal, settings: PushSettings) -> RefinedStroke | None:
-    """A stroke and a length [m] whose motion is nearer to the wanted one; None where the push cannot be improved."""
+def refine(
+    belief: Belief, stroke: Strokes, length: float, wanted: Goal, settings: PushSettings, pose: Float64Array = _ORIGIN
+) -> RefinedStroke | None:
+    """A stroke and a length [m] whose motion is nearer to the wanted one; None where the push cannot be improved.
+
+    `pose` is that of the object before it, table frame of the arm, shape (3,).
+    """
     best: RefinedStroke | None = None
     first = least = np.inf
     step = np.zeros(3)
@@ -59,7 +65,7 @@ def refine(mechanics: Mechanics, stroke: Strokes, length: float, wanted: Goal, s
         origin = best or RefinedStroke(stroke, length, np.zeros(3))
         tried = origin.stroke.changed(float(step[0]), float(step[1]))
         longer = float(np.clip(origin.length + step[2], _SHORTEST, settings.max_distance))
-        end, by_push = end_by_push(mechanics, tried, longer, settings)
+        end, by_push = end_by_push(belief, tried, longer, settings, pose)
         if end is None or by_push is None:
             break
         residual = np.append((end - wanted.pose)[:2], wrap_angle(end[2] - wanted.pose[2])) / wanted.tolerance
@@ -75,18 +81,28 @@ def refine(mechanics: Mechanics, stroke: Strokes, length: float, wanted: Goal, s
 
 
 def end_by_push(
-    mechanics: Mechanics, stroke: Strokes, length: float, settings: PushSettings
+    belief: Belief, stroke: Strokes, length: float, settings: PushSettings, pose: Float64Array = _ORIGIN
 ) -> tuple[Float64Array | None, Float64Array | None]:
-    """Pose after a push of an object at (0, 0, 0), shape (3,), and its derivative by contact, direction and length, (3, 3)."""
+    """Pose after a push in the frame of the object before it, shape (3,), and its derivative by contact, direction and length, (3, 3).
+
+    Where a turn of everything changes the motion, the derivative leaves that out.
+    """
     tool, heading = stroke.tool[0], stroke.heading()[0]
     path = path_of(tool, heading, length, settings.speed_range[0], settings)
     just_before = float(path.time[-1]) - _WINDOW / settings.speed_range[0]
-    motion = mechanics.simulate(PushScenario(path, np.zeros(3), np.array([just_before, path.time[-1]])), settings=_NUMERICS, jacobian=True)
+    first = pose if belief.depends_on_place else _ORIGIN
+    scenario = PushScenario(moved(first, path), first, np.array([just_before, path.time[-1]]))
+    law = belief.numerics
+    numerics = replace(_NUMERICS, smoothing_speed=law.smoothing_speed, quasi_static=law.quasi_static)
+    motion = belief.mean.simulate(scenario, settings=numerics, jacobian=True)
     if motion.status is not SolveStatus.CONVERGED:
         return None, None
-    end, by_first = motion.pose[-1], motion.jacobian[-1, :, :3]
+    before, end = compose(inverse(first), motion.pose)
+    axes = np.eye(3)
+    axes[:2, :2] = rotation(float(first[2]))
+    by_first = axes.T @ motion.jacobian[-1, :, :3] @ axes
     tangent = stroke.tangent[0]
     moves = np.array([[tangent[0], tangent[1], 0.0], [tool[1], -tool[0], 1.0]])
     columns = [move + move[2] * np.array([-end[1], end[0], 0.0]) - by_first @ move for move in moves]
-    by_length = (end - motion.pose[-2]) / _WINDOW
+    by_length = (end - before) / _WINDOW
     return end, np.column_stack([*columns, by_length])

@@ -47,4 +47,5 @@ EFFECT = Effect(
     check="Compare the commanded with the measured path of the tool in a fast move in free air.",
     source="First-order model of a servo loop.",
     refit_with=("pose_latency", "pusher_speed_scale"),
+    fades_at_rest=True,
 )

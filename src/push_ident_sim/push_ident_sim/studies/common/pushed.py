@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from push_ident.geometry.se2 import transform_points
@@ -15,6 +17,7 @@ from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, PushRecord
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, observe_motion, path_of_plan, true_model
 
@@ -47,28 +50,45 @@ class PushedObject:
         rng: of exploring pushes and of noise.
         rigid: one body that may tilt and fall, instead of cells that each rest on their own weight.
         pushes: limits of the pushes; by default those of the paper's experiments.
+        effects: of the world, on motion and tool. Who knows everything knows them.
+        exploring: random pushes before the first goal.
+        names_effects: gives the names of effects that are fitted with the maps, from the exploring pushes; by default none are.
     """
 
     def __init__(
-        self, thing: SimObject, kind: str, rng: np.random.Generator, *, rigid: bool = False, pushes: PushSettings | None = None
+        self,
+        thing: SimObject,
+        kind: str,
+        rng: np.random.Generator,
+        *,
+        rigid: bool = False,
+        pushes: PushSettings | None = None,
+        effects: InjectedEffects | None = None,
+        exploring: int = _EXPLORING,
+        names_effects: Callable[[list[PushRecord]], tuple[str, ...]] | None = None,
     ) -> None:
         self._truth_settings, self._noise, self._rng, self._kind = TruthSettings(), CameraNoise(), rng, kind
         self.settings = pushes or self._truth_settings.pushes
-        self._world = PushWorld(thing, self.settings.pusher_radius, time_step=self._truth_settings.time_step, rigid=rigid)
+        self._world = PushWorld(thing, self.settings.pusher_radius, time_step=self._truth_settings.time_step, effects=effects, rigid=rigid)
         self.truth = true_model(thing)
         self.centre: Float64Array = self.truth.mass @ self.truth.shape.cells.centres / self.truth.total_mass
         """True centre of mass [m], shape (2,), object frame."""
         self.pose: Float64Array = np.zeros(3)
         """The true one, shape (3,)."""
         self._records: list[PushRecord] = []
-        self.belief = Belief.certain(self.truth) if kind == TRUTH else Belief.of(prior_posterior(self.truth.shape))
+        self.named: tuple[str, ...] = ()
+        """Effects that are fitted with the maps."""
+        acting = effects.as_dict() if effects else {}
+        self.belief = Belief.certain(self.truth, acting) if kind == TRUTH else Belief.of(prior_posterior(self.truth.shape))
         self.planner = GoalPlanner(self.truth.shape, self.settings, greedy=kind == GREEDY)
         if self._learns:
-            for _ in range(_EXPLORING):
+            for _ in range(exploring):
                 # As on the paper's table, wherever later pushes may go.
                 self._record(self._move(sample_push(self.truth.shape, self.pose, rng, self._truth_settings.pushes)))
+            if names_effects is not None:
+                self.named = names_effects(self._records)
             self._learn()
-        self._explored = _EXPLORING
+        self._explored = exploring
 
     @property
     def _learns(self) -> bool:
@@ -126,6 +146,6 @@ class PushedObject:
         self._records.append(PushRecord("o1", self.truth.shape, *observed))
 
     def _learn(self) -> None:
-        result = identify(self._records)
+        result = identify(self._records, effects=self.named)
         if not result.status.is_failure:
             self.belief = Belief.of(result.posterior)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from push_ident.identification.prediction import cell_error
 from push_ident.planning.goal import Goal
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.types import Float64Array
@@ -39,6 +40,8 @@ class GoalOutcome:
     """By level: time of the pushes with their rests until then [s]."""
     chances: list[tuple[float, bool]] = field(default_factory=list)
     """Of each push: the chance that was expected of it, and whether the object was at the goal then."""
+    errors: list[float] = field(default_factory=list)
+    """Of each push: mean distance of the cells from where they were expected after it [m]."""
     ends: list[str] = field(default_factory=list)
     """How planning ended, level by level."""
     fell: bool = False
@@ -56,6 +59,7 @@ def reach(pushed: PushedObject, pose: Float64Array, levels: Sequence[str] = tupl
             time += pushed.duration(pushed.push(plan.plan))
             pushes += 1
             outcome.chances.append((plan.chance, bool(goal.relative_error(pushed.pose) <= 1.0)))
+            outcome.errors.append(cell_error(pushed.truth.shape.cells, plan.end, pushed.pose))
             outcome.fell |= pushed.has_fallen
         outcome.reached[level] = plan.status is PlanStatus.ARRIVED and bool(goal.relative_error(pushed.pose) <= 1.0)
         outcome.pushes[level], outcome.time[level] = pushes, time

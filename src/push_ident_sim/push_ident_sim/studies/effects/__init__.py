@@ -1,0 +1,1 @@
+"""Experiment: what a diagnosis is worth when objects are pushed to goals."""

@@ -1,0 +1,1 @@
+"""Experiment: Push-T as gym-pusht has it."""
