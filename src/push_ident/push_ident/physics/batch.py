@@ -2,7 +2,8 @@
 
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
 between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives and without effects but that of
-a surface beside its outline. The table may have an edge that the object overhangs.
+a surface beside its outline. The table may have an edge that the object overhangs. A push may begin in contact, with the object in motion:
+what is asked while the tool moves.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from push_ident.types import Float64Array, ObjectShape, PusherPath
 __all__ = ["BatchModel", "BatchPush", "rollouts"]
 
 _TASKS_A_CALL = 64
-"""Simulations that a thread takes at a time: enough that the call costs nothing, few enough that all threads end together."""
+"""Simulations that a thread takes at a time, at most: enough that the call costs nothing, few enough that all threads end together."""
 
 
 class BatchModel(NamedTuple):
@@ -53,6 +54,8 @@ class BatchPush(NamedTuple):
     """First pose, shape (3,)."""
     time: Float64Array
     """When to report the pose [s], ascending, shape (n_frames,)."""
+    velocity: Float64Array | None = None
+    """Of the object frame at the start (vx, vy, yaw rate) [m/s, m/s, rad/s], table frame, shape (3,). None: at rest."""
 
 
 class _Models(NamedTuple):
@@ -85,6 +88,8 @@ class _Pushes(NamedTuple):
     """(n_pushes, max_steps)"""
     pose: Float64Array
     """(n_pushes, 3)"""
+    velocity: Float64Array
+    """Of the object frame, (n_pushes, 3)"""
     step: np.ndarray
     """Of `Frames`, (n_pushes, n_frames)"""
     fraction: Float64Array
@@ -119,9 +124,15 @@ def _roll_range(
         first_pose[0] = pushes.pose[p, 0] + cos * moved[0] - sin * moved[1]
         first_pose[1] = pushes.pose[p, 1] + sin * moved[0] + cos * moved[1]
         first_pose[2] = pushes.pose[p, 2] + moved[2]
+        cos, sin, centre, velocity = math.cos(first_pose[2]), math.sin(first_pose[2]), models.centre[m], pushes.velocity[p]
+        of_centre = (
+            velocity[0] - velocity[2] * (sin * centre[0] + cos * centre[1]),
+            velocity[1] + velocity[2] * (cos * centre[0] - sin * centre[1]),
+            velocity[2],
+        )
         push = Push(
             first_pose, pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
-            models.centre[m], models.inertia[m], models.mu[m], models.surface[m],
+            models.centre[m], models.inertia[m], models.mu[m], models.surface[m], of_centre,
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, False, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
@@ -174,13 +185,15 @@ def rollouts(
     poses = np.empty((len(models), len(pushes), len(pushes[0].time), 3))
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
 
-    def roll(first: int) -> None:
-        _roll_range(first, min(first + _TASKS_A_CALL, n_tasks), geometry, in_arrays, of_pushes, edges, eps, new_tape(0), poses)
-
     n_tasks = len(models) * len(pushes)
     threads = n_threads or len(os.sched_getaffinity(0))
+    at_once = min(_TASKS_A_CALL, -(-n_tasks // threads))
+
+    def roll(first: int) -> None:
+        _roll_range(first, min(first + at_once, n_tasks), geometry, in_arrays, of_pushes, edges, eps, new_tape(0), poses)
+
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(roll, range(0, n_tasks, _TASKS_A_CALL)))
+        list(pool.map(roll, range(0, n_tasks, at_once)))
     return poses
 
 
@@ -220,7 +233,8 @@ def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:
         dt[i, : clock.n_steps] = clock.lengths
         frame_step[i], fraction[i] = frames.step, frames.fraction
     first = np.array([push.pose_object_in_table for push in pushes], dtype=np.float64)
-    return _Pushes(np.array([clock.n_steps for clock, _ in each]), path, dt, first, frame_step, fraction)
+    velocity = np.array([np.zeros(3) if push.velocity is None else push.velocity for push in pushes], dtype=np.float64)
+    return _Pushes(np.array([clock.n_steps for clock, _ in each]), path, dt, first, velocity, frame_step, fraction)
 
 
 def _clock(push: BatchPush, step: float, known: dict[tuple[bytes, bytes], tuple[StepClock, Frames]]) -> tuple[StepClock, Frames]:

@@ -1,0 +1,183 @@
+"""Where to push an object that shall follow a path in as few contacts as possible, by pushes that curve.
+
+At each contact of the outline the tool would move as if fixed to the object on its path; `CurvedPushes` improves that for a stretch of path
+ahead. As with straight pushes, a push is worth J = (c + sum of e^2 + l e_end^2) / progress, cut off where that is least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.physics.batch import BatchModel
+from push_ident.planning.belief import Belief
+from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
+from push_ident.planning.feasible import Surroundings, is_possible
+from push_ident.planning.library import Strokes, placed, strokes
+from push_ident.planning.path_follower import PathFollower, guesses_around
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_planner import PathStatus
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["CurvedPathPlanner", "CurvedPush"]
+
+_TRAVEL: Final = 0.12
+"""Along the path that a contact is judged by [m]."""
+_ITERATIONS: Final = 3
+"""Of Gauss-Newton for each contact."""
+_CONTACT, _CARRIED = 0.03, 0.03
+"""c and l of J [m], as for straight pushes (`path_planner.py`)."""
+_LEAST: Final = 0.004
+"""Progress of a push along the path [m]: less is none."""
+_AHEAD: Final = 0.2
+"""How far along the path the object may have come since it was seen last [m]."""
+_INWARD: Final = float(np.radians(70.0))
+"""Largest angle between the motion of an object's face along the path and its inward normal, for the face to be pushed [rad]."""
+_JUDGED: Final = 10
+"""Contacts that the mean model likes best, judged by all models then."""
+_STRAIGHT: Final = 0.004
+"""Length of the straight beginning that is checked as a push of its own [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CurvedPush:
+    """The next push along a path, or why there is none. All in the table frame of the arm."""
+
+    status: PathStatus
+    done: float
+    """Length of path that is behind now [m]."""
+    contact: PushPlan2D | None = None
+    """Its first contact and heading; the distance is that of its straight beginning."""
+    time: Float64Array | None = None
+    """[s], shape (n,), from where the tool is lowered; the object is touched at the second."""
+    tool: Float64Array | None = None
+    """Axis of the tool then [m], shape (n, 2)."""
+    corridor: Corridor | None = None
+    """Where it may be corrected to: along the rest of the path."""
+    expected_done: float = np.nan
+    """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
+
+
+class CurvedPathPlanner:
+    """Chooses contacts for pushes along paths, and makes what corrects them.
+
+    Args:
+        shape: of the object.
+        settings: limits of pushes and the pusher.
+        n_models: that a correction asks, the most probable one among them.
+        seed: of the models that are drawn.
+        half_width: of the corridor along the path [m].
+    """
+
+    def __init__(
+        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 8, seed: int = 0, half_width: float = 0.05
+    ) -> None:
+        self._shape, self._settings, self._seed = shape, settings, seed
+        self._n_models, self._half_width = n_models, half_width
+        self._strokes = strokes(shape, settings)
+        self._belief: Belief | None = None
+        self._models: list[BatchModel] = []
+
+    def models(self, belief: Belief) -> list[BatchModel]:
+        """The most probable one, then others that may be true."""
+        if belief is not self._belief:
+            self._belief, self._models = belief, belief.models(self._n_models - 1, np.random.default_rng(self._seed))
+        return self._models
+
+    def follower(self, belief: Belief, path: PathGoal, corridor: Corridor, period: float) -> PathFollower:
+        """What corrects a push at the rate of a camera, whose period is given in [s]."""
+        return PathFollower(self._shape, self._settings, self.models(belief), path, corridor, camera=belief.camera, period=period)
+
+    def plan(
+        self,
+        belief: Belief,
+        pose: Float64Array,
+        path: PathGoal,
+        done: float,
+        obstacles: Sequence[Float64Array] = (),
+        failed: Sequence[PushPlan2D] = (),
+    ) -> CurvedPush:
+        """The next push; arguments as those of `PathPlanner.plan`."""
+        away = inverse(belief.camera)
+        seen, path = compose(away, pose), path.seen_from(away)
+        place, _ = path.error(seen, done, _AHEAD)
+        now = max(done, float(place))
+        if path.length - now < _LEAST:
+            return CurvedPush(PathStatus.ARRIVED, now)
+        around = Surroundings([transform_points(away, outline) for outline in obstacles], failed)
+        numbers = _along(self._strokes, seen, path, now)
+        if len(numbers) == 0:
+            return CurvedPush(PathStatus.UNREACHABLE, now)
+        horizon = Horizon.of(path.speed, _TRAVEL, np.array([-self._settings.clearance / path.speed, 0.0]))
+        starts = [self._start(number, seen, now) for number in numbers]
+        pushes = CurvedPushes(self._shape, self._settings, path)
+        models = self.models(belief)
+        guesses = np.broadcast_to(guesses_around(np.zeros((N_SEGMENTS, 2))), (len(starts), 6, N_SEGMENTS, 2))
+        best, rolled = pushes.improve(models[:1], horizon, starts, guesses, _ITERATIONS)
+        first = np.argsort(np.min(_worth(rolled)[0], axis=-1))[:_JUDGED]
+        judged = pushes.roll(models, horizon, [starts[k] for k in first], best[first][:, None])
+        worth = _worth(judged)
+        for k in np.argsort(np.min(worth, axis=-1).mean(axis=0)):
+            number, cut = int(numbers[first[k]]), int(np.argmin(worth[:, k].mean(axis=0)))
+            if not np.isfinite(worth[:, k, cut]).all():
+                break
+            contact = placed(self._strokes, number, seen, _STRAIGHT, path.speed)
+            motion = compose(inverse(seen), judged.poses[0, k, 0, cut])
+            tool = judged.tool[k, 0]
+            if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
+                expected = now + float(judged.progress[:, k, 0, cut].mean())
+                corridor = self._corridor(tool, path, now)
+                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, expected)
+        return CurvedPush(PathStatus.UNREACHABLE, now)
+
+    def _start(self, number: int, seen: Float64Array, now: float) -> PushStart:
+        plan = placed(self._strokes, number, seen, _STRAIGHT, 1.0)
+        lead = np.array([plan.tool_start(self._settings.clearance), plan.tool_at_contact])
+        return PushStart(seen, np.zeros(3), now, lead, face_of(self._shape.outline, self._strokes.tool[number])[0])
+
+    def _is_free(self, tool: Float64Array, around: Surroundings) -> bool:
+        """Whether the tool stays in the workspace and away from other objects."""
+        if self._settings.excess(tool) > 0.0:
+            return False
+        least = self._settings.pusher_radius
+        return all(float(np.min(signed_distance(tool, outline))) > least for outline in around.obstacles)
+
+    def _corridor(self, tool: Float64Array, path: PathGoal, now: float) -> Corridor:
+        """Along the motion of a tool that is fixed to the object on its path."""
+        offset = transform_points(inverse(path.at(now)), tool[1:2])
+        later = path.at(np.append(np.arange(now, path.length, _LEAST), path.length))
+        return Corridor(np.vstack([tool[:1], transform_points(later, offset)[:, 0]]), self._half_width)
+
+
+def _along(own: Strokes, seen: Float64Array, path: PathGoal, now: float) -> np.ndarray:
+    """Of each contact the stroke whose heading is nearest to the motion of that point of the object along the path; shape (n,)."""
+    tool = transform_points(seen, own.tool)
+    step = min(_LEAST, path.length - now)
+    here, there = path.at(now), path.at(now + step)
+    moved = transform_points(there, transform_points(inverse(here), tool)) - tool
+    wanted = np.arctan2(moved[:, 1], moved[:, 0])
+    inward = np.arctan2(own.tangent[:, 0], -own.tangent[:, 1]) + seen[2]
+    pushable = np.abs(wrap_angle(wanted - inward)) < _INWARD
+    deviation = np.abs(wrap_angle(wanted - own.direction - seen[2]))
+    _, contact = np.unique(np.round(own.tool, 9), axis=0, return_inverse=True)
+    order = np.lexsort((deviation, contact.ravel()))
+    _, first = np.unique(contact.ravel()[order], return_index=True)
+    chosen = order[first]
+    return np.asarray(chosen[pushable[chosen]])
+
+
+def _worth(rolled: RolledPushes) -> Float64Array:
+    """J of pushes of one variant each, cut off at each frame, shape (n_models, n_starts, n_frames); infinite without progress."""
+    progress, square = rolled.progress[:, :, 0], rolled.error[:, :, 0] ** 2
+    steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)
+    way = np.cumsum(steps * square, axis=-1)
+    cost = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
+    penalty = np.sum(rolled.residual[:, :, 0, -3:] ** 2, axis=-1)
+    return np.where((progress > _LEAST) & (penalty[..., None] < 1.0), cost, np.inf)
