@@ -42,12 +42,11 @@ _LARGEST: Final = 1.2
 """Of an unknown [1, in speeds of the path]."""
 _LONGEST_CHANGE: Final = 0.5
 """Of an unknown in an iteration [1, in speeds of the path]."""
-_DAMPING: Final = 0.15
-"""Residual of an unknown of one speed [tolerances]: what hardly changes the errors is left alone."""
-_ALONG: Final = 4.0
+_DAMPING: Final = np.array([0.5, 0.15])
+"""Residual of an unknown of one speed, along and across the path [tolerances]: what hardly changes the errors is left alone, and the tool
+does not wait for a better time."""
+_ALONG: Final = 1.0
 """How much larger an error along the path may be than one across it [1]: being late is no distance from the path."""
-_END: Final = 1.5
-"""Weight of the error at the end, on the mean over the push [1]."""
 _FACE_MARGIN, _FACE_SCALE = 0.005, 0.002
 """Least distance of the contact from the end of its face, and what violates it by one tolerance [m]."""
 _TOUCH_MARGIN, _TOUCH_SCALE = 0.002, 0.002
@@ -183,7 +182,7 @@ class CurvedPushes:
     def tool_paths(self, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> Float64Array:
         """Axis of the tool at the knots [m], shape (n_starts, n_variants, n_knots, 2).
 
-        `unknowns`: velocities beside the path, in its speed and in its frame, shape (n_starts, n_variants, N_SEGMENTS, 2).
+        `unknowns`: velocities along and across the path beside that of the path, in its speed, shape (n_starts, n_variants, N_SEGMENTS, 2).
         """
         later = horizon.knots[len(horizon.lead) :]
         lead = np.array([start.lead for start in starts])
@@ -191,7 +190,8 @@ class CurvedPushes:
         now = self._path.at(place)
         offset = np.array([transform_points(inverse(pose), tool[-1:])[0] for pose, tool in zip(now, lead, strict=True)])
         spent = np.clip(later[:, None] - horizon.breaks[:-1], 0.0, np.diff(horizon.breaks))
-        beside = offset[:, None, None, :] + horizon.speed * (spent @ unknowns)
+        turn = rotation(self._path.direction(place) - now[:, 2])[:, None, None]
+        beside = offset[:, None, None, :] + horizon.speed * np.einsum("...ij,...j->...i", turn, spent @ unknowns)
         frame = self._path.at(place[:, None] + horizon.speed * later)[:, None]
         moving = frame[..., :2] + np.einsum("...ij,...j->...i", rotation(frame[..., 2]), beside)
         fixed = np.broadcast_to(lead[:, None], (len(starts), unknowns.shape[1], *lead.shape[1:]))
@@ -216,12 +216,10 @@ class CurvedPushes:
         error = np.concatenate([along_across, wrap_angle(away[..., 2:])], axis=-1) / tolerance
         failed = ~np.isfinite(error).all(axis=(-1, -2))
         error = np.where(failed[..., None, None], _FAILED, error)
-        weight = np.full(len(horizon.frames), 1.0 / len(horizon.frames))
-        weight[-1] += _END
-        beside = np.broadcast_to(_DAMPING * unknowns.reshape(n_starts, n_variants, -1), (len(models), n_starts, n_variants, 2 * N_SEGMENTS))
+        beside = np.broadcast_to((_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (len(models), n_starts, n_variants, 2 * N_SEGMENTS))
         limits = np.broadcast_to(self._limits(horizon, tool), (len(models), n_starts, n_variants, 3))
         contact = self._contact(horizon, starts, tool, np.where(failed[..., None, None], wanted, poses))
-        parts = [error * np.sqrt(weight)[:, None], contact]
+        parts = [error / np.sqrt(len(horizon.frames)), contact]
         residual = np.concatenate([*(part.reshape(*part.shape[:3], -1) for part in parts), beside, limits], axis=-1)
         progress = (place - begun)[:, None] + along_across[..., 0]
         return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), np.where(failed[..., None], 0.0, progress))

@@ -32,14 +32,19 @@ _ARRIVED: Final = 0.0015
 """From the end of the path [m]."""
 _AHEAD: Final = 0.05
 """How far along the path the object may have come since the last frame [m]."""
-_NOT_BETTER: Final = 0.8
-"""Share of the present error that must not be left at the end of the look ahead [1]; else the contact does not bring the object back."""
-_BAD: Final = 3.0
-"""Error at the end of the look ahead that another contact is worth [tolerances]."""
+_NOT_BETTER: Final = 0.85
+"""Share of the present error that must not be left over the look ahead [1]; else the contact does not bring the object back."""
+_BAD: Final = 1.5
+"""Root of the mean square error over the look ahead that another contact is worth [tolerances]."""
 _IN_A_ROW: Final = 6
 """Frames after which a contact is given up: estimates of a pose come and go."""
 _APART: Final = 0.012
 """Gap at which the contact is lost [m]."""
+
+
+_CHANGES: Final = np.array([[0.0, 0.4], [0.0, -0.4], [-0.5, 0.5], [-0.5, -0.5], [-0.8, 0.25], [-0.8, -0.25]])
+"""Of the velocity in the first segment that are tried, along and across the path [1, in its speed]: small steps from a contact that sticks
+never find that the tool may slide along the face; the last four make it slide, by some 5 and 3 mm."""
 
 
 class FollowStatus(Enum):
@@ -68,10 +73,10 @@ class Correction:
 
 def guesses_around(unknowns: Float64Array) -> Float64Array:
     """Unknowns that are worth a try beside given ones, shape (N_SEGMENTS, 2): shape (n, N_SEGMENTS, 2)."""
-    turns = np.zeros((4, N_SEGMENTS, 2))
-    turns[0, 0], turns[1, 0] = (0.0, 0.4), (0.0, -0.4)
-    turns[2, :2], turns[3, :2] = (0.0, 0.25), (0.0, -0.25)
-    return np.concatenate([unknowns[None], np.zeros((1, N_SEGMENTS, 2)), np.clip(unknowns + turns, -1.0, 1.0)])
+    tried = np.repeat(unknowns[None], len(_CHANGES) + 2, axis=0)
+    tried[1] = 0.0
+    tried[2:, 0] += _CHANGES
+    return np.clip(tried, -1.0, 1.0)
 
 
 class PathFollower:
@@ -127,14 +132,14 @@ class PathFollower:
         tracker.advance(since, self._where(since))
         face = tracker.see(compose(self._away, pose), covariance, settled[0])
         place, error = self._path.error(tracker.pose, self._done, _AHEAD)
-        self._done, elapsed, self._now = max(self._done, float(place)), time - self._now, time
+        self._done, elapsed, self._now = float(place), time - self._now, time
         start = PushStart(tracker.pose, tracker.velocity, self._done + self._path.speed * self._period, settled, face)
         guesses = guesses_around(self._horizon.later(self._unknowns, elapsed))
         models = _touching(self._models, face)
         best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS)
         self._unknowns = best[0]
         now = float(np.hypot(error[0] / self._path.position, error[1] / self._path.yaw))
-        ahead = float(np.sqrt(np.mean(rolled.error[:, 0, 0, -1] ** 2)))
+        ahead = float(np.sqrt(np.mean(rolled.error[:, 0, 0] ** 2)))
         hopeless = ahead > max(_BAD, _NOT_BETTER * now) or tracker.gap > _APART
         self._bad = self._bad + 1 if hopeless else 0
         self._time, self._tool = time + self._period + self._horizon.knots, rolled.tool[0, 0]
