@@ -9,7 +9,7 @@ import pytest
 
 from push_ident.errors import InputError
 from push_ident.geometry.outline import signed_distance
-from push_ident.geometry.se2 import inverse, transform_points, wrap_angle
+from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.planning.belief import Belief
 from push_ident.planning.contact_tracking import ContactTracker
@@ -26,8 +26,8 @@ from push_ident_sim.studies.common.plate import plate
 SETTINGS = PushSettings(workspace=(-0.5, 0.5, -0.5, 0.5), pusher_radius=0.008, clearance=0.02)
 MODEL = plate(8, 3)
 KNOWN = Belief.certain(MODEL)
-ANGLE = np.linspace(0.0, 1.5 * np.pi, 150)
-CIRCLE = PathGoal(np.column_stack([0.1 * np.sin(ANGLE), -0.1 * np.cos(ANGLE), ANGLE]), 0.1, 0.003, float(np.radians(2.0)))
+ANGLE = np.linspace(0.0, np.pi, 150)
+CIRCLE = PathGoal(np.column_stack([0.15 * np.sin(ANGLE), -0.15 * np.cos(ANGLE), ANGLE]), 0.1, 0.003, float(np.radians(2.0)))
 PERIOD = 1.0 / 30.0
 FRAME = np.diag([1e-6, 1e-6, 1e-4])
 
@@ -70,9 +70,10 @@ def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_w
     seen = [transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), fixed[2:], strict=True)]
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], (len(later), 2)), atol=1e-9)
     np.testing.assert_array_equal(fixed[:2], start.lead)
-    # In the frame of the path the tool moves by 0.5 and 0.3 of its speed while the first segment lasts, then no further.
+    # Along and across the path the tool moves by 0.5 and 0.3 of its speed while the first segment lasts, then no further.
     beside = [transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), turned[2:], strict=True)]
-    np.testing.assert_allclose(np.array(beside)[-1] - seen[0], CIRCLE.speed * horizon.breaks[1] * np.array([0.5, 0.3]), atol=1e-9)
+    turn = rotation(CIRCLE.direction(0.0) - CIRCLE.poses[0, 2])
+    np.testing.assert_allclose(beside[-1] - seen[0], CIRCLE.speed * horizon.breaks[1] * turn @ [0.5, 0.3], atol=1e-9)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.01, 0.2])
@@ -111,7 +112,7 @@ def follow(world: World, plan: CurvedPush, noise: float, knock: Float64Array | N
     assert plan.time is not None and plan.tool is not None and plan.corridor is not None
     rng = np.random.default_rng(2)
     follower = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1).follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
-    follower.begin(plan.time, plan.tool, world.pose, FRAME, 0.0)
+    follower.begin(plan.time, plan.tool, world.pose, FRAME, 0.0, plan.expected_error)
     now, poses, gaps = float(plan.time[1]), [], []
     world.lead(plan.time[:2], plan.tool[:2])
     for k in range(400):

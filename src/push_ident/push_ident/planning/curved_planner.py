@@ -66,6 +66,8 @@ class CurvedPush:
     """Axis of the tool then [m], shape (n, 2)."""
     corridor: Corridor | None = None
     """Where it may be corrected to: along the rest of the path."""
+    expected_error: float = np.nan
+    """Root of the mean square error until then [tolerances]."""
     expected_done: float = np.nan
     """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
 
@@ -139,15 +141,17 @@ class CurvedPathPlanner:
             tool = judged.tool[k, 0]
             if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
                 expected = now + float(judged.progress[:, k, 0, cut].mean())
+                error = float(np.sqrt(np.mean(judged.error[:, k, 0, : cut + 1] ** 2)))
                 corridor = self._corridor(tool, path, now)
-                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, expected)
+                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, expected)
         return CurvedPush(PathStatus.UNREACHABLE, now)
 
     def _ranked(
         self, pushes: CurvedPushes, models: Sequence[BatchModel], horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float
     ) -> tuple[np.ndarray, Float64Array]:
         """Order of contacts by what they are worth, and the improved unknowns of each, shape (n, N_SEGMENTS, 2)."""
-        starts, around = [self._start(one, seen, now) for one in own], guesses_around(np.zeros((N_SEGMENTS, 2)))
+        starts, nothing = [self._start(one, seen, now) for one in own], np.zeros((1, N_SEGMENTS, 2))
+        around = np.concatenate([nothing, *guesses_around(nothing[0])])
         guesses = np.broadcast_to(around, (len(starts), *around.shape))
         best, rolled = pushes.improve(models, horizon, starts, guesses, _ITERATIONS)
         return np.argsort(np.min(_worth(rolled)[0], axis=-1)), best

@@ -28,6 +28,8 @@ _TRAVEL: Final = 0.08
 """How far ahead along the path a correction looks [m]: an object that is beside the path must turn, move over, and turn back."""
 _ITERATIONS: Final = 1
 """Of Gauss-Newton in a correction: the next frame goes on from there."""
+_OF_SWINGS: Final = 2
+"""And from a motion that makes the contact slide."""
 _ARRIVED: Final = 0.0015
 """From the end of the path [m]."""
 _AHEAD: Final = 0.05
@@ -36,15 +38,24 @@ _NOT_BETTER: Final = 0.85
 """Share of the present error that must not be left over the look ahead [1]; else the contact does not bring the object back."""
 _BAD: Final = 1.5
 """Root of the mean square error over the look ahead that another contact is worth [tolerances]."""
+_WORSE: Final = 1.3
+"""And of that which was expected when the contact was chosen [1]."""
 _IN_A_ROW: Final = 6
 """Frames after which a contact is given up: estimates of a pose come and go."""
 _APART: Final = 0.012
 """Gap at which the contact is lost [m]."""
 
 
-_CHANGES: Final = np.array([[0.0, 0.4], [0.0, -0.4], [-0.5, 0.5], [-0.5, -0.5], [-0.8, 0.25], [-0.8, -0.25]])
-"""Of the velocity in the first segment that are tried, along and across the path [1, in its speed]: small steps from a contact that sticks
-never find that the tool may slide along the face; the last four make it slide, by some 5 and 3 mm."""
+_SWINGS: Final = np.array(
+    [
+        [[0.0, 0.4], [0.0, 0.0]],
+        [[-0.5, 0.5], [0.0, 0.0]],
+        [[-0.8, 0.25], [0.4, -0.1]],
+        [[-0.25, 0.85], [0.2, -0.4]],
+    ]
+)
+"""Of the velocity in the first two segments, along and across the path [1, in its speed]: changes that are tried to either side. Small steps
+from a contact that sticks never find that it may slide; these make it slide, by up to some 5 mm, with and without a move back."""
 
 
 class FollowStatus(Enum):
@@ -72,10 +83,9 @@ class Correction:
 
 
 def guesses_around(unknowns: Float64Array) -> Float64Array:
-    """Unknowns that are worth a try beside given ones, shape (N_SEGMENTS, 2): shape (n, N_SEGMENTS, 2)."""
-    tried = np.repeat(unknowns[None], len(_CHANGES) + 2, axis=0)
-    tried[1] = 0.0
-    tried[2:, 0] += _CHANGES
+    """Unknowns that are worth a try beside given ones, shape (N_SEGMENTS, 2): to the left and to the right, shape (2, n, N_SEGMENTS, 2)."""
+    tried = np.broadcast_to(unknowns, (2, len(_SWINGS), N_SEGMENTS, 2)).copy()
+    tried[:, :, :2] += np.array([[1.0, 1.0], [1.0, -1.0]])[:, None, None] * _SWINGS
     return np.clip(tried, -1.0, 1.0)
 
 
@@ -110,7 +120,9 @@ class PathFollower:
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
         self._horizon = Horizon.of(path.speed, _TRAVEL, np.array([-period, 0.0]))
 
-    def begin(self, time: Float64Array, tool: Float64Array, pose: Float64Array, covariance: Float64Array, done: float) -> None:
+    def begin(
+        self, time: Float64Array, tool: Float64Array, pose: Float64Array, covariance: Float64Array, done: float, expected_error: float
+    ) -> None:
         """A push begins that is corrected later.
 
         Args:
@@ -119,7 +131,9 @@ class PathFollower:
             pose: of the object at rest, table frame of the camera, shape (3,).
             covariance: of it, shape (3, 3).
             done: length of path that is behind [m].
+            expected_error: what was promised of this contact, so that it is not given up for another that does no better [tolerances].
         """
+        self._bearable = max(_BAD, _WORSE * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
         self._tracker = ContactTracker(self._shape, self._models[0], self._settings.pusher_radius, compose(self._away, pose), covariance)
 
@@ -134,13 +148,15 @@ class PathFollower:
         place, error = self._path.error(tracker.pose, self._done, _AHEAD)
         self._done, elapsed, self._now = float(place), time - self._now, time
         start = PushStart(tracker.pose, tracker.velocity, self._done + self._path.speed * self._period, settled, face)
-        guesses = guesses_around(self._horizon.later(self._unknowns, elapsed))
-        models = _touching(self._models, face)
+        models, onward = _touching(self._models, face), self._horizon.later(self._unknowns, elapsed)
+        # Whether to slide is found by the most probable model alone.
+        swung, _ = self._pushes.improve(models[:1], self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
+        guesses = np.concatenate([onward[None], np.zeros((1, N_SEGMENTS, 2)), swung])
         best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS)
         self._unknowns = best[0]
         now = float(np.hypot(error[0] / self._path.position, error[1] / self._path.yaw))
         ahead = float(np.sqrt(np.mean(rolled.error[:, 0, 0] ** 2)))
-        hopeless = ahead > max(_BAD, _NOT_BETTER * now) or tracker.gap > _APART
+        hopeless = ahead > max(self._bearable, _NOT_BETTER * now) or tracker.gap > _APART
         self._bad = self._bad + 1 if hopeless else 0
         self._time, self._tool = time + self._period + self._horizon.knots, rolled.tool[0, 0]
         return Correction(self._status(rolled.residual[0, 0, 0, -3:]), self._time, self._tool, self._done, tracker.pose)

@@ -89,7 +89,7 @@ def _one_contact(run: _Run, plan: CurvedPush) -> None:
     assert plan.time is not None and plan.tool is not None and plan.corridor is not None
     pose, covariance = pushed.observe()
     follower = run.planner.follower(pushed.belief, path, plan.corridor, PERIOD)
-    follower.begin(plan.time, plan.tool, pose, covariance, run.done)
+    follower.begin(plan.time, plan.tool, pose, covariance, run.done, plan.expected_error)
     pushed.touch(plan.tool[0])
     now = np.ceil(plan.time[1] / PERIOD) * PERIOD
     pushed.lead(plan.time, plan.tool, now)
