@@ -71,7 +71,9 @@ def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_w
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], (len(later), 2)), atol=1e-9)
     np.testing.assert_array_equal(fixed[:2], start.lead)
     # Along and across the path the tool moves by 0.5 and 0.3 of its speed while the first segment lasts, then no further.
-    beside = [transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), turned[2:], strict=True)]
+    beside = [
+        transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), turned[2:], strict=True)
+    ]
     turn = rotation(CIRCLE.direction(0.0) - CIRCLE.poses[0, 2])
     np.testing.assert_allclose(beside[-1] - seen[0], CIRCLE.speed * horizon.breaks[1] * turn @ [0.5, 0.3], atol=1e-9)
 
@@ -107,7 +109,9 @@ def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less() -> None:
     assert np.min(pushes.roll(models, horizon, [start], near).cost) > 0.9 * rolled.cost[0, 0]
 
 
-def follow(world: World, plan: CurvedPush, noise: float, knock: Float64Array | None = None) -> tuple[FollowStatus, Float64Array, list[float]]:
+def follow(
+    world: World, plan: CurvedPush, noise: float, knock: Float64Array | None = None
+) -> tuple[FollowStatus, Float64Array, list[float]]:
     """Follow the circle in one contact: how it ends, poses at the frames, shape (n, 3), and gaps [m]."""
     assert plan.time is not None and plan.tool is not None and plan.corridor is not None
     rng = np.random.default_rng(2)

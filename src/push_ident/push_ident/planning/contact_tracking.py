@@ -45,13 +45,17 @@ class ContactTracker:
     """
 
     def __init__(self, shape: ObjectShape, model: BatchModel, radius: float, pose: Float64Array, covariance: Float64Array) -> None:
-        self._shape, self._model, self._radius = shape, model, radius
+        self._shape, self._radius = shape, radius
+        self.model = model
+        """That says what the tool's motion does."""
         self.pose: Float64Array = np.array(pose, dtype=np.float64)
         """Shape (3,)."""
         self.velocity: Float64Array = np.zeros(3)
         """Of the object frame [m/s, m/s, rad/s], shape (3,)."""
         self._variance: Float64Array = np.diagonal(covariance).copy()
         self._unexplained = 0
+        self.was_displaced = False
+        """Whether the last frame was believed against the model."""
         self.gap = np.inf
         """Between tool and object [m], after the last frame."""
 
@@ -60,7 +64,7 @@ class ContactTracker:
         end = float(time[-1])
         ends = np.array([end - min(_STEP, 0.5 * (end - time[0])), end])
         push = BatchPush(PusherPath(time, tool, self._radius), self.pose, ends, self.velocity)
-        poses = rollouts(self._shape, [self._model], [push], step=_STEP, n_threads=1)[0, 0]
+        poses = rollouts(self._shape, [self.model], [push], step=_STEP, n_threads=1)[0, 0]
         if not np.all(np.isfinite(poses)):
             self.velocity = np.zeros(3)
             return
@@ -77,7 +81,8 @@ class ContactTracker:
         difference = np.append((pose - self.pose)[:2], wrap_angle(pose[2] - self.pose[2]))
         unexplained = float(np.sum(difference**2 / (self._variance + noise))) > _GATE
         self._unexplained = self._unexplained + 1 if unexplained else 0
-        if self._unexplained >= _IN_A_ROW:
+        self.was_displaced = self._unexplained >= _IN_A_ROW
+        if self.was_displaced:
             self.pose, self._variance, self.velocity, self._unexplained = self.pose + difference, noise.copy(), np.zeros(3), 0
         elif not unexplained:
             gain = self._variance / (self._variance + noise)
@@ -87,7 +92,7 @@ class ContactTracker:
 
     def _touch(self, tool: Float64Array) -> Face:
         face, distance = face_of(self._shape.outline, transform_points(inverse(self.pose), tool[None])[0])
-        self.gap = distance - self._radius - self._model.surface
+        self.gap = distance - self._radius - self.model.surface
         if -_DEEP < self.gap < _TOUCHES:
             self.pose = self.pose + np.append(rotation(float(self.pose[2])) @ face.normal * self.gap, 0.0)
             self.gap = 0.0

@@ -216,7 +216,9 @@ class CurvedPushes:
         error = np.concatenate([along_across, wrap_angle(away[..., 2:])], axis=-1) / tolerance
         failed = ~np.isfinite(error).all(axis=(-1, -2))
         error = np.where(failed[..., None, None], _FAILED, error)
-        beside = np.broadcast_to((_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (len(models), n_starts, n_variants, 2 * N_SEGMENTS))
+        beside = np.broadcast_to(
+            (_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (len(models), n_starts, n_variants, 2 * N_SEGMENTS)
+        )
         limits = np.broadcast_to(self._limits(horizon, tool), (len(models), n_starts, n_variants, 3))
         contact = self._contact(horizon, starts, tool, np.where(failed[..., None, None], wanted, poses))
         parts = [error / np.sqrt(len(horizon.frames)), contact]
@@ -230,7 +232,9 @@ class CurvedPushes:
         away = tool[:, :, at] - poses[..., :2]
         own = np.einsum("...ji,...j->...i", rotation(poses[..., 2]), away)
         faces = [start.face for start in starts]
-        start, tangent, normal = (np.array([getattr(face, name) for face in faces])[:, None, None] for name in ("start", "tangent", "normal"))
+        start, tangent, normal = (
+            np.array([getattr(face, name) for face in faces])[:, None, None] for name in ("start", "tangent", "normal")
+        )
         length = np.array([face.length for face in faces])[:, None, None]
         margin = np.minimum(_FACE_MARGIN, 0.3 * length)
         opens = np.array([face.is_open for face in faces], dtype=np.float64)[:, None, None]
@@ -301,6 +305,7 @@ def _picked(rolled: RolledPushes, number: np.ndarray, chosen: np.ndarray) -> Rol
 
 def _merged(better: np.ndarray, new: RolledPushes, old: RolledPushes) -> RolledPushes:
     """Of each start the new one where it is better."""
+
     def pick(name: str, axis: int) -> Float64Array:
         now, then = getattr(new, name), getattr(old, name)
         shape = [1] * now.ndim

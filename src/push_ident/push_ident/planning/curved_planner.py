@@ -78,16 +78,17 @@ class CurvedPathPlanner:
     Args:
         shape: of the object.
         settings: limits of pushes and the pusher.
-        n_models: that a correction asks, the most probable one among them.
+        n_models: that may be true, the most probable one among them; all judge contacts.
+        n_asked: that a correction is made for: those that explain the push so far best.
         seed: of the models that are drawn.
         half_width: of the corridor along the path [m].
     """
 
     def __init__(
-        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 8, seed: int = 0, half_width: float = 0.05
+        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, seed: int = 0, half_width: float = 0.05
     ) -> None:
         self._shape, self._settings, self._seed = shape, settings, seed
-        self._n_models, self._half_width = n_models, half_width
+        self._n_models, self._n_asked, self._half_width = n_models, n_asked, half_width
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._models: list[BatchModel] = []
@@ -100,7 +101,8 @@ class CurvedPathPlanner:
 
     def follower(self, belief: Belief, path: PathGoal, corridor: Corridor, period: float) -> PathFollower:
         """What corrects a push at the rate of a camera, whose period is given in [s]."""
-        return PathFollower(self._shape, self._settings, self.models(belief), path, corridor, camera=belief.camera, period=period)
+        models = self.models(belief)
+        return PathFollower(self._shape, self._settings, models, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period)
 
     def plan(
         self,

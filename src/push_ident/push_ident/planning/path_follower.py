@@ -1,7 +1,7 @@
 """Follows a path in one contact: at the rate of the camera the next motion of the tool is chosen anew.
 
 At each frame the motion up to the next one is settled already. From there on `CurvedPushes` improves the motion that was planned before, for
-a stretch of the path ahead, under the most probable model and others that may be true; what it plans is carried out until the next frame.
+a stretch of the path ahead, under the models that explain the push so far best; what it plans is carried out until the next frame.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.physics.batch import BatchModel
 from push_ident.planning.contact_tracking import ContactTracker
-from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Face, Horizon, PushStart
+from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart
+from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
@@ -95,10 +96,11 @@ class PathFollower:
     Args:
         shape: of the object.
         settings: limits of the tool.
-        models: the most probable one, then others that may be true.
+        models: the most probable one, then others that may be true; weighed by the push while it is made.
         path: to be followed, table frame of the camera.
         corridor: that the tool must not leave, table frame of the arm.
         camera: the table frame of the arm in that of the camera, shape (3,).
+        n_asked: how many models a correction is made for: those that explain the push best.
         period: of the camera [s].
     """
 
@@ -111,12 +113,13 @@ class PathFollower:
         corridor: Corridor,
         *,
         camera: Float64Array | None = None,
+        n_asked: int = 8,
         period: float = 1.0 / 30.0,
     ) -> None:
         self._away = inverse(np.zeros(3) if camera is None else camera)
         self._path = path.seen_from(self._away)
         self._pushes = CurvedPushes(shape, settings, self._path, corridor)
-        self._shape, self._settings, self._models, self._period = shape, settings, models, period
+        self._shape, self._settings, self._models, self._period, self._n_asked = shape, settings, models, period, n_asked
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
         self._horizon = Horizon.of(path.speed, _TRAVEL, np.array([-period, 0.0]))
 
@@ -135,6 +138,7 @@ class PathFollower:
         """
         self._bearable = max(_BAD, _WORSE * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
+        self._weights = ModelWeights(self._shape, self._models, self._settings.pusher_radius)
         self._tracker = ContactTracker(self._shape, self._models[0], self._settings.pusher_radius, compose(self._away, pose), covariance)
 
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array) -> Correction:
@@ -148,7 +152,13 @@ class PathFollower:
         place, error = self._path.error(tracker.pose, self._done, _AHEAD)
         self._done, elapsed, self._now = float(place), time - self._now, time
         start = PushStart(tracker.pose, tracker.velocity, self._done + self._path.speed * self._period, settled, face)
-        models, onward = _touching(self._models, face), self._horizon.later(self._unknowns, elapsed)
+        if tracker.gap == 0.0 and not tracker.was_displaced:
+            self._weights.see(since, self._where(since), tracker.pose, tracker.velocity, face)
+        else:
+            self._weights.restart()
+        asked = self._weights.best(self._n_asked)
+        tracker.model = asked[0]
+        models, onward = touching(asked, face), self._horizon.later(self._unknowns, elapsed)
         # Whether to slide is found by the most probable model alone.
         swung, _ = self._pushes.improve(models[:1], self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
         guesses = np.concatenate([onward[None], np.zeros((1, N_SEGMENTS, 2)), swung])
@@ -170,9 +180,3 @@ class PathFollower:
 
     def _where(self, time: Float64Array) -> Float64Array:
         return np.column_stack([np.interp(time, self._time, column) for column in self._tool.T])
-
-
-def _touching(models: Sequence[BatchModel], face: Face) -> list[BatchModel]:
-    """Models whose surface lies elsewhere, each displaced so that the tool touches it as it touches that of the first one."""
-    own = models[0].surface
-    return [model._replace(displacement=np.append(-(model.surface - own) * face.normal, 0.0)) for model in models]

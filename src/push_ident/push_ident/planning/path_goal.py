@@ -131,7 +131,9 @@ class PathGoal:
         shape = np.shape(pose)[:-1]
         return place.reshape(shape), found.reshape(*shape, 2)
 
-    def _between(self, own: Float64Array, along: Float64Array, nearest: np.ndarray, away: Float64Array) -> tuple[Float64Array, Float64Array]:
+    def _between(
+        self, own: Float64Array, along: Float64Array, nearest: np.ndarray, away: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
         """Length of path of the nearest point on the lines from the `nearest` of the poses `own`, and distance and angle from it.
 
         `away`: difference of each pose from its nearest one, shape (n, 3).

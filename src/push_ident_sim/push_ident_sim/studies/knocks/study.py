@@ -48,10 +48,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 def _summarise(results: Sequence[CaseResult]) -> Json:
     return {
         "kinds": {
-            kind: {
-                str(speed): _row([run for r in own for run in r.values["paths"] if run["speed"] == speed])
-                for speed in _SPEEDS
-            }
+            kind: {str(speed): _row([run for r in own for run in r.values["paths"] if run["speed"] == speed]) for speed in _SPEEDS}
             for kind, own in grouped(results, "variant").items()
         }
     }
@@ -70,7 +67,16 @@ def _row(runs: Sequence[Json]) -> Json:
 
 
 def _tables(summary: Json) -> str:
-    head = ["", "speed", f"back within {_AIM:.0f} s (95 % interval)", "back at all", "in the same contact", "median", "longest", "failures after it"]
+    head = [
+        "",
+        "speed",
+        f"back within {_AIM:.0f} s (95 % interval)",
+        "back at all",
+        "in the same contact",
+        "median",
+        "longest",
+        "failures after it",
+    ]
     rows = [
         [
             kind,
@@ -93,13 +99,21 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     for kind, own in summary["kinds"].items():
         n = sum(row["back"]["n"] for row in own.values())
         times = np.sort([t for row in own.values() for t in row["times_s"]])
-        axes.step(np.append(0.0, times), np.arange(len(times) + 1) / max(n, 1), where="post", label=kind, color=COLOURS["gauss_newton" if kind == IDENTIFIED else kind])
+        axes.step(
+            np.append(0.0, times),
+            np.arange(len(times) + 1) / max(n, 1),
+            where="post",
+            label=kind,
+            color=COLOURS["gauss_newton" if kind == IDENTIFIED else kind],
+        )
     axes.axvline(_AIM, color="0.7", linewidth=1)
     axes.set_xlabel("time since the knock [s]")
     axes.set_ylabel("back on the path, share")
     label_below(axes, 3)
     save(figure, folder / "knocks.png")
-    return {"knocks.png": "Share of the objects that are back on their path, against the time since they were displaced; the line is the aim."}
+    return {
+        "knocks.png": "Share of the objects that are back on their path, against the time since they were displaced; the line is the aim."
+    }
 
 
 STUDY = Experiment(

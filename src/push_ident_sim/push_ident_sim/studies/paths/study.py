@@ -86,7 +86,18 @@ def _worst(results: Sequence[CaseResult], name: str) -> Json:
     return {"model": model, "end": run["end"], "rms_m": run["rms_m"], "poses": run["poses"]}
 
 
-_HEAD = ["path", "followed to its end (95 % interval)", "in one contact", "RMS", "largest", "contacts", "time", "a plan", "a correction", "failures"]
+_HEAD = [
+    "path",
+    "followed to its end (95 % interval)",
+    "in one contact",
+    "RMS",
+    "largest",
+    "contacts",
+    "time",
+    "a plan",
+    "a correction",
+    "failures",
+]
 
 
 def _cells(name: str, row: Json) -> list[str]:
