@@ -61,7 +61,7 @@ def between(time: Float64Array, values: Float64Array, at: Float64Array) -> Float
 
 
 def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_with_them_turns_and_speeds_up() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     start, horizon = start_of(plan), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
     changed = np.zeros((1, 2, N_SEGMENTS, 2))
     changed[0, 1, 0] = 0.5, 0.3
@@ -92,10 +92,10 @@ def test_unknowns_of_a_later_look_ahead_are_the_same_motion(delay: float) -> Non
 
 
 def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     pushes, horizon = CurvedPushes(MODEL.shape, SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
-    start = replace(start_of(plan), pose=CIRCLE.poses[0] + [0.004, -0.005, 0.06])
-    lead = start.lead + [0.004, -0.005]
+    start = replace(start_of(plan), pose=CIRCLE.poses[0] + np.array([0.004, -0.005, 0.06]))
+    lead = start.lead + np.array([0.004, -0.005])
     start, models = replace(start, lead=lead), KNOWN.models(0, np.random.default_rng(0))
     nothing = np.zeros((1, 1, N_SEGMENTS, 2))
     best, rolled = pushes.improve(models, horizon, [start], nothing, 4)
@@ -115,7 +115,7 @@ def follow(
     """Follow the circle in one contact: how it ends, poses at the frames, shape (n, 3), and gaps [m]."""
     assert plan.time is not None and plan.tool is not None and plan.corridor is not None
     rng = np.random.default_rng(2)
-    follower = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1).follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
+    follower = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
     follower.begin(plan.time, plan.tool, world.pose, FRAME, 0.0, plan.expected_error)
     now, poses, gaps = float(plan.time[1]), [], []
     world.lead(plan.time[:2], plan.tool[:2])
@@ -136,7 +136,7 @@ def follow(
 
 
 def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0)
     _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
     assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
@@ -144,7 +144,7 @@ def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost() -> None:
 
 
 def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contact() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     along = CIRCLE.direction(0.0)
     aside = np.array([np.cos(along + 1.0), np.sin(along + 1.0), 0.0]) * 0.01 + [0.0, 0.0, 0.1]
     status, poses, _ = follow(World(MODEL, CIRCLE.poses[0]), plan, 0.0, aside)
@@ -153,7 +153,7 @@ def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contac
 
 
 def test_tool_that_would_leave_its_corridor_is_said_so() -> None:
-    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1)
+    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
     plan = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     assert plan.tool is not None and plan.corridor is not None
     assert np.max(plan.corridor.excess(plan.tool)) == 0.0
@@ -166,12 +166,12 @@ def test_tool_that_would_leave_its_corridor_is_said_so() -> None:
 
 
 def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned() -> None:
-    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1)
+    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
     first = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     assert first.status is PathStatus.PUSH and isinstance(first.contact, PushPlan2D) and first.expected_done > 0.05
     second = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0, failed=[first.contact])
     assert second.contact is None or np.linalg.norm(second.contact.contact_point - first.contact.contact_point) > 0.003
-    away = CurvedPathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), n_models=1)
+    away = CurvedPathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), n_models=1, n_asked=1)
     assert away.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0).status is PathStatus.UNREACHABLE
     assert planner.plan(KNOWN, CIRCLE.poses[-1], CIRCLE, CIRCLE.length - 0.1).status is PathStatus.ARRIVED
 

@@ -31,6 +31,9 @@ __all__ = ["BatchModel", "BatchPush", "rollouts"]
 _TASKS_A_CALL = 64
 """Simulations that a thread takes at a time, at most: enough that the call costs nothing, few enough that all threads end together."""
 
+_TASKS_A_THREAD = 16
+"""Simulations for which a thread is worth starting: they take some 2 ms."""
+
 
 class BatchModel(NamedTuple):
     """A model of the object."""
@@ -186,14 +189,18 @@ def rollouts(
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
 
     n_tasks = len(models) * len(pushes)
-    threads = n_threads or len(os.sched_getaffinity(0))
+    threads = min(n_threads or len(os.sched_getaffinity(0)), -(-n_tasks // _TASKS_A_THREAD))
     at_once = min(_TASKS_A_CALL, -(-n_tasks // threads))
 
     def roll(first: int) -> None:
         _roll_range(first, min(first + at_once, n_tasks), geometry, in_arrays, of_pushes, edges, eps, new_tape(0), poses)
 
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(roll, range(0, n_tasks, at_once)))
+    if threads == 1:
+        for first in range(0, n_tasks, at_once):
+            roll(first)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(roll, range(0, n_tasks, at_once)))
     return poses
 
 

@@ -76,7 +76,10 @@ class ContactTracker:
         self.pose = poses[1]
 
     def see(self, pose: Float64Array, covariance: Float64Array, tool: Float64Array) -> Face:
-        """A frame: pose, shape (3,), its covariance, shape (3, 3), and the axis of the tool then [m], shape (2,). Returns the face that it is at."""
+        """A frame: pose, shape (3,), its covariance, shape (3, 3), and the axis of the tool then [m], shape (2,).
+
+        Returns the face that the tool is at.
+        """
         noise = np.diagonal(covariance)
         difference = np.append((pose - self.pose)[:2], wrap_angle(pose[2] - self.pose[2]))
         unexplained = float(np.sum(difference**2 / (self._variance + noise))) > _GATE

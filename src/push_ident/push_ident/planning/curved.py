@@ -4,10 +4,10 @@ The tool moves as if it were fixed to an object that keeps to the path, and besi
 
     p(t) = ref(s0 + v t) o (q0 + sum_k w_k t_k(t))        t_k: time spent in segment k, w_k: unknown, two numbers a segment
 
-so the unknowns turn the tool's heading and change its speed, and with none the tool follows the path like the object. Gauss-Newton improves
-them: the residuals are the errors of the object along the path under each of several models, in tolerances, and the contact that slides to
-the end of its face, the tool that leaves the object, its corridor or its limits. All pushes, with one unknown changed in each, are simulated
-in one batch.
+so the unknowns turn the tool's heading and change its speed, and with none the tool follows the path like the object. Gauss-Newton
+improves them: the residuals are the errors of the object along the path under each of several models, in tolerances, and the contact that
+slides to the end of its face, the tool that leaves the object, its corridor or its limits. All pushes, with one unknown changed in each,
+are simulated in one batch.
 """
 
 from __future__ import annotations
@@ -216,10 +216,9 @@ class CurvedPushes:
         error = np.concatenate([along_across, wrap_angle(away[..., 2:])], axis=-1) / tolerance
         failed = ~np.isfinite(error).all(axis=(-1, -2))
         error = np.where(failed[..., None, None], _FAILED, error)
-        beside = np.broadcast_to(
-            (_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (len(models), n_starts, n_variants, 2 * N_SEGMENTS)
-        )
-        limits = np.broadcast_to(self._limits(horizon, tool), (len(models), n_starts, n_variants, 3))
+        each = len(models), n_starts, n_variants
+        beside = np.broadcast_to((_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (*each, 2 * N_SEGMENTS))
+        limits = np.broadcast_to(self._limits(horizon, tool), (*each, 3))
         contact = self._contact(horizon, starts, tool, np.where(failed[..., None, None], wanted, poses))
         parts = [error / np.sqrt(len(horizon.frames)), contact]
         residual = np.concatenate([*(part.reshape(*part.shape[:3], -1) for part in parts), beside, limits], axis=-1)
@@ -227,7 +226,7 @@ class CurvedPushes:
         return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), np.where(failed[..., None], 0.0, progress))
 
     def _contact(self, horizon: Horizon, starts: Sequence[PushStart], tool: Float64Array, poses: Float64Array) -> Float64Array:
-        """How far the contact is beyond its face, and the tool away from it, at the frames: shape (n_models, n_starts, n_variants, ..., 2)."""
+        """How far the contact is beyond its face, and the tool away, at the frames: shape (n_models, n_starts, n_variants, n_frames, 2)."""
         at = np.searchsorted(horizon.knots, horizon.frames - 1e-9)
         away = tool[:, :, at] - poses[..., :2]
         own = np.einsum("...ji,...j->...i", rotation(poses[..., 2]), away)
@@ -249,7 +248,8 @@ class CurvedPushes:
         x_min, x_max, y_min, y_max = self._settings.workspace
         low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
         outside = np.max(np.maximum(low - tool, tool - high), axis=(-1, -2))
-        corridor = np.zeros(tool.shape[:2]) if self._corridor is None else np.max(self._corridor.excess(tool), axis=-1)
+        at_frames = tool[:, :, np.searchsorted(horizon.knots, horizon.frames - 1e-9)]
+        corridor = np.zeros(tool.shape[:2]) if self._corridor is None else np.max(self._corridor.excess(at_frames), axis=-1)
         speed = np.max(np.linalg.norm(np.diff(tool, axis=2), axis=-1) / np.diff(horizon.knots), axis=-1)
         too_fast = np.maximum(speed / self._settings.max_speed - 1.0, 0.0) * 10.0
         return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE, too_fast], axis=-1)
@@ -261,7 +261,7 @@ class CurvedPushes:
 
         `first`: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
         """
-        n_starts, n_guesses = first.shape[:2]
+        n_starts = len(first)
         number, n_unknowns = np.arange(n_starts), 2 * N_SEGMENTS
         rolled = self.roll(models, horizon, starts, first)
         chosen = np.argmin(rolled.cost, axis=1)

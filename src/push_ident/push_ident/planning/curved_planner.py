@@ -19,6 +19,7 @@ from push_ident.planning.belief import Belief
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.library import Strokes, placed, strokes
+from push_ident.planning.model_weights import ModelWeights
 from push_ident.planning.path_follower import PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
@@ -47,6 +48,8 @@ _SHIFTS: Final = (-0.003, -0.0015, 0.0, 0.0015, 0.003)
 degrees."""
 _JUDGED: Final = 10
 """Contacts that the mean model likes best, judged by all models then."""
+_LINE: Final = 0.012
+"""Between points of the line of a corridor [m]."""
 _STRAIGHT: Final = 0.004
 """Length of the straight beginning that is checked as a push of its own [m]."""
 
@@ -78,8 +81,8 @@ class CurvedPathPlanner:
     Args:
         shape: of the object.
         settings: limits of pushes and the pusher.
-        n_models: that may be true, the most probable one among them; all judge contacts.
-        n_asked: that a correction is made for: those that explain the push so far best.
+        n_models: that may be true, the most probable one among them.
+        n_asked: that a correction is made for: those that explain the pushes so far best. Twice as many judge contacts.
         seed: of the models that are drawn.
         half_width: of the corridor along the path [m].
     """
@@ -88,21 +91,26 @@ class CurvedPathPlanner:
         self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, seed: int = 0, half_width: float = 0.05
     ) -> None:
         self._shape, self._settings, self._seed = shape, settings, seed
-        self._n_models, self._n_asked, self._half_width = n_models, n_asked, half_width
+        self._n_models, self._n_asked, self._n_judging, self._half_width = n_models, n_asked, 2 * n_asked, half_width
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
-        self._models: list[BatchModel] = []
+        self._weights: ModelWeights | None = None
 
-    def models(self, belief: Belief) -> list[BatchModel]:
-        """The most probable one, then others that may be true."""
-        if belief is not self._belief:
-            self._belief, self._models = belief, belief.models(self._n_models - 1, np.random.default_rng(self._seed))
-        return self._models
+    def _weights_of(self, belief: Belief) -> ModelWeights:
+        if self._weights is None or belief is not self._belief:
+            models = belief.models(self._n_models - 1, np.random.default_rng(self._seed))
+            self._belief, self._weights = belief, ModelWeights(self._shape, models, self._settings.pusher_radius)
+        return self._weights
 
     def follower(self, belief: Belief, path: PathGoal, corridor: Corridor, period: float) -> PathFollower:
-        """What corrects a push at the rate of a camera, whose period is given in [s]."""
-        models = self.models(belief)
-        return PathFollower(self._shape, self._settings, models, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period)
+        """What corrects a push at the rate of a camera, whose period is given in [s].
+
+        What it finds of the models is kept for later pushes, as long as the belief stays the same.
+        """
+        weights = self._weights_of(belief)
+        return PathFollower(
+            self._shape, self._settings, weights, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period
+        )
 
     def plan(
         self,
@@ -125,7 +133,7 @@ class CurvedPathPlanner:
         if len(numbers) == 0:
             return CurvedPush(PathStatus.UNREACHABLE, now)
         horizon = Horizon.of(path.speed, _TRAVEL, np.array([-self._settings.clearance / path.speed, 0.0]))
-        pushes, models = CurvedPushes(self._shape, self._settings, path), self.models(belief)
+        pushes, models = CurvedPushes(self._shape, self._settings, path), self._weights_of(belief).best(self._n_judging)
         coarse = [self._strokes.picked(int(number)) for number in numbers]
         order = self._ranked(pushes, models[:1], horizon, coarse, seen, now)[0]
         fine = [coarse[k].changed(along, 0.0) for k in order[:_REFINED] for along in _SHIFTS]
@@ -173,7 +181,7 @@ class CurvedPathPlanner:
     def _corridor(self, tool: Float64Array, path: PathGoal, now: float) -> Corridor:
         """Along the motion of a tool that is fixed to the object on its path."""
         offset = transform_points(inverse(path.at(now)), tool[1:2])
-        later = path.at(np.append(np.arange(now, path.length, _LEAST), path.length))
+        later = path.at(np.append(np.arange(now, path.length, _LINE), path.length))
         return Corridor(np.vstack([tool[:1], transform_points(later, offset)[:, 0]]), self._half_width)
 
 

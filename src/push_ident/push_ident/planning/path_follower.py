@@ -1,12 +1,11 @@
 """Follows a path in one contact: at the rate of the camera the next motion of the tool is chosen anew.
 
-At each frame the motion up to the next one is settled already. From there on `CurvedPushes` improves the motion that was planned before, for
+At each frame the motion up to the next one is settled already. From there on `CurvedPushes` improves what was planned before, for
 a stretch of the path ahead, under the models that explain the push so far best; what it plans is carried out until the next frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -14,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from push_ident.geometry.se2 import compose, inverse
-from push_ident.physics.batch import BatchModel
 from push_ident.planning.contact_tracking import ContactTracker
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart
 from push_ident.planning.model_weights import ModelWeights, touching
@@ -55,8 +53,8 @@ _SWINGS: Final = np.array(
         [[-0.25, 0.85], [0.2, -0.4]],
     ]
 )
-"""Of the velocity in the first two segments, along and across the path [1, in its speed]: changes that are tried to either side. Small steps
-from a contact that sticks never find that it may slide; these make it slide, by up to some 5 mm, with and without a move back."""
+"""Of the velocity in the first two segments, along and across the path [1, in its speed]: changes that are tried to either side. Small
+steps from a contact that sticks never find that it may slide; these make it slide, by up to some 5 mm, with and without a move back."""
 
 
 class FollowStatus(Enum):
@@ -96,7 +94,7 @@ class PathFollower:
     Args:
         shape: of the object.
         settings: limits of the tool.
-        models: the most probable one, then others that may be true; weighed by the push while it is made.
+        weights: of the models that may be true; the push changes them while it is made.
         path: to be followed, table frame of the camera.
         corridor: that the tool must not leave, table frame of the arm.
         camera: the table frame of the arm in that of the camera, shape (3,).
@@ -108,7 +106,7 @@ class PathFollower:
         self,
         shape: ObjectShape,
         settings: PushSettings,
-        models: Sequence[BatchModel],
+        weights: ModelWeights,
         path: PathGoal,
         corridor: Corridor,
         *,
@@ -119,7 +117,7 @@ class PathFollower:
         self._away = inverse(np.zeros(3) if camera is None else camera)
         self._path = path.seen_from(self._away)
         self._pushes = CurvedPushes(shape, settings, self._path, corridor)
-        self._shape, self._settings, self._models, self._period, self._n_asked = shape, settings, models, period, n_asked
+        self._shape, self._settings, self._weights, self._period, self._n_asked = shape, settings, weights, period, n_asked
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
         self._horizon = Horizon.of(path.speed, _TRAVEL, np.array([-period, 0.0]))
 
@@ -138,8 +136,9 @@ class PathFollower:
         """
         self._bearable = max(_BAD, _WORSE * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
-        self._weights = ModelWeights(self._shape, self._models, self._settings.pusher_radius)
-        self._tracker = ContactTracker(self._shape, self._models[0], self._settings.pusher_radius, compose(self._away, pose), covariance)
+        self._weights.restart()
+        model, radius = self._weights.best(1)[0], self._settings.pusher_radius
+        self._tracker = ContactTracker(self._shape, model, radius, compose(self._away, pose), covariance)
 
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array) -> Correction:
         """The motion from a frame on, taken at `time` [s], later than the last one; pose, shape (3,), and covariance, shape (3, 3)."""

@@ -82,7 +82,7 @@ class PathGoal:
         return np.stack([np.interp(places, self.along, column) for column in self.poses.T], axis=-1)
 
     def direction(self, places: ArrayLike) -> Float64Array:
-        """Of the path in the table frame [rad], at lengths of path of any shape; where it turns on the spot, between those before and after."""
+        """Of the path in the table frame [rad], at lengths of path of any shape; where it turns on the spot, from before to after."""
         step = np.diff(self.poses[:, :2], axis=0)
         moves = np.flatnonzero(np.linalg.norm(step, axis=1) > _STILL)
         if len(moves) == 0:

@@ -99,21 +99,14 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
     for kind, own in summary["kinds"].items():
         n = sum(row["back"]["n"] for row in own.values())
         times = np.sort([t for row in own.values() for t in row["times_s"]])
-        axes.step(
-            np.append(0.0, times),
-            np.arange(len(times) + 1) / max(n, 1),
-            where="post",
-            label=kind,
-            color=COLOURS["gauss_newton" if kind == IDENTIFIED else kind],
-        )
+        colour = COLOURS["gauss_newton" if kind == IDENTIFIED else kind]
+        axes.step(np.append(0.0, times), np.arange(len(times) + 1) / max(n, 1), where="post", label=kind, color=colour)
     axes.axvline(_AIM, color="0.7", linewidth=1)
     axes.set_xlabel("time since the knock [s]")
     axes.set_ylabel("back on the path, share")
     label_below(axes, 3)
     save(figure, folder / "knocks.png")
-    return {
-        "knocks.png": "Share of the objects that are back on their path, against the time since they were displaced; the line is the aim."
-    }
+    return {"knocks.png": "Share of the objects that are back on their path, against the time since a knock; the line is the aim."}
 
 
 STUDY = Experiment(

@@ -133,7 +133,7 @@ def _displaced(run: _Run, tool: Float64Array) -> Float64Array:
     pushed, direction = run.pushed, float(run.path.direction(run.done))
     for angle in np.radians([90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0]):
         along = direction + angle
-        pose = pushed.pose + [_DISPLACED * np.cos(along), _DISPLACED * np.sin(along), np.sign(angle) * _TURNED]
+        pose = pushed.pose + np.array([_DISPLACED * np.cos(along), _DISPLACED * np.sin(along), np.sign(angle) * _TURNED])
         gap = signed_distance(tool[None], transform_points(pose, pushed.truth.shape.outline))[0] - pushed.settings.pusher_radius
         if gap > 1e-3:
             return pose
