@@ -49,12 +49,14 @@ class ModelWeights:
         self._shape, self._models, self._radius = shape, list(models), radius
         self.log_weight: Float64Array = np.zeros(len(self._models))
         """Up to a constant, shape (n_models,)."""
-        self.restart()
+        self._time: list[float] = []
+        self._tool: list[Float64Array] = []
+        self._begun: tuple[Float64Array, Float64Array, Face] | None = None
+        """Pose, velocity and face at the beginning of the stretch."""
 
     def restart(self) -> None:
         """A stretch ended for another reason: the contact was lost, or the object displaced."""
-        self._time: list[float] = []
-        self._tool: list[Float64Array] = []
+        self._begun = None
 
     def best(self, n: int) -> list[BatchModel]:
         """The `n` that explain the push best, in that order."""
@@ -71,17 +73,18 @@ class ModelWeights:
             velocity: of its frame then [m/s, m/s, rad/s], shape (3,).
             face: that the tool touches.
         """
-        if self._time:
+        if self._begun is not None:
             self._time.extend(time[1:].tolist())
             self._tool.extend(tool[1:])
             travel = float(np.sum(np.linalg.norm(np.diff(self._tool, axis=0), axis=1)))
             if travel < _STRETCH:
                 return
             path = PusherPath(np.array(self._time), np.array(self._tool), self._radius)
-            push = BatchPush(path, self._pose, path.time[-1:], self._velocity)
-            ends = rollouts(self._shape, touching(self._models, self._face), [push], step=_STEP)[:, 0, 0]
+            first, first_velocity, first_face = self._begun
+            push = BatchPush(path, first, path.time[-1:], first_velocity)
+            ends = rollouts(self._shape, touching(self._models, first_face), [push], step=_STEP)[:, 0, 0]
             away = np.column_stack([ends[:, :2] - pose[:2], wrap_angle(ends[:, 2] - pose[2])]) / _STD
             square = np.where(np.isfinite(away).all(axis=1), np.sum(np.nan_to_num(away) ** 2, axis=1), _MOST)
             self.log_weight = self.log_weight - 0.5 * np.minimum(square, _MOST)
         self._time, self._tool = [float(time[-1])], [np.array(tool[-1])]
-        self._pose, self._velocity, self._face = pose, velocity, face
+        self._begun = pose, velocity, face

@@ -79,7 +79,8 @@ class PathGoal:
 
     def at(self, places: ArrayLike) -> Float64Array:
         """Poses at lengths of path [m] of any shape, shape (..., 3); before its start and beyond its end those of the ends."""
-        return np.stack([np.interp(places, self.along, column) for column in self.poses.T], axis=-1)
+        at = np.asarray(places, dtype=np.float64)
+        return np.stack([np.interp(at, self.along, column) for column in self.poses.T], axis=-1)
 
     def direction(self, places: ArrayLike) -> Float64Array:
         """Of the path in the table frame [rad], at lengths of path of any shape; where it turns on the spot, from before to after."""
@@ -88,7 +89,7 @@ class PathGoal:
         if len(moves) == 0:
             return np.zeros(np.shape(places))
         middle = 0.5 * (self.along[moves] + self.along[moves + 1])
-        return np.asarray(np.interp(places, middle, np.unwrap(np.arctan2(step[moves, 1], step[moves, 0]))))
+        return np.asarray(np.interp(np.asarray(places, dtype=np.float64), middle, np.unwrap(np.arctan2(step[moves, 1], step[moves, 0]))))
 
     def waypoints(self, spacing: float) -> Float64Array:
         """Poses that are evenly spread, at most `spacing` [m] of path apart, the end among them, the start not: shape (n, 3).

@@ -146,7 +146,7 @@ class PushedObject:
         while not self._world.is_still() and self.clock < last:
             self._steered.append(self._world.advance(tool))
         pose, pusher, force = (np.array(column) for column in zip(*self._steered, strict=True))
-        motion = TrueMotion(np.arange(len(pose)) * self._truth_settings.time_step, pose, pusher, pusher, force)
+        motion = TrueMotion(np.arange(len(pose)) * np.float64(self._truth_settings.time_step), pose, pusher, pusher, force)
         self.pose = pose[-1]
         if self._learns and not self._knocked and self.clock < _LONGEST_LEARNED and len(self._records) < _LEARNED:
             self._record(motion)

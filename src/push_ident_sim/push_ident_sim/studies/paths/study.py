@@ -158,9 +158,9 @@ STUDY = Experiment(
         "lasts as long as the contact. A face can hold the object on a path only where the force that the path needs is within its cone of "
         "friction, on the face; else the contact is changed. RMS is that of the true pose from the nearest point of the path, over "
         "the length that was followed. What is known is nothing (uniform), what three random pushes and short contacts along the paths "
-        "have shown (identified), or everything (truth). As much as identified know two that make straight pushes without corrections, with "
-        f"the tool at {1e3 * SPEED:.0f} mm/s: straight plans a chain of them, greedy chases a point 30 mm ahead. At most 60 contacts a "
-        "path. Time is simulated, with 0.4 s of rest before and after each contact; planning is time of the processor, the "
+        "have shown (identified), or everything (truth). As much as identified know two that make straight pushes without corrections, "
+        f"with the tool at {1e3 * SPEED:.0f} mm/s: straight plans a chain of them, greedy chases a point 30 mm ahead. At most 60 contacts "
+        "a path. Time is simulated, with 0.4 s of rest before and after each contact; planning is time of the processor, the "
         "mean of all plans; corrections are timed by the wall clock, median / the worst 99th percentile of a run."
     ),
     objects=("uneven",),
