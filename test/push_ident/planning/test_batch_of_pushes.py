@@ -81,10 +81,10 @@ def test_push_that_begins_in_motion_goes_on_as_the_whole_one() -> None:
         whole = curved_push(np.random.default_rng(seed))
         time, cut = whole.pusher.time, 50
         ends = np.array([time[cut] - step, time[cut], time[-1]])
-        before, first, end = rollouts(model.shape, own, [whole._replace(time=ends)], step=step)[0, 0]
+        before, first, end = rollouts(model.shape, own, [BatchPush(whole.pusher, whole.pose_object_in_table, ends)], step=step)[0, 0]
         path = PusherPath(time[cut:], whole.pusher.position[cut:], 0.008)
-        rest = BatchPush(path, first, time[-1:], (first - before) / step)
-        again = rollouts(model.shape, own, [rest, rest._replace(velocity=None)], step=step)[0, :, 0]
+        rest = [BatchPush(path, first, time[-1:], velocity) for velocity in ((first - before) / step, None)]
+        again = rollouts(model.shape, own, rest, step=step)[0, :, 0]
         assert np.linalg.norm(first - before) > 1e-4
         np.testing.assert_allclose(again[0], end, atol=2e-5)
         assert np.max(np.abs(again[1] - end)) > 4e-5
