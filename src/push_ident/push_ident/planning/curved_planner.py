@@ -88,7 +88,7 @@ class CurvedPathPlanner:
     """
 
     def __init__(
-        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, seed: int = 0, half_width: float = 0.05
+        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, seed: int = 0, half_width: float = 0.08
     ) -> None:
         self._shape, self._settings, self._seed = shape, settings, seed
         self._n_models, self._n_asked, self._n_judging, self._half_width = n_models, n_asked, 2 * n_asked, half_width

@@ -41,6 +41,8 @@ _WORSE: Final = 1.3
 """And of that which was expected when the contact was chosen [1]."""
 _IN_A_ROW: Final = 6
 """Frames after which a contact is given up: estimates of a pose come and go."""
+_STAYED, _STAYS = 0.025, 0.9
+"""Travel along the path [m] in which an error that is not bearable must fall to this share [1]."""
 _APART: Final = 0.012
 """Gap at which the contact is lost [m]."""
 
@@ -119,6 +121,9 @@ class PathFollower:
         self._pushes = CurvedPushes(shape, settings, self._path, corridor)
         self._shape, self._settings, self._weights, self._period, self._n_asked = shape, settings, weights, period, n_asked
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
+        self._errors: list[float] = []
+        """In tolerances, of the latest frames."""
+        self._n_errors = max(_IN_A_ROW, round(_STAYED / (path.speed * period)))
         self._horizon = Horizon.of(path.speed, _TRAVEL, np.array([-period, 0.0]))
 
     def begin(
@@ -137,6 +142,7 @@ class PathFollower:
         self._bearable = max(_BAD, _WORSE * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
         self._weights.restart()
+        self._errors = []
         model, radius = self._weights.best(1)[0], self._settings.pusher_radius
         self._tracker = ContactTracker(self._shape, model, radius, compose(self._away, pose), covariance)
 
@@ -167,6 +173,7 @@ class PathFollower:
         ahead = float(np.sqrt(np.mean(rolled.error[:, 0, 0] ** 2)))
         hopeless = ahead > max(self._bearable, _NOT_BETTER * now) or tracker.gap > _APART
         self._bad = self._bad + 1 if hopeless else 0
+        self._errors = [now] if tracker.was_displaced else [*self._errors, now][-self._n_errors :]
         self._time, self._tool = time + self._period + self._horizon.knots, rolled.tool[0, 0]
         return Correction(self._status(rolled.residual[0, 0, 0, -3:]), self._time, self._tool, self._done, tracker.pose)
 
@@ -175,7 +182,9 @@ class PathFollower:
             return FollowStatus.ARRIVED
         if np.any(limits > 1.0):
             return FollowStatus.LEAVES
-        return FollowStatus.NO_BETTER if self._bad >= _IN_A_ROW else FollowStatus.GOING
+        # What is planned may be put off again and again: the error must have become less as well.
+        stays = len(self._errors) == self._n_errors and self._errors[-1] > max(self._bearable, _STAYS * self._errors[0])
+        return FollowStatus.NO_BETTER if stays or self._bad >= _IN_A_ROW else FollowStatus.GOING
 
     def _where(self, time: Float64Array) -> Float64Array:
         return np.column_stack([np.interp(time, self._time, column) for column in self._tool.T])
