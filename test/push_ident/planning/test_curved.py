@@ -15,6 +15,7 @@ from push_ident.planning.belief import Belief
 from push_ident.planning.contact_tracking import ContactTracker
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, face_of
 from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
+from push_ident.planning.model_weights import ModelWeights
 from push_ident.planning.path_follower import FollowStatus
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
@@ -197,3 +198,25 @@ def test_tool_is_never_believed_inside_the_object_nor_just_in_front_of_it() -> N
         np.testing.assert_allclose(tracker.pose, [-depth, 0.0, 0.0], atol=1e-9)
         np.testing.assert_allclose(face.normal, [-1.0, 0.0], atol=1e-9)
         assert tracker.gap == 0.0 and face.is_open == (True, True) and float(wrap_angle(tracker.pose[2])) == 0.0
+
+
+def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_that_was_broken_off_decides_nothing() -> None:
+    right: BatchModel = KNOWN.models(0, np.random.default_rng(0))[0]
+    tilt = MODEL.shape.cells.centres[:, 1] * 6.0
+    wrong = [BatchModel(replace(right.body, limit=right.body.limit * (1.0 + sign * tilt)), 0.3) for sign in (-1, 1)]
+    side = float(MODEL.shape.outline[:, 0].min())
+    first = np.array([side - SETTINGS.pusher_radius, 0.03])
+    face, _ = face_of(MODEL.shape.outline, first)
+    for breaks in (False, True):
+        weights = ModelWeights(MODEL.shape, [wrong[0], right, wrong[1]], SETTINGS.pusher_radius)
+        world, tool = World(MODEL, np.zeros(3)), first
+        weights.see(np.array([-PERIOD, 0.0]), np.array([tool, tool]), world.pose, world.velocity, face)
+        for k in range(12):
+            time, way = np.array([k, k + 1]) * PERIOD, tool + np.array([[0.0, 0.0], [0.1 * PERIOD, 0.0]])
+            world.lead(time, way)
+            tool = way[1]
+            if breaks and k % 4 == 3:
+                weights.restart()
+            weights.see(time, way, world.pose, world.velocity, face)
+        assert (weights.best(1)[0] is right) is not breaks
+        assert np.ptp(weights.log_weight) == 0.0 if breaks else weights.log_weight[1] > np.sort(weights.log_weight)[1] + 1.0

@@ -41,7 +41,7 @@ _WORSE: Final = 1.3
 """And of that which was expected when the contact was chosen [1]."""
 _IN_A_ROW: Final = 6
 """Frames after which a contact is given up: estimates of a pose come and go."""
-_STAYED, _STAYS = 0.025, 0.9
+_STAYED, _STAYS = 0.04, 0.9
 """Travel along the path [m] in which an error that is not bearable must fall to this share [1]."""
 _APART: Final = 0.012
 """Gap at which the contact is lost [m]."""
