@@ -59,6 +59,45 @@ def test_batch_equals_single_simulations() -> None:
     np.testing.assert_array_equal(found, expected)
 
 
+def curved_push(rng: np.random.Generator) -> BatchPush:
+    """Along an arc that begins in front of the object."""
+    time = np.linspace(0.0, 1.2, 73)
+    angle = rng.uniform(-np.pi, np.pi) + 1.2 * time * rng.choice([-1.0, 1.0])
+    steps = np.diff(time)[:, None] * 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])[1:]
+    path = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
+    return BatchPush(PusherPath(time, path - path[40] * 1.6, 0.008), np.zeros(3), np.array([0.5, 0.8, 1.2]))
+
+
+def test_curved_paths_of_the_tool_move_the_object_as_in_single_simulations() -> None:
+    model = models()[0]
+    body, pushes = body_of_cells(model.shape, model.mass, model.friction), [curved_push(np.random.default_rng(k)) for k in range(8)]
+    found = rollouts(model.shape, [BatchModel(body, model.pusher_friction)], pushes, step=1 / 60)[0]
+    numerics = SimulationSettings(step=1 / 240)
+    single = [
+        simulate_body(model.shape, body, model.pusher_friction, PushScenario(p.pusher, np.zeros(3), p.time), settings=numerics).pose
+        for p in pushes
+    ]
+    assert np.median(np.abs(single)) > 5e-3
+    np.testing.assert_allclose(found[..., :2], np.array(single)[..., :2], atol=6e-4)
+    np.testing.assert_allclose(found[..., 2], np.array(single)[..., 2], atol=0.01)
+
+
+def test_push_that_begins_in_motion_goes_on_as_the_whole_one() -> None:
+    model, step = models()[0], 1 / 240
+    own = [BatchModel(body_of_cells(model.shape, model.mass, model.friction), model.pusher_friction)]
+    for seed in range(4):
+        whole = curved_push(np.random.default_rng(seed))
+        time, cut = whole.pusher.time, 50
+        ends = np.array([time[cut] - step, time[cut], time[-1]])
+        before, first, end = rollouts(model.shape, own, [BatchPush(whole.pusher, whole.pose_object_in_table, ends)], step=step)[0, 0]
+        path = PusherPath(time[cut:], whole.pusher.position[cut:], 0.008)
+        rest = [BatchPush(path, first, time[-1:], velocity) for velocity in ((first - before) / step, None)]
+        again = rollouts(model.shape, own, rest, step=step)[0, :, 0]
+        assert np.linalg.norm(first - before) > 1e-4
+        np.testing.assert_allclose(again[0], end, atol=2e-5)
+        assert np.max(np.abs(again[1] - end)) > 4e-5
+
+
 def test_object_that_lies_beside_its_observed_pose_is_pushed_there() -> None:
     model, pushes = models()[0], pushes_of(np.random.default_rng(4), 6)
     body, seen, beside = body_of_cells(model.shape, model.mass, model.friction), np.array([0.3, -0.2, 2.0]), np.array([2e-3, 1e-3, 0.03])

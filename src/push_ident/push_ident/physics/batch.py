@@ -3,7 +3,7 @@
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
 between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives. Effects of a model act on its
 motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs; then no effects act but that of a
-surface beside its outline.
+surface beside its outline. A push may begin in contact, with the object in motion: what is asked while the tool moves.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ from push_ident.types import Float64Array, ObjectShape, PusherPath
 __all__ = ["BatchModel", "BatchPush", "rollouts"]
 
 _TASKS_A_CALL = 64
-"""Simulations that a thread takes at a time: enough that the call costs nothing, few enough that all threads end together."""
+"""Simulations that a thread takes at a time, at most: enough that the call costs nothing, few enough that all threads end together."""
+
+_TASKS_A_THREAD = 16
+"""Simulations for which a thread is worth starting: they take some 2 ms."""
 
 
 class BatchModel(NamedTuple):
@@ -58,6 +61,8 @@ class BatchPush(NamedTuple):
     """First pose, shape (3,)."""
     time: Float64Array
     """When to report the pose [s], ascending, shape (n_frames,)."""
+    velocity: Float64Array | None = None
+    """Of the object frame at the start (vx, vy, yaw rate) [m/s, m/s, rad/s], table frame, shape (3,). None: at rest."""
 
 
 class _Models(NamedTuple):
@@ -90,6 +95,8 @@ class _Pushes(NamedTuple):
     """(n_pushes, max_steps)"""
     pose: Float64Array
     """(n_pushes, 3)"""
+    velocity: Float64Array
+    """Of the object frame, (n_pushes, 3)"""
     step: np.ndarray
     """Of `Frames`, (n_pushes, n_frames)"""
     fraction: Float64Array
@@ -138,9 +145,15 @@ def _roll_range(
         first_pose[0] = pushes.pose[p, 0] + cos * moved[0] - sin * moved[1]
         first_pose[1] = pushes.pose[p, 1] + sin * moved[0] + cos * moved[1]
         first_pose[2] = pushes.pose[p, 2] + moved[2]
+        cos, sin, centre, velocity = math.cos(first_pose[2]), math.sin(first_pose[2]), models.centre[m], pushes.velocity[p]
+        of_centre = (
+            velocity[0] - velocity[2] * (sin * centre[0] + cos * centre[1]),
+            velocity[1] + velocity[2] * (cos * centre[0] - sin * centre[1]),
+            velocity[2],
+        )
         push = Push(
             first_pose, pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
-            models.centre[m], models.inertia[m], models.mu[m], models.surface[m],
+            models.centre[m], models.inertia[m], models.mu[m], models.surface[m], of_centre,
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, quasi_static, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
@@ -198,6 +211,10 @@ def rollouts(
     poses = np.empty((len(models), len(pushes), len(pushes[0].time), 3))
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
 
+    n_tasks = len(models) * len(pushes)
+    threads = min(n_threads or len(os.sched_getaffinity(0)), -(-n_tasks // _TASKS_A_THREAD))
+    ranges = _ranges(shape, models, of_pushes, min(_TASKS_A_CALL, -(-n_tasks // threads)))
+
     def roll(own: _Range) -> None:
         scratch, tape = None, new_tape(0)
         if own.active is not None:
@@ -206,8 +223,12 @@ def rollouts(
             own.first, own.last, geometry, in_arrays, own.pushes, edges, own.active, eps, quasi_static, scratch, tape, poses
         )  # fmt: skip
 
-    with ThreadPoolExecutor(n_threads or len(os.sched_getaffinity(0))) as pool:
-        list(pool.map(roll, _ranges(shape, models, of_pushes)))
+    if threads == 1:
+        for own in ranges:
+            roll(own)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(roll, ranges))
     return poses
 
 
@@ -217,20 +238,20 @@ def _tape(n_cells: int, active: ActiveEffects) -> Tape:
     return new_tape(0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews)
 
 
-def _ranges(shape: ObjectShape, models: Sequence[BatchModel], pushes: _Pushes) -> Iterator[_Range]:
-    """All tasks; where a model has effects, those of each model by themselves."""
+def _ranges(shape: ObjectShape, models: Sequence[BatchModel], pushes: _Pushes, at_once: int) -> Iterator[_Range]:
+    """All tasks, at most `at_once` together; where a model has effects, those of each model by themselves."""
     n = len(pushes.pose)
     if all(len(model.effects) == 0 for model in models):
         n_tasks = len(models) * n
-        yield from (_Range(first, min(first + _TASKS_A_CALL, n_tasks), pushes, None) for first in range(0, n_tasks, _TASKS_A_CALL))
+        yield from (_Range(first, min(first + at_once, n_tasks), pushes, None) for first in range(0, n_tasks, at_once))
         return
     for m, model in enumerate(models):
         acting, arms = model.effects.of_motion, owned((shape.cells.centres - model.body.centre).T)
         no_derivative = np.zeros((len(acting), 0, 3))
         active = active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)
         driven = pushes._replace(path=_driven(acting, pushes)) if acting.move_pusher else pushes
-        for first in range(m * n, (m + 1) * n, _TASKS_A_CALL):
-            yield _Range(first, min(first + _TASKS_A_CALL, (m + 1) * n), driven, active)
+        for first in range(m * n, (m + 1) * n, at_once):
+            yield _Range(first, min(first + at_once, (m + 1) * n), driven, active)
 
 
 def _driven(effects: EffectValues, pushes: _Pushes) -> Float64Array:
@@ -277,7 +298,8 @@ def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:
         dt[i, : clock.n_steps] = clock.lengths
         frame_step[i], fraction[i] = frames.step, frames.fraction
     first = np.array([push.pose_object_in_table for push in pushes], dtype=np.float64)
-    return _Pushes(np.array([clock.n_steps for clock, _ in each]), path, dt, first, frame_step, fraction)
+    velocity = np.array([np.zeros(3) if push.velocity is None else push.velocity for push in pushes], dtype=np.float64)
+    return _Pushes(np.array([clock.n_steps for clock, _ in each]), path, dt, first, velocity, frame_step, fraction)
 
 
 def _clock(push: BatchPush, step: float, known: dict[tuple[bytes, bytes], tuple[StepClock, Frames]]) -> tuple[StepClock, Frames]:

@@ -87,6 +87,8 @@ class Push(NamedTuple):
     """Friction coefficient of the pusher."""
     surface: float = 0.0
     """How far the surface lies outside the outline [m], for rollouts without a derivative; with one, an effect says it."""
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the centre of mass at the start (vx, vy, yaw rate) [m/s, m/s, rad/s], table frame."""
 
 
 class Numerics(NamedTuple):
@@ -218,7 +220,7 @@ def rollout(
     tape: Tape,
     scratch: Any,
 ) -> tuple[int, int]:
-    """Simulate one push from rest.
+    """Simulate one push.
 
     Kept whole, since effects that are absent must vanish at compilation, and what the stages share is all of its state.
 
@@ -251,6 +253,7 @@ def rollout(
     state[0] = push.pose[0] + cos * centre[0] - sin * centre[1]
     state[1] = push.pose[1] + sin * centre[0] + cos * centre[1]
     state[2] = push.pose[2]
+    state[3], state[4], state[5] = push.velocity
     poses[:] = 0.0
     force[:] = 0.0
     impulse, twist = np.zeros(MAX_CONTACTS + 1), np.zeros(3)

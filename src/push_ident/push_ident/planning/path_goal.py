@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
-from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.geometry.se2 import compose, transform_points, wrap_angle
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape
@@ -23,6 +24,8 @@ _LEVER: Final = 0.05
 """Length of path that a turn by one radian counts as [m], so that a turn on the spot is a path as well."""
 _MOST_POSES: Final = 10_000
 """In a file."""
+_STILL: Final = 1e-6
+"""Two poses of a path that are nearer to each other than this have no direction [m]."""
 _BACK: Final = 0.01
 """How far back along the path the place of a pose is looked for [m]: errors of poses may go that way."""
 
@@ -74,6 +77,20 @@ class PathGoal:
         """(x, y, yaw) [m, m, rad], shape (3,)."""
         return np.array([self.position, self.position, self.yaw])
 
+    def at(self, places: ArrayLike) -> Float64Array:
+        """Poses at lengths of path [m] of any shape, shape (..., 3); before its start and beyond its end those of the ends."""
+        at = np.asarray(places, dtype=np.float64)
+        return np.stack([np.interp(at, self.along, column) for column in self.poses.T], axis=-1)
+
+    def direction(self, places: ArrayLike) -> Float64Array:
+        """Of the path in the table frame [rad], at lengths of path of any shape; where it turns on the spot, from before to after."""
+        step = np.diff(self.poses[:, :2], axis=0)
+        moves = np.flatnonzero(np.linalg.norm(step, axis=1) > _STILL)
+        if len(moves) == 0:
+            return np.zeros(np.shape(places))
+        middle = 0.5 * (self.along[moves] + self.along[moves + 1])
+        return np.asarray(np.interp(np.asarray(places, dtype=np.float64), middle, np.unwrap(np.arctan2(step[moves, 1], step[moves, 0]))))
+
     def waypoints(self, spacing: float) -> Float64Array:
         """Poses that are evenly spread, at most `spacing` [m] of path apart, the end among them, the start not: shape (n, 3).
 
@@ -84,7 +101,11 @@ class PathGoal:
             raise InputError(f"The spacing along the path is {spacing} m, expected a positive number.")
         n = int(np.ceil(self.length / spacing - 1e-9))
         places = self.length * np.arange(1, n + 1) / n
-        return np.column_stack([np.interp(places, self.along, column) for column in self.poses.T])
+        return self.at(places)
+
+    def seen_from(self, frame: Float64Array) -> PathGoal:
+        """The same in another frame; `frame` places this one in it, shape (3,)."""
+        return self if not np.any(frame) else replace(self, poses=compose(frame, self.poses))
 
     def error(self, pose: Float64Array, done: float, ahead: float) -> tuple[Float64Array, Float64Array]:
         """Where on the path poses are, and how far from it.
@@ -105,11 +126,30 @@ class PathGoal:
         difference = np.where(known[:, None], flat, 0.0)[:, None] - own
         error = np.stack([np.linalg.norm(difference[..., :2], axis=2), np.abs(wrap_angle(difference[..., 2]))], axis=-1)
         nearest = np.argmin(np.sum((error / [self.position, self.yaw]) ** 2, axis=2), axis=1)
-        found = error[np.arange(len(flat)), nearest]
+        place, found = self._between(own, along, nearest, difference[np.arange(len(flat)), nearest])
         found[~known] = np.inf
-        place = np.where(known, along[nearest], done)
+        place = np.where(known, place, done)
         shape = np.shape(pose)[:-1]
         return place.reshape(shape), found.reshape(*shape, 2)
+
+    def _between(
+        self, own: Float64Array, along: Float64Array, nearest: np.ndarray, away: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Length of path of the nearest point on the lines from the `nearest` of the poses `own`, and distance and angle from it.
+
+        `away`: difference of each pose from its nearest one, shape (n, 3).
+        """
+        away = np.column_stack([away[:, :2], wrap_angle(away[:, 2])])
+        best, place, weight = away, along[nearest], self.tolerance**-2.0
+        for side in (-1, 1):
+            other = np.clip(nearest + side, 0, len(own) - 1)
+            step = own[other] - own[nearest]
+            share = np.clip(np.sum(weight * away * step, axis=1) / np.maximum(np.sum(weight * step**2, axis=1), 1e-12), 0.0, 1.0)
+            moved = away - share[:, None] * step
+            better = np.sum(weight * moved**2, axis=1) < np.sum(weight * best**2, axis=1)
+            best = np.where(better[:, None], moved, best)
+            place = np.where(better, along[nearest] + share * (along[other] - along[nearest]), place)
+        return place, np.column_stack([np.linalg.norm(best[:, :2], axis=1), np.abs(best[:, 2])])
 
 
 def check_path(path: PathGoal, shape: ObjectShape, settings: PushSettings) -> None:

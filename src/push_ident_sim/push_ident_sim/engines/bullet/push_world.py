@@ -73,7 +73,7 @@ class PushWorld:
         self._tool = ToolErrors(effects, time_step) if ToolErrors.needed(effects) else None
         self._add_pusher(float(thing.height.max()) / 2 if pusher_height is None else pusher_height, effects)
         self._still_steps = _SWINGING_STEPS if "compliant_table" in effects or "tether" in effects else 1
-        self._force = np.zeros(2)
+        self._force, self._at = np.zeros(2), np.zeros(2)
 
     def _add_pusher(self, height: float, effects: InjectedEffects) -> None:
         """A ball with its centre at `height` [m], on two sliding joints.
@@ -136,7 +136,39 @@ class PushWorld:
             longest_rest: wait no longer than this after the path [s].
         """
         step = self.time_step
-        start = self._begin(path.position[0])
+        self.begin(pose_object_in_table, path.position[0], velocity=velocity, pushes_done=pushes_done)
+        n_driven = int(np.ceil((path.time[-1] - path.time[0]) / step))
+        n_most = n_driven + int(np.ceil(longest_rest / step))
+        clock = path.time[0] + step * np.arange(n_most + 1)
+        targets = np.column_stack([np.interp(clock, path.time, path.position[:, axis]) for axis in (0, 1)])
+        n_still = 0
+        poses, positions, forces = [self._object.pose()], [self._at], [np.zeros(2)]
+        for k in range(1, n_most + 1):
+            pose, position, force = self.advance(targets[k])
+            poses.append(pose)
+            positions.append(position)
+            forces.append(force)
+            if watch is not None:
+                watch()
+            n_still = n_still + 1 if self.is_still(rest_speed) else 0
+            if k >= n_driven and n_still >= self._still_steps:
+                break
+        time, pusher = np.arange(len(poses)) * np.float64(step), np.array(positions)
+        reported = pusher if self._tool is None else targets[: len(poses)]
+        return TrueMotion(time, np.array(poses), pusher, reported, np.array(forces))
+
+    def begin(
+        self, pose_object_in_table: ArrayLike, tool: FloatArray, *, velocity: ArrayLike = (0.0, 0.0, 0.0), pushes_done: int = 0
+    ) -> None:
+        """Place the object and the pusher, for a push that `advance` makes step by step.
+
+        Args:
+            pose_object_in_table: as in `push`.
+            tool: axis of the pusher as its arm reports it [m], shape (2,).
+            velocity: as in `push`.
+            pushes_done: as in `push`.
+        """
+        start = self._begin(tool)
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
         # counts as a deep one, and throws the object away. Distant bodies have no contact.
         self._place_pusher(start + _ASIDE)
@@ -149,27 +181,30 @@ class PushWorld:
         self._object.place(checked_pose(pose_object_in_table), velocity)
         self._object.start_push()
         self._object.set_pushes_done(pushes_done)
-        n_driven = int(np.ceil((path.time[-1] - path.time[0]) / step))
-        n_most = n_driven + int(np.ceil(longest_rest / step))
-        clock = path.time[0] + step * np.arange(n_most + 1)
-        targets = np.column_stack([np.interp(clock, path.time, path.position[:, axis]) for axis in (0, 1)])
-        n_still = 0
-        poses, positions, forces = [self._object.pose()], [self._pusher_position()], [np.zeros(2)]
-        for k in range(1, n_most + 1):
-            target = targets[k] if self._tool is None else self._tool.true_position(targets[k])
-            self._step(target, (target - positions[-1]) / step)
-            poses.append(self._object.pose())
-            positions.append(self._pusher_position())
-            forces.append(self._force)
-            if watch is not None:
-                watch()
-            speed = np.abs(self._object.velocity())
-            n_still = n_still + 1 if speed[:2].max() < rest_speed and speed[2] < 10 * rest_speed else 0
-            if k >= n_driven and n_still >= self._still_steps:
-                break
-        time, pusher = np.arange(len(poses)) * np.float64(step), np.array(positions)
-        reported = pusher if self._tool is None else targets[: len(poses)]
-        return TrueMotion(time, np.array(poses), pusher, reported, np.array(forces))
+        self._at = self._pusher_position()
+
+    def advance(self, tool: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """One time step, at the end of which the arm reports the pusher at `tool` [m], shape (2,).
+
+        Returns:
+            Pose of the object, shape (3,), true axis of the pusher [m], shape (2,), and its force on the object [N], shape (2,).
+        """
+        target = tool if self._tool is None else self._tool.true_position(tool)
+        self._step(target, (target - self._at) / self.time_step)
+        self._at = self._pusher_position()
+        return self._object.pose(), self._at, self._force
+
+    def displace(self, pose_object_in_table: ArrayLike) -> None:
+        """Put the object elsewhere while the pusher stays, at rest: someone bumps into it. The two must not overlap."""
+        self._place_pusher(self._at + _ASIDE)
+        self._object.place(checked_pose(pose_object_in_table))
+        self._client.performCollisionDetection()
+        self._place_pusher(self._at)
+
+    def is_still(self, rest_speed: float = 1e-4) -> bool:
+        """Whether the object is slower than this [m/s], and turns at less than ten times it [rad/s]."""
+        speed = np.abs(self._object.velocity())
+        return bool(speed[:2].max() < rest_speed and speed[2] < 10 * rest_speed)
 
     def cell_loads(self) -> FloatArray:
         """Normal force of the table on each cell in the last time step [N], shape (n_cells,)."""

@@ -39,6 +39,10 @@ _LASTING = np.array([7e-4, 7e-4, 6e-3])
 (`CameraPolicy.floor_position`, `floor_yaw`)."""
 _REST = 0.4
 """Before and after each push [s]."""
+_LONGEST_REST = 1.0
+"""For which the tool stands after a steered push [s]."""
+_LONGEST_LEARNED = 5.0
+"""Of a steered push [s]: longer ones take long to learn from."""
 
 
 class PushedObject:
@@ -76,6 +80,8 @@ class PushedObject:
         self.pose: Float64Array = np.zeros(3)
         """The true one, shape (3,)."""
         self._records: list[PushRecord] = []
+        self._steered: list[tuple[Float64Array, Float64Array, Float64Array]] = []
+        self._knocked, self._lasting = False, np.zeros(3)
         self.named: tuple[str, ...] = ()
         """Effects that are fitted with the maps."""
         acting = effects.as_dict() if effects else {}
@@ -121,6 +127,48 @@ class PushedObject:
         outlines = transform_points(motion.pose[[0, -1]], self.truth.shape.outline)
         on_table = edge is None or bool(np.all(edge.beyond(outlines) <= 0.0))
         if self._learns and on_table and len(self._records) < _LEARNED:
+            self._record(motion)
+            self._learn()
+        return motion
+
+    def touch(self, tool: Float64Array) -> None:
+        """Begin a push whose tool is steered while it moves, with its axis at `tool` [m], shape (2,)."""
+        self._world.begin(self.pose, tool, pushes_done=len(self._records))
+        self._steered = [(self.pose, tool, np.zeros(2))]
+        self._knocked, self._lasting = False, _LASTING * self._rng.normal(size=3)
+
+    @property
+    def clock(self) -> float:
+        """Since the steered push began [s]."""
+        return (len(self._steered) - 1) * self._truth_settings.time_step
+
+    def lead(self, time: Float64Array, tool: Float64Array, until: float) -> None:
+        """Move the tool until a time [s]: its axis is at `tool` [m], shape (n, 2), at `time`, shape (n,), of the `clock`."""
+        step = self._truth_settings.time_step
+        for _ in range(round((until - self.clock) / step)):
+            now = self.clock + step
+            self._steered.append(self._world.advance(np.array([np.interp(now, time, column) for column in tool.T])))
+        self.pose = self._steered[-1][0]
+
+    def frame(self) -> tuple[Float64Array, Float64Array]:
+        """Pose as one frame shows it while the object moves, shape (3,), and its covariance, shape (3, 3)."""
+        frame = np.array([self._noise.position_std, self._noise.position_std, self._noise.yaw_std])
+        return self.pose + self._lasting + frame * self._rng.normal(size=3), np.diag(frame**2 + _LASTING**2)
+
+    def knock(self, pose: Float64Array) -> None:
+        """Someone displaces the object to a pose, shape (3,), clear of the tool."""
+        self._world.displace(pose)
+        self.pose, self._knocked = np.array(pose), True
+
+    def let_go(self) -> TrueMotion:
+        """The tool stands until the object rests; what it did since `touch`. Learns from it, unless it was knocked or took too long."""
+        tool, last = self._steered[-1][1], self.clock + _LONGEST_REST
+        while not self._world.is_still() and self.clock < last:
+            self._steered.append(self._world.advance(tool))
+        pose, pusher, force = (np.array(column) for column in zip(*self._steered, strict=True))
+        motion = TrueMotion(np.arange(len(pose)) * np.float64(self._truth_settings.time_step), pose, pusher, pusher, force)
+        self.pose = pose[-1]
+        if self._learns and not self._knocked and self.clock < _LONGEST_LEARNED and len(self._records) < _LEARNED:
             self._record(motion)
             self._learn()
         return motion

@@ -13,28 +13,29 @@ from push_ident.types import Float64Array
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.pushed import PushedObject
 
-__all__ = ["PATHS", "SPEED", "PathOutcome", "follow", "is_followed", "named_path"]
+__all__ = ["MOST_CONTACTS", "PATHS", "SPEED", "PathOutcome", "follow", "is_followed", "measure", "named_path"]
 
 SPEED = 0.05
 """Of the tool [m/s]."""
-PATHS = ("line", "circle", "eight")
+PATHS = ("line", "ahead", "circle", "eight")
 _LINE, _RADIUS = 0.25, 0.08
-"""Length of the line, and radius of the circle and of both loops of the eight [m]."""
-_MOST_CONTACTS = 60
+"""Length of the lines, and radius of the circle and of both loops of the eight [m]."""
+MOST_CONTACTS = 60
 _ANGLES = np.linspace(0.0, 2 * np.pi, 200)
 _AHEAD = 0.02
 """How far along the path the object may come between two poses of the engine [m]: many times what it does."""
 
 
-def named_path(name: str) -> PathGoal:
-    """One of `PATHS`: the line with one heading, circle and eight with the heading along the path."""
-    if name == "line":
-        return PathGoal(np.array([[-_LINE / 2, 0.0, 0.5], [_LINE / 2, 0.0, 0.5]]), SPEED)
+def named_path(name: str, speed: float = SPEED) -> PathGoal:
+    """One of `PATHS`, at a speed [m/s]: the line with one heading beside it, all others with the heading along the path."""
+    if name in ("line", "ahead"):
+        yaw = 0.5 if name == "line" else 0.0
+        return PathGoal(np.array([[-_LINE / 2, 0.0, yaw], [_LINE / 2, 0.0, yaw]]), speed)
     circle = np.column_stack([_RADIUS * np.sin(_ANGLES), _RADIUS * (1.0 - np.cos(_ANGLES)), _ANGLES])
     if name == "circle":
-        return PathGoal(circle - [0.0, _RADIUS, 0.0], SPEED)
+        return PathGoal(circle - [0.0, _RADIUS, 0.0], speed)
     # To the left around one loop, then to the right around the other: the heading is the same at the crossing.
-    return PathGoal(np.vstack([circle, (circle * [1.0, -1.0, -1.0])[1:]]), SPEED)
+    return PathGoal(np.vstack([circle, (circle * [1.0, -1.0, -1.0])[1:]]), speed)
 
 
 @dataclass(slots=True)
@@ -42,6 +43,8 @@ class PathOutcome:
     """What became of one path."""
 
     name: str
+    speed: float = SPEED
+    """Along the path [m/s]."""
     end: str = ""
     """The status of planning, or MAX_CONTACTS."""
     contacts: int = 0
@@ -55,6 +58,13 @@ class PathOutcome:
     largest_m: float = float("nan")
     followed: float = 0.0
     """Share of the path."""
+    correction_median_s: float = float("nan")
+    """By the wall clock."""
+    correction_p99_s: float = float("nan")
+    correction_processor_s: float = float("nan")
+    """Of the processor, all threads, in the mean."""
+    ends: list[str] = field(default_factory=list)
+    """Why each contact ended."""
     poses: list[list[float]] = field(default_factory=list)
     """True, every 5 mm or so."""
 
@@ -73,7 +83,7 @@ def follow(pushed: PushedObject, planner: PathPlanner, name: str) -> PathOutcome
         begun = time.process_time()
         plan = planner.plan(pushed.belief, pushed.observe()[0], path, done)
         outcome.planning_s, plans, done = outcome.planning_s + time.process_time() - begun, plans + 1, plan.done
-        if plan.plan is None or outcome.contacts >= _MOST_CONTACTS:
+        if plan.plan is None or outcome.contacts >= MOST_CONTACTS:
             break
         motion = pushed.push(plan.plan)
         way.append(motion.pose[::4])
@@ -82,12 +92,12 @@ def follow(pushed: PushedObject, planner: PathPlanner, name: str) -> PathOutcome
     outcome.planning_s /= plans
     outcome.end = plan.status.name if plan.plan is None else "MAX_CONTACTS"
     if way:
-        _measure(outcome, path, np.concatenate(way))
+        measure(outcome, path, np.concatenate(way))
     return outcome
 
 
-def _measure(outcome: PathOutcome, path: PathGoal, poses: Float64Array) -> None:
-    """Errors weighted by the length of path that they last."""
+def measure(outcome: PathOutcome, path: PathGoal, poses: Float64Array) -> None:
+    """Fill in what was measured of true `poses`, shape (n, 3): errors weighted by the length of path that they last."""
     places, errors = [0.0], []
     for pose in poses:
         place, error = path.error(pose, places[-1], _AHEAD)

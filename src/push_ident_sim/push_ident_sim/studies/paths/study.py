@@ -7,26 +7,40 @@ from pathlib import Path
 
 import numpy as np
 
+from push_ident.planning.curved_planner import CurvedPathPlanner
 from push_ident.planning.path_planner import PathPlanner, PathStatus
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.measuring import grouped
 from push_ident_sim.studies.common.plate import plate_in_bullet
-from push_ident_sim.studies.common.pushed import GREEDY, IDENTIFIED, KINDS, PushedObject
+from push_ident_sim.studies.common.pushed import GREEDY, IDENTIFIED, TRUTH, UNIFORM, PushedObject
 from push_ident_sim.studies.common.random_objects import random_object
 from push_ident_sim.studies.common.reaching import causes_in_words, failures, mean_of, share, share_in_words
 from push_ident_sim.studies.paths.run import PATHS, SPEED, follow, is_followed, named_path
+from push_ident_sim.studies.paths.steered import follow_steered
 
 __all__ = ["STUDY"]
+
+_STRAIGHT = "straight"
+"""By straight pushes that are not corrected; knows as much as identified."""
+_SPEEDS = (0.02, 0.05, 0.1, 0.2)
+"""Along the path [m/s]."""
+_AT_ALL_SPEEDS = ("ahead", "circle")
+"""Paths that who has identified the object follows at each speed; all else is at `SPEED`."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     thing = plate_in_bullet(random_object(np.random.default_rng(case.model)))
-    pushed = PushedObject(thing, case.variant, np.random.default_rng([case.model, 5]))
-    planner = PathPlanner(pushed.truth.shape, pushed.settings, SPEED, greedy=case.variant == GREEDY)
+    kind = IDENTIFIED if case.variant == _STRAIGHT else case.variant
+    pushed = PushedObject(thing, kind, np.random.default_rng([case.model, 5]))
     try:
-        return {"paths": [follow(pushed, planner, name).values() for name in PATHS]}
+        if case.variant in (_STRAIGHT, GREEDY):
+            straight = PathPlanner(pushed.truth.shape, pushed.settings, SPEED, greedy=case.variant == GREEDY)
+            return {"paths": [follow(pushed, straight, name).values() for name in PATHS]}
+        planner = CurvedPathPlanner(pushed.truth.shape, pushed.settings)
+        speeds = {name: _SPEEDS if case.variant == IDENTIFIED and name in _AT_ALL_SPEEDS else (SPEED,) for name in PATHS}
+        return {"paths": [follow_steered(pushed, planner, name, speed).values() for name in PATHS for speed in speeds[name]]}
     finally:
         pushed.close()
 
@@ -35,19 +49,20 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     by_kind = grouped(results, "variant")
     main = by_kind.get(IDENTIFIED, results)
     return {
-        "kinds": {kind: {name: _row(own, name) for name in PATHS} for kind, own in by_kind.items()},
+        "kinds": {kind: {name: _row(_of(own, name, SPEED)) for name in PATHS} for kind, own in by_kind.items()},
+        "speeds": {str(speed): {name: _row(_of(main, name, speed)) for name in _AT_ALL_SPEEDS} for speed in _SPEEDS},
         "runs": {name: _worst(main, name) for name in PATHS},
     }
 
 
-def _of(results: Sequence[CaseResult], name: str) -> list[Json]:
-    return [run for r in results for run in r.values["paths"] if run["name"] == name]
+def _of(results: Sequence[CaseResult], name: str, speed: float) -> list[Json]:
+    return [run for r in results for run in r.values["paths"] if run["name"] == name and run["speed"] == speed]
 
 
-def _row(results: Sequence[CaseResult], name: str) -> Json:
-    runs = _of(results, name)
+def _row(runs: Sequence[Json]) -> Json:
     return {
         "followed": share(is_followed(run) for run in runs),
+        "in_one_contact": share(is_followed(run) and run["contacts"] == 1 for run in runs),
         "causes": failures((run["end"] for run in runs), PathStatus.ARRIVED.name),
         # Over paths of one length: the root of the mean square.
         "rms_m": _root_mean_square([run["rms_m"] for run in runs]),
@@ -56,6 +71,9 @@ def _row(results: Sequence[CaseResult], name: str) -> Json:
         "contacts": mean_of([run["contacts"] for run in runs]),
         "time_s": mean_of([run["time_s"] for run in runs]),
         "planning_s": mean_of([run["planning_s"] for run in runs]),
+        "correction_median_s": mean_of([run["correction_median_s"] for run in runs], 4),
+        "correction_p99_s": max((run["correction_p99_s"] for run in runs if run["correction_p99_s"] is not None), default=None),
+        "correction_processor_s": mean_of([run["correction_processor_s"] for run in runs], 4),
     }
 
 
@@ -71,24 +89,46 @@ def _worst(results: Sequence[CaseResult], name: str) -> Json:
     return {"model": model, "end": run["end"], "rms_m": run["rms_m"], "poses": run["poses"]}
 
 
-def _tables(summary: Json) -> str:
-    head = ["", "path", "followed to its end (95 % interval)", "RMS", "largest", "contacts", "time", "a plan", "failures"]
-    rows = [
-        [
-            kind,
-            name,
-            share_in_words(row["followed"]),
-            "" if row["rms_m"] is None else f"{1e3 * row['rms_m']:.1f} mm, {np.degrees(row['rms_rad']):.1f}°",
-            "" if row["largest_m"] is None else f"{1e3 * row['largest_m']:.0f} mm",
-            f"{row['contacts']:.1f}",
-            f"{row['time_s']:.0f} s",
-            f"{row['planning_s']:.2f} s",
-            causes_in_words(row["causes"]),
-        ]
-        for kind, own in summary["kinds"].items()
-        for name, row in own.items()
+_HEAD = [
+    "path",
+    "followed to its end (95 % interval)",
+    "in one contact",
+    "RMS",
+    "largest",
+    "contacts",
+    "time",
+    "a plan",
+    "a correction",
+    "failures",
+]
+
+
+def _cells(name: str, row: Json) -> list[str]:
+    median, worst = row["correction_median_s"], row["correction_p99_s"]
+    return [
+        name,
+        share_in_words(row["followed"]),
+        f"{row['in_one_contact']['successes']} of {row['in_one_contact']['n']}",
+        "" if row["rms_m"] is None else f"{1e3 * row['rms_m']:.1f} mm, {np.degrees(row['rms_rad']):.1f}°",
+        "" if row["largest_m"] is None else f"{1e3 * row['largest_m']:.0f} mm",
+        f"{row['contacts']:.1f}",
+        f"{row['time_s']:.0f} s",
+        f"{row['planning_s']:.2f} s",
+        "" if median is None else f"{1e3 * median:.0f} / {1e3 * worst:.0f} ms",
+        causes_in_words(row["causes"]),
     ]
-    return markdown_table(head, rows)
+
+
+def _tables(summary: Json) -> str:
+    by_kind = [[kind, *_cells(name, row)] for kind, own in summary["kinds"].items() for name, row in own.items()]
+    tables = markdown_table(["", *_HEAD], by_kind)
+    by_speed = [
+        [f"{1e3 * float(speed):.0f} mm/s", *_cells(name, row)]
+        for speed, own in summary["speeds"].items()
+        for name, row in own.items()
+        if row["followed"]["n"]
+    ]
+    return f"{tables}\n\nIdentified, by the speed along the path:\n\n{markdown_table(['', *_HEAD], by_speed)}" if by_speed else tables
 
 
 def _draw(summary: Json, folder: Path) -> dict[str, str]:
@@ -110,17 +150,21 @@ STUDY = Experiment(
     place=67,
     title="Along paths",
     question=(
-        "Objects of random shape and uneven maps are pushed in Bullet along a line of 25 cm with one heading, a circle of 8 cm radius and "
-        "an eight of two such circles, with the heading along the path. A path is followed by a chain of straight pushes: pushes do not "
-        f"curve, and are not corrected while the tool moves. The tool moves at {1e3 * SPEED:.0f} mm/s and lifts off between pushes; after "
-        "each, the pose is observed with the errors of perception. RMS is that of the true pose from the nearest point of the path, over "
-        "the length that was followed. What is known is nothing (uniform), what three random pushes and those along the paths have shown "
-        "(identified), or everything (truth); greedy knows as much as identified and chases a point 30 mm ahead. At most 60 contacts a "
-        "path. Time is simulated, with 0.4 s of rest before and after each push; planning is time of the processor, on one thread, the "
-        "mean of all plans."
+        "Objects of random shape and uneven maps are pushed in Bullet along a line of 25 cm with a heading of 0.5 rad to it, the same line "
+        "with the heading along it (ahead), a circle of 8 cm radius and an eight of two such circles, with the heading along the path. The "
+        f"tool is steered: at each of 30 frames a second it is corrected, at {1e3 * SPEED:.0f} mm/s along the "
+        f"path, and where the object is identified, ahead and on the circle, at {', '.join(f'{1e3 * s:.0f}' for s in _SPEEDS)} mm/s. "
+        "A correction is decided from one frame and begins with the next one. Frames have the noise of the camera and an error that "
+        "lasts as long as the contact. A face can hold the object on a path only where the force that the path needs is within its cone of "
+        "friction, on the face; else the contact is changed. RMS is that of the true pose from the nearest point of the path, over "
+        "the length that was followed. What is known is nothing (uniform), what three random pushes and short contacts along the paths "
+        "have shown (identified), or everything (truth). As much as identified know two that make straight pushes without corrections, "
+        f"with the tool at {1e3 * SPEED:.0f} mm/s: straight plans a chain of them, greedy chases a point 30 mm ahead. At most 60 contacts "
+        "a path. Time is simulated, with 0.4 s of rest before and after each contact; planning is time of the processor, the "
+        "mean of all plans; corrections are timed by the wall clock, median / the worst 99th percentile of a run."
     ),
     objects=("uneven",),
-    variants=KINDS,
+    variants=(UNIFORM, IDENTIFIED, TRUTH, _STRAIGHT, GREEDY),
     run=_run,
     summarise=_summarise,
     tables=_tables,

@@ -1,0 +1,315 @@
+"""Pushes that curve: short pushes of one contact, improved so that the object stays on a path.
+
+The tool moves as if it were fixed to an object that keeps to the path, and beside that at a velocity of its own in each of three segments:
+
+    p(t) = ref(s0 + v t) o (q0 + sum_k w_k t_k(t))        t_k: time spent in segment k, w_k: unknown, two numbers a segment
+
+so the unknowns turn the tool's heading and change its speed, and with none the tool follows the path like the object. Gauss-Newton
+improves them: the residuals are the errors of the object along the path under each of several models, in tolerances, and the contact that
+slides to the end of its face, the tool that leaves the object, its corridor or its limits. All pushes, with one unknown changed in each,
+are simulated in one batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
+from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.planning.path_goal import PathGoal
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.push import PushSettings
+from push_ident.types import Float64Array, ObjectShape, PusherPath
+
+__all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of"]
+
+_BREAKS: Final = np.array([0.0, 0.15, 0.45, 1.0])
+"""Where segments begin and end, as shares of the horizon [1]: the first is the one that will be made before all is planned anew."""
+N_SEGMENTS: Final = len(_BREAKS) - 1
+_FRAMES: Final = 8
+"""Poses along a push that are compared with the path."""
+_STEP_TRAVEL: Final = 0.0025
+"""Of the tool in a time step [m]."""
+_LONGEST_STEP: Final = 0.1
+"""[s]"""
+_DIFFERENCE: Final = 0.1
+"""Of an unknown, for the derivative [1, in speeds of the path]: large enough that the contact may begin or cease to slide."""
+_LARGEST: Final = 1.2
+"""Of an unknown [1, in speeds of the path]."""
+_LONGEST_CHANGE: Final = 0.5
+"""Of an unknown in an iteration [1, in speeds of the path]."""
+_DAMPING: Final = np.array([0.5, 0.15])
+"""Residual of an unknown of one speed, along and across the path [tolerances]: what hardly changes the errors is left alone, and the tool
+does not wait for a better time."""
+_ALONG: Final = 1.0
+"""How much larger an error along the path may be than one across it [1]: being late is no distance from the path."""
+_FACE_MARGIN, _FACE_SCALE = 0.005, 0.002
+"""Least distance of the contact from the end of its face, and what violates it by one tolerance [m]."""
+_TOUCH_MARGIN, _TOUCH_SCALE = 0.002, 0.002
+"""Largest gap between tool and object, and what violates it by one tolerance [m]."""
+_LIMIT_SCALE: Final = 0.001
+"""Beyond corridor or workspace by one tolerance [m]."""
+_FAILED: Final = 1e3
+"""Residual where a simulation failed [tolerances]."""
+_SHARES: Final = (1.0, 0.5, 0.2)
+"""Of a Gauss-Newton step that are tried [1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """The straight part of the outline that the tool touches, object frame."""
+
+    start: Float64Array
+    """[m], shape (2,)."""
+    tangent: Float64Array
+    """Unit vector, counter-clockwise, shape (2,)."""
+    length: float
+    """[m]"""
+    is_open: tuple[bool, bool]
+    """Whether the tool would slide off beyond the start, or the end: not in a concave corner."""
+
+    @property
+    def normal(self) -> Float64Array:
+        """Outward, shape (2,)."""
+        return np.array([self.tangent[1], -self.tangent[0]])
+
+
+def face_of(outline: Float64Array, tool: Float64Array) -> tuple[Face, float]:
+    """The face nearest to the axis of the tool, shape (2,), and its distance [m], negative inside; object frame."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    length = np.linalg.norm(edge, axis=1)
+    tangent = edge / np.maximum(length, 1e-12)[:, None]
+    along = np.clip(np.sum((tool - outline) * tangent, axis=1), 0.0, length)
+    away = tool - outline - along[:, None] * tangent
+    distance = np.linalg.norm(away, axis=1)
+    side = tangent[:, 1] * away[:, 0] - tangent[:, 0] * away[:, 1]
+    # At a corner both faces are equally near: the one that the tool is in front of.
+    k = int(np.lexsort((-side, np.round(distance, 9)))[0])
+    turn = np.roll(edge, 1, axis=0)
+    convex = turn[:, 0] * edge[:, 1] - turn[:, 1] * edge[:, 0] > 0
+    face = Face(outline[k], tangent[k], float(length[k]), (bool(convex[k]), bool(convex[(k + 1) % len(outline)])))
+    return face, float(distance[k] if side[k] >= 0 else -distance[k])
+
+
+@dataclass(frozen=True, slots=True)
+class PushStart:
+    """Where a push begins."""
+
+    pose: Float64Array
+    """Of the object, table frame, shape (3,), when the lead begins."""
+    velocity: Float64Array
+    """Of the object frame then [m/s, m/s, rad/s], shape (3,)."""
+    place: float
+    """Length of path that is behind when the segments begin [m]."""
+    lead: Float64Array
+    """Axis of the tool at the times of the lead, table frame [m], shape (n_lead, 2): what is not to be changed any more."""
+    face: Face
+    """That is touched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Horizon:
+    """Times of a push: a lead, then the segments from 0 on."""
+
+    speed: float
+    """Along the path [m/s]."""
+    lead: Float64Array
+    """[s], shape (n_lead,), ascending, the last is 0."""
+    knots: Float64Array
+    """When the tool is where [s], shape (n_knots,), the lead among them."""
+    frames: Float64Array
+    """When poses are compared with the path [s], shape (n_frames,)."""
+    breaks: Float64Array
+    """Beginnings and ends of the segments [s], shape (N_SEGMENTS + 1,)."""
+    step: float
+    """Longest of the simulation [s]."""
+
+    @classmethod
+    def of(cls, speed: float, travel: float, lead: Float64Array) -> Horizon:
+        """For a travel along the path [m]; `lead` as its times."""
+        end, step = travel / speed, min(_STEP_TRAVEL / speed, _LONGEST_STEP)
+        n = max(_FRAMES, int(np.ceil(end / step)))
+        n += -n % _FRAMES
+        later = end * np.arange(1, n + 1) / n
+        return cls(speed, lead, np.concatenate([lead, later]), later[n // _FRAMES - 1 :: n // _FRAMES], end * _BREAKS, step)
+
+    def later(self, unknowns: Float64Array, delay: float) -> Float64Array:
+        """Unknowns, shape (N_SEGMENTS, 2), of the same motion when a time [s] has passed."""
+        ends = np.minimum(self.breaks + delay, self.breaks[-1])
+        spent = np.clip(ends[:, None] - self.breaks[:-1], 0.0, np.diff(self.breaks))
+        return np.asarray(np.diff(spent @ unknowns, axis=0) / np.diff(self.breaks)[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class RolledPushes:
+    """Pushes, and what they do under several models."""
+
+    tool: Float64Array
+    """Axis of the tool at the knots [m], shape (n_starts, n_variants, n_knots, 2)."""
+    poses: Float64Array
+    """Of the object at the frames, shape (n_models, n_starts, n_variants, n_frames, 3)."""
+    residual: Float64Array
+    """In tolerances, shape (n_models, n_starts, n_variants, n_residuals)."""
+    error: Float64Array
+    """Across the path and in yaw, at the frames, in tolerances: root of the sum of squares, shape (n_models, n_starts, n_variants,
+    n_frames)."""
+    progress: Float64Array
+    """Along the path since the segments began, at the frames [m], of that shape."""
+
+    @property
+    def cost(self) -> Float64Array:
+        """Mean over the models of the sum of squared residuals, shape (n_starts, n_variants)."""
+        return np.asarray(np.mean(np.sum(self.residual**2, axis=-1), axis=0))
+
+
+class CurvedPushes:
+    """Simulates and improves pushes of one object along one path.
+
+    Args:
+        shape: of the object.
+        settings: limits of the tool.
+        path: to be followed.
+        corridor: that the tool must not leave; None: the workspace alone.
+    """
+
+    def __init__(self, shape: ObjectShape, settings: PushSettings, path: PathGoal, corridor: Corridor | None = None) -> None:
+        self._shape, self._settings, self._path, self._corridor = shape, settings, path, corridor
+
+    def tool_paths(self, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> Float64Array:
+        """Axis of the tool at the knots [m], shape (n_starts, n_variants, n_knots, 2).
+
+        `unknowns`: velocities along and across the path beside that of the path, in its speed, shape (n_starts, n_variants, N_SEGMENTS, 2).
+        """
+        later = horizon.knots[len(horizon.lead) :]
+        lead = np.array([start.lead for start in starts])
+        place = np.array([start.place for start in starts])
+        now = self._path.at(place)
+        offset = np.array([transform_points(inverse(pose), tool[-1:])[0] for pose, tool in zip(now, lead, strict=True)])
+        spent = np.clip(later[:, None] - horizon.breaks[:-1], 0.0, np.diff(horizon.breaks))
+        turn = rotation(self._path.direction(place) - now[:, 2])[:, None, None]
+        beside = offset[:, None, None, :] + horizon.speed * np.einsum("...ij,...j->...i", turn, spent @ unknowns)
+        frame = self._path.at(place[:, None] + horizon.speed * later)[:, None]
+        moving = frame[..., :2] + np.einsum("...ij,...j->...i", rotation(frame[..., 2]), beside)
+        fixed = np.broadcast_to(lead[:, None], (len(starts), unknowns.shape[1], *lead.shape[1:]))
+        return np.concatenate([fixed, moving], axis=2)
+
+    def roll(self, models: Sequence[BatchModel], horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> RolledPushes:
+        """Simulate pushes; `unknowns` as in `tool_paths`."""
+        n_starts, n_variants = unknowns.shape[:2]
+        tool = self.tool_paths(horizon, starts, unknowns)
+        pushes = [
+            BatchPush(PusherPath(horizon.knots, own, self._settings.pusher_radius), start.pose, horizon.frames, start.velocity)
+            for start, variants in zip(starts, tool, strict=True)
+            for own in variants
+        ]
+        poses = rollouts(self._shape, models, pushes, step=horizon.step).reshape(len(models), n_starts, n_variants, -1, 3)
+        begun = np.array([start.place for start in starts])[:, None]
+        place = np.minimum(begun + horizon.speed * horizon.frames, self._path.length)
+        wanted = self._path.at(place)[:, None]
+        away = poses - wanted
+        along_across = np.einsum("...ji,...j->...i", rotation(self._path.direction(place))[:, None], away[..., :2])
+        tolerance = np.array([_ALONG * self._path.position, self._path.position, self._path.yaw])
+        error = np.concatenate([along_across, wrap_angle(away[..., 2:])], axis=-1) / tolerance
+        failed = ~np.isfinite(error).all(axis=(-1, -2))
+        error = np.where(failed[..., None, None], _FAILED, error)
+        each = len(models), n_starts, n_variants
+        beside = np.broadcast_to((_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (*each, 2 * N_SEGMENTS))
+        limits = np.broadcast_to(self._limits(horizon, tool), (*each, 3))
+        contact = self._contact(horizon, starts, tool, np.where(failed[..., None, None], wanted, poses))
+        parts = [error / np.sqrt(len(horizon.frames)), contact]
+        residual = np.concatenate([*(part.reshape(*part.shape[:3], -1) for part in parts), beside, limits], axis=-1)
+        progress = (place - begun)[:, None] + along_across[..., 0]
+        return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), np.where(failed[..., None], 0.0, progress))
+
+    def _contact(self, horizon: Horizon, starts: Sequence[PushStart], tool: Float64Array, poses: Float64Array) -> Float64Array:
+        """How far the contact is beyond its face, and the tool away, at the frames: shape (n_models, n_starts, n_variants, n_frames, 2)."""
+        at = np.searchsorted(horizon.knots, horizon.frames - 1e-9)
+        away = tool[:, :, at] - poses[..., :2]
+        own = np.einsum("...ji,...j->...i", rotation(poses[..., 2]), away)
+        faces = [start.face for start in starts]
+        start, tangent, normal = (
+            np.array([getattr(face, name) for face in faces])[:, None, None] for name in ("start", "tangent", "normal")
+        )
+        length = np.array([face.length for face in faces])[:, None, None]
+        margin = np.minimum(_FACE_MARGIN, 0.3 * length)
+        opens = np.array([face.is_open for face in faces], dtype=np.float64)[:, None, None]
+        along = np.sum((own - start) * tangent, axis=-1)
+        beyond = opens[..., 0] * np.maximum(margin - along, 0.0) + opens[..., 1] * np.maximum(along - length + margin, 0.0)
+        gap = np.maximum(np.sum((own - start) * normal, axis=-1) - self._settings.pusher_radius - _TOUCH_MARGIN, 0.0)
+        share = 1.0 / np.sqrt(len(horizon.frames))
+        return share * np.stack([beyond / _FACE_SCALE, gap / _TOUCH_SCALE], axis=-1)
+
+    def _limits(self, horizon: Horizon, tool: Float64Array) -> Float64Array:
+        """Corridor, workspace and speed, each as far as it is violated most: shape (n_starts, n_variants, 3)."""
+        x_min, x_max, y_min, y_max = self._settings.workspace
+        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+        outside = np.max(np.maximum(low - tool, tool - high), axis=(-1, -2))
+        at_frames = tool[:, :, np.searchsorted(horizon.knots, horizon.frames - 1e-9)]
+        corridor = np.zeros(tool.shape[:2]) if self._corridor is None else np.max(self._corridor.excess(at_frames), axis=-1)
+        speed = np.max(np.linalg.norm(np.diff(tool, axis=2), axis=-1) / np.diff(horizon.knots), axis=-1)
+        too_fast = np.maximum(speed / self._settings.max_speed - 1.0, 0.0) * 10.0
+        return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE, too_fast], axis=-1)
+
+    def improve(
+        self, models: Sequence[BatchModel], horizon: Horizon, starts: Sequence[PushStart], first: Float64Array, n_iterations: int
+    ) -> tuple[Float64Array, RolledPushes]:
+        """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
+
+        `first`: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
+        """
+        n_starts = len(first)
+        number, n_unknowns = np.arange(n_starts), 2 * N_SEGMENTS
+        rolled = self.roll(models, horizon, starts, first)
+        chosen = np.argmin(rolled.cost, axis=1)
+        best, cost = first[number, chosen], rolled.cost[number, chosen]
+        kept = _picked(rolled, number, chosen)
+        for _ in range(n_iterations):
+            changes = _DIFFERENCE * np.eye(n_unknowns).reshape(n_unknowns, N_SEGMENTS, 2)
+            # Towards zero, so that an unknown stays in its range.
+            sign = np.where(best > 0, -1.0, 1.0)
+            varied = self.roll(models, horizon, starts, best[:, None] + changes * sign[:, None])
+            by_unknown = (varied.residual - kept.residual) / (_DIFFERENCE * sign.reshape(n_starts, n_unknowns, 1))
+            step = _gauss_newton(by_unknown, kept.residual[:, :, 0]).reshape(best.shape)
+            tried = np.stack([np.clip(best + share * step, -_LARGEST, _LARGEST) for share in _SHARES], axis=1)
+            found = self.roll(models, horizon, starts, tried)
+            chosen = np.argmin(found.cost, axis=1)
+            better = found.cost[number, chosen] < cost
+            kept = _merged(better, _picked(found, number, chosen), kept)
+            best = np.where(better[:, None, None], tried[number, chosen], best)
+            cost = np.where(better, found.cost[number, chosen], cost)
+        return best, kept
+
+
+def _gauss_newton(by_unknown: Float64Array, residual: Float64Array) -> Float64Array:
+    """Step of each start, shape (n_starts, n_unknowns).
+
+    `by_unknown`: shape (n_models, n_starts, n_unknowns, n_residuals); `residual`: shape (n_models, n_starts, n_residuals).
+    """
+    n_models = len(residual)
+    matrix = np.einsum("mcur,mcvr->cuv", by_unknown, by_unknown) / n_models + 1e-3 * np.eye(by_unknown.shape[2])
+    right = np.einsum("mcur,mcr->cu", by_unknown, residual) / n_models
+    step = -np.linalg.solve(matrix, right[..., None])[..., 0]
+    largest = np.max(np.abs(step), axis=1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, _LONGEST_CHANGE / np.maximum(largest, 1e-12)))
+
+
+def _picked(rolled: RolledPushes, number: np.ndarray, chosen: np.ndarray) -> RolledPushes:
+    """One variant of each start."""
+    of_models = (array[:, number, chosen][:, :, None] for array in (rolled.poses, rolled.residual, rolled.error, rolled.progress))
+    return RolledPushes(rolled.tool[number, chosen][:, None], *of_models)
+
+
+def _merged(better: np.ndarray, new: RolledPushes, old: RolledPushes) -> RolledPushes:
+    """Of each start the new one where it is better."""
+
+    def pick(name: str, axis: int) -> Float64Array:
+        now, then = getattr(new, name), getattr(old, name)
+        shape = [1] * now.ndim
+        shape[axis] = len(better)
+        return np.where(better.reshape(shape), now, then)
+
+    return RolledPushes(pick("tool", 0), *(pick(name, 1) for name in ("poses", "residual", "error", "progress")))

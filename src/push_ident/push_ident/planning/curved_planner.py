@@ -1,0 +1,212 @@
+"""Where to push an object that shall follow a path in as few contacts as possible, by pushes that curve.
+
+At each contact of the outline the tool would move as if fixed to the object on its path; `CurvedPushes` improves that for a stretch of path
+ahead. As with straight pushes, a push is worth J = (c + sum of e^2 + l e_end^2) / progress, cut off where that is least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.physics.batch import BatchModel
+from push_ident.planning.belief import Belief
+from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
+from push_ident.planning.feasible import Surroundings, is_possible
+from push_ident.planning.library import Strokes, placed, strokes
+from push_ident.planning.model_weights import ModelWeights
+from push_ident.planning.path_follower import PathFollower, guesses_around
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_planner import PathStatus
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.types import Float64Array, ObjectShape
+
+__all__ = ["CurvedPathPlanner", "CurvedPush"]
+
+_TRAVEL: Final = 0.2
+"""Along the path that a contact is judged by [m]."""
+_ITERATIONS: Final = 3
+"""Of Gauss-Newton for each contact."""
+_CONTACT, _CARRIED = 0.03, 0.03
+"""c and l of J [m], as for straight pushes (`path_planner.py`)."""
+_LEAST: Final = 0.004
+"""Progress of a push along the path [m]: less is none."""
+_AHEAD: Final = 0.2
+"""How far along the path the object may have come since it was seen last [m]."""
+_INWARD: Final = float(np.radians(70.0))
+"""Largest angle between the motion of an object's face along the path and its inward normal, for the face to be pushed [rad]."""
+_REFINED: Final = 6
+"""Best contacts beside which others are tried."""
+_SHIFTS: Final = (-0.003, -0.0015, 0.0, 0.0015, 0.003)
+"""Along the face [m]: contacts of the library are some 8 mm apart, and one that is 4 mm beside the line of the force turns the object by 5
+degrees."""
+_JUDGED: Final = 10
+"""Contacts that the mean model likes best, judged by all models then."""
+_LINE: Final = 0.012
+"""Between points of the line of a corridor [m]."""
+_STRAIGHT: Final = 0.004
+"""Length of the straight beginning that is checked as a push of its own [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CurvedPush:
+    """The next push along a path, or why there is none. All in the table frame of the arm."""
+
+    status: PathStatus
+    done: float
+    """Length of path that is behind now [m]."""
+    contact: PushPlan2D | None = None
+    """Its first contact and heading; the distance is that of its straight beginning."""
+    time: Float64Array | None = None
+    """[s], shape (n,), from where the tool is lowered; the object is touched at the second."""
+    tool: Float64Array | None = None
+    """Axis of the tool then [m], shape (n, 2)."""
+    corridor: Corridor | None = None
+    """Where it may be corrected to: along the rest of the path."""
+    expected_error: float = np.nan
+    """Root of the mean square error until then [tolerances]."""
+    expected_done: float = np.nan
+    """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
+
+
+class CurvedPathPlanner:
+    """Chooses contacts for pushes along paths, and makes what corrects them.
+
+    Args:
+        shape: of the object.
+        settings: limits of pushes and the pusher.
+        n_models: that may be true, the most probable one among them.
+        n_asked: that a correction is made for: those that explain the pushes so far best. Twice as many judge contacts.
+        seed: of the models that are drawn.
+        half_width: of the corridor along the path [m].
+    """
+
+    def __init__(
+        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, seed: int = 0, half_width: float = 0.08
+    ) -> None:
+        self._shape, self._settings, self._seed = shape, settings, seed
+        self._n_models, self._n_asked, self._n_judging, self._half_width = n_models, n_asked, 2 * n_asked, half_width
+        self._strokes = strokes(shape, settings)
+        self._belief: Belief | None = None
+        self._weights: ModelWeights | None = None
+
+    def _weights_of(self, belief: Belief) -> ModelWeights:
+        if self._weights is None or belief is not self._belief:
+            models = belief.models(self._n_models - 1, np.random.default_rng(self._seed))
+            self._belief, self._weights = belief, ModelWeights(self._shape, models, self._settings.pusher_radius)
+        return self._weights
+
+    def follower(self, belief: Belief, path: PathGoal, corridor: Corridor, period: float) -> PathFollower:
+        """What corrects a push at the rate of a camera, whose period is given in [s].
+
+        What it finds of the models is kept for later pushes, as long as the belief stays the same.
+        """
+        weights = self._weights_of(belief)
+        return PathFollower(
+            self._shape, self._settings, weights, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period
+        )
+
+    def plan(
+        self,
+        belief: Belief,
+        pose: Float64Array,
+        path: PathGoal,
+        done: float,
+        obstacles: Sequence[Float64Array] = (),
+        failed: Sequence[PushPlan2D] = (),
+    ) -> CurvedPush:
+        """The next push; arguments as those of `PathPlanner.plan`."""
+        away = inverse(belief.camera)
+        seen, path = compose(away, pose), path.seen_from(away)
+        place, _ = path.error(seen, done, _AHEAD)
+        now = max(done, float(place))
+        if path.length - now < _LEAST:
+            return CurvedPush(PathStatus.ARRIVED, now)
+        around = Surroundings([transform_points(away, outline) for outline in obstacles], failed)
+        numbers = _along(self._strokes, seen, path, now)
+        if len(numbers) == 0:
+            return CurvedPush(PathStatus.UNREACHABLE, now)
+        horizon = Horizon.of(path.speed, _TRAVEL, np.array([-self._settings.clearance / path.speed, 0.0]))
+        pushes, models = CurvedPushes(self._shape, self._settings, path), self._weights_of(belief).best(self._n_judging)
+        coarse = [self._strokes.picked(int(number)) for number in numbers]
+        order = self._ranked(pushes, models[:1], horizon, coarse, seen, now)[0]
+        fine = [coarse[k].changed(along, 0.0) for k in order[:_REFINED] for along in _SHIFTS]
+        order, best = self._ranked(pushes, models[:1], horizon, fine, seen, now)
+        order = order[:_JUDGED]
+        starts = [self._start(fine[k], seen, now) for k in order]
+        judged = pushes.roll(models, horizon, starts, best[order][:, None])
+        worth = _worth(judged)
+        for k in np.argsort(np.min(worth, axis=-1).mean(axis=0)):
+            cut = int(np.argmin(worth[:, k].mean(axis=0)))
+            if not np.isfinite(worth[:, k, cut]).all():
+                break
+            contact = placed(fine[order[k]], 0, seen, _STRAIGHT, path.speed)
+            motion = compose(inverse(seen), judged.poses[0, k, 0, cut])
+            tool = judged.tool[k, 0]
+            if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
+                expected = now + float(judged.progress[:, k, 0, cut].mean())
+                error = float(np.sqrt(np.mean(judged.error[:, k, 0, : cut + 1] ** 2)))
+                corridor = self._corridor(tool, path, now)
+                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, expected)
+        return CurvedPush(PathStatus.UNREACHABLE, now)
+
+    def _ranked(
+        self, pushes: CurvedPushes, models: Sequence[BatchModel], horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float
+    ) -> tuple[np.ndarray, Float64Array]:
+        """Order of contacts by what they are worth, and the improved unknowns of each, shape (n, N_SEGMENTS, 2)."""
+        starts, nothing = [self._start(one, seen, now) for one in own], np.zeros((1, N_SEGMENTS, 2))
+        around = np.concatenate([nothing, *guesses_around(nothing[0])])
+        guesses = np.broadcast_to(around, (len(starts), *around.shape))
+        best, rolled = pushes.improve(models, horizon, starts, guesses, _ITERATIONS)
+        return np.argsort(np.min(_worth(rolled)[0], axis=-1)), best
+
+    def _start(self, own: Strokes, seen: Float64Array, now: float) -> PushStart:
+        plan = placed(own, 0, seen, _STRAIGHT, 1.0)
+        lead = np.array([plan.tool_start(self._settings.clearance), plan.tool_at_contact])
+        return PushStart(seen, np.zeros(3), now, lead, face_of(self._shape.outline, own.tool[0])[0])
+
+    def _is_free(self, tool: Float64Array, around: Surroundings) -> bool:
+        """Whether the tool stays in the workspace and away from other objects."""
+        if self._settings.excess(tool) > 0.0:
+            return False
+        least = self._settings.pusher_radius
+        return all(float(np.min(signed_distance(tool, outline))) > least for outline in around.obstacles)
+
+    def _corridor(self, tool: Float64Array, path: PathGoal, now: float) -> Corridor:
+        """Along the motion of a tool that is fixed to the object on its path."""
+        offset = transform_points(inverse(path.at(now)), tool[1:2])
+        later = path.at(np.append(np.arange(now, path.length, _LINE), path.length))
+        return Corridor(np.vstack([tool[:1], transform_points(later, offset)[:, 0]]), self._half_width)
+
+
+def _along(own: Strokes, seen: Float64Array, path: PathGoal, now: float) -> np.ndarray:
+    """Of each contact the stroke whose heading is nearest to the motion of that point of the object along the path; shape (n,)."""
+    tool = transform_points(seen, own.tool)
+    step = min(_LEAST, path.length - now)
+    here, there = path.at(now), path.at(now + step)
+    moved = transform_points(there, transform_points(inverse(here), tool)) - tool
+    wanted = np.arctan2(moved[:, 1], moved[:, 0])
+    inward = np.arctan2(own.tangent[:, 0], -own.tangent[:, 1]) + seen[2]
+    pushable = np.abs(wrap_angle(wanted - inward)) < _INWARD
+    deviation = np.abs(wrap_angle(wanted - own.direction - seen[2]))
+    _, contact = np.unique(np.round(own.tool, 9), axis=0, return_inverse=True)
+    order = np.lexsort((deviation, contact.ravel()))
+    _, first = np.unique(contact.ravel()[order], return_index=True)
+    chosen = order[first]
+    return np.asarray(chosen[pushable[chosen]])
+
+
+def _worth(rolled: RolledPushes) -> Float64Array:
+    """J of pushes of one variant each, cut off at each frame, shape (n_models, n_starts, n_frames); infinite without progress."""
+    progress, square = rolled.progress[:, :, 0], rolled.error[:, :, 0] ** 2
+    steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)
+    way = np.cumsum(steps * square, axis=-1)
+    cost = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
+    penalty = np.sum(rolled.residual[:, :, 0, -3:] ** 2, axis=-1)
+    return np.where((progress > _LEAST) & (penalty[..., None] < 1.0), cost, np.inf)

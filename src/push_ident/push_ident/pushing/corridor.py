@@ -1,0 +1,43 @@
+"""Where the tool may be corrected to while it moves: what was checked before the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.types import Float64Array
+
+__all__ = ["Corridor"]
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """A strip along a line of the table.
+
+    Raises:
+        InputError: less than two points, numbers that are not finite, or a width that is not positive.
+    """
+
+    line: Float64Array
+    """Middle of the strip [m], shape (n, 2), table frame."""
+    half_width: float
+    """Largest distance from the line [m]."""
+
+    def __post_init__(self) -> None:
+        line = np.array(self.line, dtype=np.float64)
+        if line.ndim != 2 or line.shape[1:] != (2,) or len(line) < 2 or not np.isfinite(line).all():
+            raise InputError(f"The line of a corridor has shape {line.shape}, expected two points (x, y) or more, all finite, in metres.")
+        if not (np.isfinite(self.half_width) and self.half_width > 0):
+            raise InputError(f"Half the width of a corridor is {self.half_width} m, expected a positive number.")
+        line.setflags(write=False)
+        object.__setattr__(self, "line", line)
+
+    def excess(self, points: Float64Array) -> Float64Array:
+        """Distance of points, shape (..., 2), out of the strip [m], shape (...); 0 inside."""
+        start, edge = self.line[:-1], np.diff(self.line, axis=0)
+        away = np.asarray(points)[..., None, :] - start
+        share = np.clip(np.sum(away * edge, axis=-1) / np.maximum(np.sum(edge**2, axis=-1), 1e-18), 0.0, 1.0)
+        distance = np.min(np.linalg.norm(away - share[..., None] * edge, axis=-1), axis=-1)
+        return np.asarray(np.maximum(distance - self.half_width, 0.0))

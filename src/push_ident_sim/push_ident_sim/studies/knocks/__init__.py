@@ -1,0 +1,1 @@
+"""Experiment: objects that are displaced on their path."""

@@ -1,0 +1,222 @@
+"""Pushes that curve: what the tool does, how it is improved, and how a path is followed in one contact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from push_ident.errors import InputError
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
+from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.planning.belief import Belief
+from push_ident.planning.contact_tracking import ContactTracker
+from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, face_of
+from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
+from push_ident.planning.model_weights import ModelWeights
+from push_ident.planning.path_follower import FollowStatus
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_planner import PathStatus
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.types import Float64Array, ObjectModel, PusherPath
+from push_ident_sim.studies.common.plate import plate
+
+SETTINGS = PushSettings(workspace=(-0.5, 0.5, -0.5, 0.5), pusher_radius=0.008, clearance=0.02)
+MODEL = plate(8, 3)
+KNOWN = Belief.certain(MODEL)
+ANGLE = np.linspace(0.0, 2.2, 100)
+CIRCLE = PathGoal(np.column_stack([0.15 * np.sin(ANGLE), -0.15 * np.cos(ANGLE), ANGLE]), 0.15, 0.003, float(np.radians(2.0)))
+PERIOD = 1.0 / 30.0
+FRAME = np.diag([1e-6, 1e-6, 1e-4])
+
+
+class World:
+    """The engine itself as the world, with a tool that moves piece by piece."""
+
+    def __init__(self, model: ObjectModel, pose: Float64Array) -> None:
+        self.pose, self.velocity = np.array(pose), np.zeros(3)
+        self._model, self._own = model, Belief.certain(model).models(0, np.random.default_rng(0))
+
+    def lead(self, time: Float64Array, tool: Float64Array) -> None:
+        step = 1.0 / 240.0
+        push = BatchPush(PusherPath(time, tool, SETTINGS.pusher_radius), self.pose, time[-1] - np.array([step, 0.0]), self.velocity)
+        before, self.pose = rollouts(self._model.shape, self._own, [push], step=step)[0, 0]
+        self.velocity = (self.pose - before) / step
+
+    def gap(self, tool: Float64Array) -> float:
+        own = transform_points(inverse(self.pose), tool[None])
+        return float(signed_distance(own, self._model.shape.outline)[0]) - SETTINGS.pusher_radius
+
+
+def start_of(plan: CurvedPush) -> PushStart:
+    assert plan.tool is not None
+    face, _ = face_of(MODEL.shape.outline, transform_points(inverse(CIRCLE.poses[0]), plan.tool[1:2])[0])
+    return PushStart(CIRCLE.poses[0], np.zeros(3), 0.0, plan.tool[:2], face)
+
+
+def between(time: Float64Array, values: Float64Array, at: Float64Array) -> Float64Array:
+    return np.column_stack([np.interp(at, time, column) for column in values.T])
+
+
+def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_with_them_turns_and_speeds_up() -> None:
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    start, horizon = start_of(plan), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
+    changed = np.zeros((1, 2, N_SEGMENTS, 2))
+    changed[0, 1, 0] = 0.5, 0.3
+    fixed, turned = CurvedPushes(MODEL.shape, SETTINGS, CIRCLE).tool_paths(horizon, [start], changed)[0]
+    later = horizon.knots[2:]
+    seen = [transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), fixed[2:], strict=True)]
+    np.testing.assert_allclose(seen, np.broadcast_to(seen[0], (len(later), 2)), atol=1e-9)
+    np.testing.assert_array_equal(fixed[:2], start.lead)
+    # Along and across the path the tool moves by 0.5 and 0.3 of its speed while the first segment lasts, then no further.
+    beside = [
+        transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), turned[2:], strict=True)
+    ]
+    turn = rotation(CIRCLE.direction(0.0) - CIRCLE.poses[0, 2])
+    np.testing.assert_allclose(beside[-1] - seen[0], CIRCLE.speed * horizon.breaks[1] * turn @ [0.5, 0.3], atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.2])
+def test_unknowns_of_a_later_look_ahead_are_the_same_motion(delay: float) -> None:
+    horizon = Horizon.of(0.1, 0.08, np.array([-PERIOD, 0.0]))
+    unknowns = np.random.default_rng(0).normal(size=(N_SEGMENTS, 2))
+    moved = horizon.later(unknowns, delay)
+
+    def offset(own: Float64Array, time: float) -> Float64Array:
+        return np.asarray(np.clip(time - horizon.breaks[:-1], 0.0, np.diff(horizon.breaks)) @ own)
+
+    for end in horizon.breaks[1:]:
+        np.testing.assert_allclose(offset(moved, end), offset(unknowns, end + delay) - offset(unknowns, delay), atol=1e-12)
+
+
+def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less() -> None:
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    pushes, horizon = CurvedPushes(MODEL.shape, SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
+    start = replace(start_of(plan), pose=CIRCLE.poses[0] + np.array([0.004, -0.005, 0.06]))
+    lead = start.lead + np.array([0.004, -0.005])
+    start, models = replace(start, lead=lead), KNOWN.models(0, np.random.default_rng(0))
+    nothing = np.zeros((1, 1, N_SEGMENTS, 2))
+    best, rolled = pushes.improve(models, horizon, [start], nothing, 4)
+    assert rolled.cost[0, 0] < 0.7 * pushes.roll(models, horizon, [start], nothing).cost[0, 0]
+    world = World(MODEL, start.pose)
+    world.lead(horizon.knots, rolled.tool[0, 0])
+    np.testing.assert_allclose(world.pose[:2], rolled.poses[0, 0, 0, -1, :2], atol=1e-3)
+    assert abs(world.pose[2] - rolled.poses[0, 0, 0, -1, 2]) < 0.02
+    # Nothing near it is better: the derivative led to a minimum.
+    near = best[:, None] + 0.15 * np.random.default_rng(1).normal(size=(1, 12, N_SEGMENTS, 2))
+    assert np.min(pushes.roll(models, horizon, [start], near).cost) > 0.9 * rolled.cost[0, 0]
+
+
+def follow(
+    world: World, plan: CurvedPush, noise: float, knock: Float64Array | None = None
+) -> tuple[FollowStatus, Float64Array, list[float]]:
+    """Follow the circle in one contact: how it ends, poses at the frames, shape (n, 3), and gaps [m]."""
+    assert plan.time is not None and plan.tool is not None and plan.corridor is not None
+    rng = np.random.default_rng(2)
+    follower = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
+    follower.begin(plan.time, plan.tool, world.pose, FRAME, 0.0, plan.expected_error)
+    now, poses, gaps = float(plan.time[1]), [], []
+    world.lead(plan.time[:2], plan.tool[:2])
+    for k in range(400):
+        correction = follower.correct(now, world.pose + noise * np.sqrt(np.diag(FRAME)) * rng.normal(size=3), FRAME)
+        if correction.status is not FollowStatus.GOING:
+            break
+        at = np.array([now, now + PERIOD])
+        tool = between(correction.time, correction.tool, at)
+        world.lead(at, tool)
+        now += PERIOD
+        poses.append(world.pose)
+        gaps.append(world.gap(tool[1]))
+        assert np.linalg.norm(tool[1] - tool[0]) / PERIOD < 1.02 * SETTINGS.max_speed
+        if k == 15 and knock is not None:
+            world.pose = world.pose + knock
+    return correction.status, np.array(poses), gaps
+
+
+def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost() -> None:
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0)
+    _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
+    assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
+    assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.003 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(2.0)
+
+
+def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contact() -> None:
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    along = CIRCLE.direction(0.0)
+    aside = np.array([np.cos(along + 1.0), np.sin(along + 1.0), 0.0]) * 0.01 + [0.0, 0.0, 0.1]
+    status, poses, _ = follow(World(MODEL, CIRCLE.poses[0]), plan, 0.0, aside)
+    _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
+    assert status is FollowStatus.ARRIVED and np.max(error[:, 0]) > 0.005 and np.max(error[-15:, 0]) < 0.004
+
+
+def test_tool_that_would_leave_its_corridor_is_said_so() -> None:
+    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
+    plan = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    assert plan.tool is not None and plan.corridor is not None
+    assert np.max(plan.corridor.excess(plan.tool)) == 0.0
+    ahead = Corridor(plan.tool[1] + np.outer([-1.0, 1.0], plan.tool[1] - plan.tool[0]), 0.004)
+    status, poses, _ = follow(World(MODEL, CIRCLE.poses[0]), replace(plan, corridor=ahead), 0.0)
+    assert status is FollowStatus.LEAVES and len(poses) < 60
+    assert Corridor(np.array([[0.0, 0.0], [0.1, 0.0]]), 0.01).excess(np.array([[0.05, 0.005], [0.13, 0.04]])) == pytest.approx([0.0, 0.04])
+    with pytest.raises(InputError, match="corridor"):
+        Corridor(np.zeros((2, 2)), 0.0)
+
+
+def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned() -> None:
+    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
+    first = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    assert first.status is PathStatus.PUSH and isinstance(first.contact, PushPlan2D) and first.expected_done > 0.05
+    second = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0, failed=[first.contact])
+    assert second.contact is None or np.linalg.norm(second.contact.contact_point - first.contact.contact_point) > 0.003
+    away = CurvedPathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), n_models=1, n_asked=1)
+    assert away.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0).status is PathStatus.UNREACHABLE
+    assert planner.plan(KNOWN, CIRCLE.poses[-1], CIRCLE, CIRCLE.length - 0.1).status is PathStatus.ARRIVED
+
+
+def test_one_strange_frame_is_ignored_and_two_are_believed() -> None:
+    model: BatchModel = KNOWN.models(0, np.random.default_rng(0))[0]
+    tracker = ContactTracker(MODEL.shape, model, SETTINGS.pusher_radius, np.zeros(3), FRAME)
+    tool, strange = np.array([-0.2, 0.0]), np.array([0.03, 0.02, -0.3])
+    tracker.see(strange, FRAME, tool)
+    np.testing.assert_allclose(tracker.pose, 0.0)
+    tracker.see(np.zeros(3), FRAME, tool)
+    tracker.see(strange, FRAME, tool)
+    tracker.see(strange, FRAME, tool)
+    np.testing.assert_allclose(tracker.pose, strange)
+
+
+def test_tool_is_never_believed_inside_the_object_nor_just_in_front_of_it() -> None:
+    model: BatchModel = KNOWN.models(0, np.random.default_rng(0))[0]
+    side = float(MODEL.shape.outline[:, 0].min())
+    for depth in (-0.002, 0.0008):
+        tracker = ContactTracker(MODEL.shape, model, SETTINGS.pusher_radius, np.zeros(3), FRAME)
+        face = tracker.see(np.zeros(3), FRAME, np.array([side - SETTINGS.pusher_radius - depth, 0.01]))
+        np.testing.assert_allclose(tracker.pose, [-depth, 0.0, 0.0], atol=1e-9)
+        np.testing.assert_allclose(face.normal, [-1.0, 0.0], atol=1e-9)
+        assert tracker.gap == 0.0 and face.is_open == (True, True) and float(wrap_angle(tracker.pose[2])) == 0.0
+
+
+def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_that_was_broken_off_decides_nothing() -> None:
+    right: BatchModel = KNOWN.models(0, np.random.default_rng(0))[0]
+    tilt = MODEL.shape.cells.centres[:, 1] * 6.0
+    wrong = [BatchModel(replace(right.body, limit=right.body.limit * (1.0 + sign * tilt)), 0.3) for sign in (-1, 1)]
+    side = float(MODEL.shape.outline[:, 0].min())
+    first = np.array([side - SETTINGS.pusher_radius, 0.03])
+    face, _ = face_of(MODEL.shape.outline, first)
+    for breaks in (False, True):
+        weights = ModelWeights(MODEL.shape, [wrong[0], right, wrong[1]], SETTINGS.pusher_radius)
+        world, tool = World(MODEL, np.zeros(3)), first
+        weights.see(np.array([-PERIOD, 0.0]), np.array([tool, tool]), world.pose, world.velocity, face)
+        for k in range(12):
+            time, way = np.array([k, k + 1]) * PERIOD, tool + np.array([[0.0, 0.0], [0.1 * PERIOD, 0.0]])
+            world.lead(time, way)
+            tool = way[1]
+            if breaks and k % 4 == 3:
+                weights.restart()
+            weights.see(time, way, world.pose, world.velocity, face)
+        assert (weights.best(1)[0] is right) is not breaks
+        assert np.ptp(weights.log_weight) == 0.0 if breaks else weights.log_weight[1] > np.sort(weights.log_weight)[1] + 1.0
