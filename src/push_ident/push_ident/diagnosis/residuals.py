@@ -165,10 +165,10 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     problem = fit.problem
     counts = [len(observation.time) for observation in problem.observations]
     noise = np.hstack([draw_noise(observation, rng, n_draws).reshape(n_draws, -1) for observation in problem.observations])
-    jacobian = problem.jacobian(fit.x)
-    if jacobian is not None:
+    linear = problem.linearise(fit.x)
+    if linear is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
-        precision = np.diag(problem.unit_prior)
+        jacobian, precision = linear.by_poses, np.diag(problem.unit_prior)
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(n_draws, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]

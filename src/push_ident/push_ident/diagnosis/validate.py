@@ -137,7 +137,7 @@ def _look_outside(state: DiagnosisState, selection: Selection, base_residuals: F
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
     probabilities = probabilities_of(explanations, selection.base.names)
-    return _Outside(residuals, alone, alone if len(most.causes) == 1 else beside, probabilities)
+    return _Outside(residuals, alone, beside if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else alone, probabilities)
 
 
 def _with_patterns(gap: Gap, selection: Selection, found: SomethingElse | None) -> Gap:

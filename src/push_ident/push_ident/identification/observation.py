@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape, PushRecord
 
-__all__ = ["UNCHECKED", "NoiseModel", "Observation", "noise_at_rest", "noise_correlation", "observe_push", "pusher_gaps"]
+__all__ = ["DRIVING", "NEAR", "UNCHECKED", "NoiseModel", "Observation", "noise_at_rest", "noise_correlation", "observe_push", "pusher_gaps"]
 
 UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
@@ -44,9 +44,9 @@ _CLEAR = 0.01
 """Gap above which the pusher cannot touch, even with several times the usual errors of tool and camera [m]."""
 _COAST = 0.15
 """Time within which an object released at 0.3 m/s on friction 0.2 comes to rest [s]."""
-_NEAR = 3e-3
+NEAR = 3e-3
 """Gap below which the pusher may touch [m]; at least three standard deviations of a position."""
-_DRIVING = 0.05
+DRIVING = 0.05
 """Share of its top speed above which the pusher counts as driving [-]."""
 _TRAVEL_PER_TURN = 0.05
 """Travel that counts for a turn of the object [m/rad]: half the size of a usual object."""
@@ -241,10 +241,10 @@ def _repetition(correlation: float) -> float:
 def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
     """Frames at rest before contact and after the push, at least one each; and whether the pusher comes near the object."""
     poses, pusher = record.poses, record.pusher
-    near = pusher_gaps(record) < max(_NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
+    near = pusher_gaps(record) < max(NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
     contact_time = _first_time(record, near)
     speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
-    driving = near & (speed > _DRIVING * max(float(speed.max()), 1e-9))
+    driving = near & (speed > DRIVING * max(float(speed.max()), 1e-9))
     rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + _COAST if np.any(driving) else -np.inf
 
     before = np.flatnonzero(poses.time <= contact_time)
