@@ -11,7 +11,7 @@ from push_ident.physics.tape import N_BODY_PARAMETERS
 
 
 def test_response_equals_the_derivative_by_effects_with_the_same_law() -> None:
-    """A tilt pulls with the weight, an offset displaces the tool: both act in all steps. The camera's scale applies to both, not to forces."""
+    """A tilt pulls with the weight, an offset displaces the tool: both act in all steps. The camera's scale applies to poses only."""
     model = hammer(1)
     body = body_of_cells(model.shape, model.mass, model.friction)
     effects = {"camera_scale": [0.1], "table_tilt": [0.0, 0.0], "tool_offset": [0.0, 0.0]}

@@ -63,7 +63,7 @@ class SomethingElse:
     patterns: tuple[Pattern, ...]
     """Of each family, the most probable first."""
     log_bayes_factor_without: Float64Array
-    """The same without each fold of the pushes [nat], shape (n_folds,)."""
+    """The same without each fold of the pushes [nat], shape (n_folds,); of no folds where none were asked for, or nothing was found."""
 
     @property
     def least(self) -> float:

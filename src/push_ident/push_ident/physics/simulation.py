@@ -321,7 +321,7 @@ def simulate_body_with_response(
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
 ) -> tuple[Motion, StepResponse | None]:
-    """As `simulate_body`; also how poses and forces of the pusher change under small forces in any step. None where the simulation failed."""
+    """As `simulate_body`; also how poses and forces of the pusher change under small forces in any step. None where a simulation failed."""
     numerics, acting = settings or SimulationSettings(), effect_values(effects)
     run = _run(shape, body, pusher_friction, scenario, numerics, acting, True)
     if run.motion.status is SolveStatus.SIMULATION_FAILED:
