@@ -19,19 +19,9 @@ from push_ident.physics.active_effects import N_FIXED_INPUTS
 from push_ident.physics.kernel import fast_kernel, kernel
 from push_ident.physics.support import Cone, unit_friction
 from push_ident.physics.tape import (
-    BLOCK_EFFECTS,
-    BLOCK_IMPULSE,
-    BLOCK_MASS,
-    BLOCK_STATE,
-    IDLE,
-    MOVED,
-    N_BODY_PARAMETERS,
-    PARAM_CENTRE,
-    PARAM_MASS,
-    PARAM_POSE,
-    Frames,
+    BLOCK_EFFECTS, BLOCK_IMPULSE, BLOCK_MASS, BLOCK_STATE, IDLE, MOVED, N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_MASS, PARAM_POSE, Frames,
     Tape,
-)
+)  # fmt: skip
 from push_ident.types import Float64Array
 
 __all__ = ["Chain", "chain_backward", "chain_forward", "chain_response"]
@@ -340,12 +330,9 @@ def chain_response(
         by_impulse: filled with its change from the start on, table axes, shape (n_impulses, 2, n).
     """
     tape, centre, frame_step, frame_fraction = chain.tape, chain.centre, chain.frames.step, chain.frames.fraction
-    n, n_impulses = response.shape[2], impulses.step.shape[0]
-    s, du, velocity = np.zeros((6, n)), np.zeros((3, n)), np.zeros((3, n))
-    own, total = np.zeros((3, n)), np.zeros((2, n))
-    response[:] = 0.0
-    by_impulse[:] = 0.0
-    frame = at = 0
+    n, n_impulses, frame, at = response.shape[2], impulses.step.shape[0], 0, 0
+    s, du, velocity, own, total = np.zeros((6, n)), np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n)), np.zeros((2, n))
+    response[:], by_impulse[:] = 0.0, 0.0
     for step in range(tape.event.shape[0]):
         cos, sin, dt = tape.heading[step, 0], tape.heading[step, 1], chain.dt[step]
         begin, begin_impulse = frame, at
