@@ -19,12 +19,22 @@ from push_ident.physics.active_effects import N_FIXED_INPUTS
 from push_ident.physics.kernel import fast_kernel, kernel
 from push_ident.physics.support import Cone, unit_friction
 from push_ident.physics.tape import (
-    BLOCK_EFFECTS, BLOCK_IMPULSE, BLOCK_MASS, BLOCK_STATE, IDLE, MOVED, N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_MASS, PARAM_POSE, Frames,
+    BLOCK_EFFECTS,
+    BLOCK_IMPULSE,
+    BLOCK_MASS,
+    BLOCK_STATE,
+    IDLE,
+    MOVED,
+    N_BODY_PARAMETERS,
+    PARAM_CENTRE,
+    PARAM_MASS,
+    PARAM_POSE,
+    Frames,
     Tape,
-)  # fmt: skip
+)
 from push_ident.types import Float64Array
 
-__all__ = ["Chain", "chain_backward", "chain_forward", "chain_response"]
+__all__ = ["Chain", "add_impulse", "advance", "chain_backward", "chain_forward", "emit_state"]
 
 _CHUNK = 256  # columns of the Jacobian carried at a time, so that they stay in the cache
 
@@ -172,7 +182,7 @@ def _advance_memory(by_inputs: Float64Array, s: Float64Array, first: int, last: 
 
 
 @fast_kernel
-def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
+def advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
     """Carry the derivative of the state, shape (6, n), over one step; `du` is the part of the twist that does not come from the state,
     and `dt` the time for which the body moves at the new velocity."""
     vx_table, vy_table = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
@@ -190,7 +200,7 @@ def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64A
 
 
 @kernel
-def _emit_state(s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_pose: Float64Array) -> None:
+def emit_state(s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_pose: Float64Array) -> None:
     """Add to `by_pose`, shape (3, n), what the derivative `s` of the state does to the pose of the object frame."""
     rx, ry = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
     for p in range(by_pose.shape[1]):
@@ -204,7 +214,7 @@ def _emit(
     s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, first: int, last: int, jacobian: Float64Array
 ) -> None:
     """Add `weight` times the derivative of the pose of the object frame, columns `first` to `last`, to that of one frame."""
-    _emit_state(s, cos, sin, centre, weight, jacobian[:, first:last])
+    emit_state(s, cos, sin, centre, weight, jacobian[:, first:last])
     if first == 0:
         jacobian[0, PARAM_CENTRE] -= weight * cos
         jacobian[0, PARAM_CENTRE + 1] += weight * sin
@@ -213,7 +223,7 @@ def _emit(
 
 
 @kernel
-def _add_impulse(chain: Chain, n: int, s: Float64Array, own: Float64Array, total: Float64Array) -> None:
+def add_impulse(chain: Chain, n: int, s: Float64Array, own: Float64Array, total: Float64Array) -> None:
     """Add the pusher's impulse in step n, table axes, to the derivative `total` of their sum, shape (2, n).
 
     Args:
@@ -283,14 +293,14 @@ def chain_forward(chain: Chain, jacobian: Float64Array, impulses: Frames, by_imp
                 _own_columns(chain, n, tape.block[n], columns, n_values, memory, du)
                 if n_impulses > 0 and (chain.force[n, 0] != 0.0 or chain.force[n, 1] != 0.0):
                     _own_columns(chain, n, tape.reaction[n], columns, n_values, memory, own)
-                    _add_impulse(chain, n, s, own, total)
+                    add_impulse(chain, n, s, own, total)
             if n_memory > 0:
                 _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
             if tape.event[n] != IDLE:
                 before = tape.coasting[n]
                 if before > 0.0:
                     velocity[:] = s[3:]
-                _advance(s, du, tape.block[n], tape.twist[n], cos, sin, (1.0 - before) * dt)
+                advance(s, du, tape.block[n], tape.twist[n], cos, sin, (1.0 - before) * dt)
                 if before > 0.0:
                     for i in range(3):
                         for p in range(last - first):
@@ -301,62 +311,6 @@ def chain_forward(chain: Chain, jacobian: Float64Array, impulses: Frames, by_imp
                 _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
             for j in range(begin_impulse, impulse):
                 by_impulse[j, :, first:last] += impulses.fraction[j] * total
-
-
-@kernel
-def _forced(block: Float64Array, impulse: Float64Array, nearer: Float64Array, own: Float64Array) -> None:
-    """What a block makes of impulses on the object, shape (3, n), and displacements of the pusher, shape (2, n); fills `own`, (3, n)."""
-    for i in range(3):
-        for p in range(own.shape[1]):
-            own[i, p] = -block[i, BLOCK_STATE] * nearer[0, p] - block[i, BLOCK_STATE + 1] * nearer[1, p]
-            for j in range(3):
-                own[i, p] += block[i, BLOCK_IMPULSE + j] * impulse[j, p]
-
-
-@kernel
-def chain_response(
-    chain: Chain, impulse: Float64Array, nearer: Float64Array, response: Float64Array, impulses: Frames, by_impulse: Float64Array
-) -> None:
-    """Change of the poses at the frames, and of the pusher's impulse until other times, by small forces on the object and displacements of
-    the pusher, which no parameter stands for.
-
-    Args:
-        chain: the rollout; with reactions where impulses are wanted.
-        impulse: on the object in each step, object axes, about the centre of mass, shape (n_steps, 3, n) [N s, N s, N m s].
-        nearer: displacement of the pusher in each step, table axes, shape (n_steps, 2, n) [m]; the sliding of a contact that this adds is
-            left out.
-        response: filled, shape (n_frames, 3, n).
-        impulses: when the impulse is wanted; of no frames where it is not.
-        by_impulse: filled with its change from the start on, table axes, shape (n_impulses, 2, n).
-    """
-    tape, centre, frame_step, frame_fraction = chain.tape, chain.centre, chain.frames.step, chain.frames.fraction
-    n, n_impulses, frame, at = response.shape[2], impulses.step.shape[0], 0, 0
-    s, du, velocity, own, total = np.zeros((6, n)), np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n)), np.zeros((2, n))
-    response[:], by_impulse[:] = 0.0, 0.0
-    for step in range(tape.event.shape[0]):
-        cos, sin, dt = tape.heading[step, 0], tape.heading[step, 1], chain.dt[step]
-        begin, begin_impulse = frame, at
-        while frame < frame_step.shape[0] and frame_step[frame] == step:
-            _emit_state(s, cos, sin, centre, 1.0 - frame_fraction[frame], response[frame])
-            frame += 1
-        while at < n_impulses and impulses.step[at] == step:
-            by_impulse[at] = (1.0 - impulses.fraction[at]) * total
-            at += 1
-        if tape.event[step] != IDLE:
-            block, before = tape.block[step], tape.coasting[step]
-            _forced(block, impulse[step], nearer[step], du)
-            if n_impulses > 0 and (chain.force[step, 0] != 0.0 or chain.force[step, 1] != 0.0):
-                _forced(tape.reaction[step], impulse[step], nearer[step], own)
-                _add_impulse(chain, step, s, own, total)
-            velocity[:] = s[3:]
-            _advance(s, du, block, tape.twist[step], cos, sin, (1.0 - before) * dt)
-            s[:3] += before * dt * velocity
-        if tape.event[step] != MOVED:
-            s[3:] = 0.0
-        for j in range(begin, frame):
-            _emit_state(s, tape.heading[step + 1, 0], tape.heading[step + 1, 1], centre, frame_fraction[j], response[j])
-        for j in range(begin_impulse, at):
-            by_impulse[j] += impulses.fraction[j] * total
 
 
 @fast_kernel

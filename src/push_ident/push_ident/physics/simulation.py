@@ -14,12 +14,13 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
 from push_ident.physics.body import BodyParameters, body_of_cells, cell_gradient, check_body, owned
-from push_ident.physics.chain import Chain, chain_backward, chain_forward, chain_response
+from push_ident.physics.chain import Chain, chain_backward, chain_forward
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectsLike, EffectValues, changed_friction, driven_path, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.measurement import Measurement, ReportTimes, StepClock
 from push_ident.physics.pyramid import FINAL_NU
+from push_ident.physics.response import chain_response
 from push_ident.physics.rollout import Numerics, Push, new_effect_scratch, rollout
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.support import GRAVITY
