@@ -70,8 +70,6 @@ def notes_of(effect: Effect) -> list[str]:
 
 def section_of(effect: Effect) -> str:
     lines = [f"## {effect.name}", "", effect.what, ""]
-    if effect.is_unknown_cause:
-        lines += ["It is not a cause. It measures motion that no effect of the catalogue explains, and a verdict never names it.", ""]
     lines += [
         f"    {effect.equation}",
         "",

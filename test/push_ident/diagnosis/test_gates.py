@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from helpers.diagnosis import simulated_pushes
+from push_ident.diagnosis.base_fit import noise_above_steps
 from push_ident.diagnosis.gates import check_data, check_pushes
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -65,3 +69,18 @@ def test_stage_keeps_the_pushes_that_touch_the_object() -> None:
     assert not state.abstains
     assert [record.source for record in state.records] == ["push 0", "push 2", "push 3"]
     assert state.source_of(1) == "push 2"
+
+
+def test_poses_count_as_no_more_exact_than_the_time_steps_up_to_a_limit() -> None:
+    policy, noise = GatePolicy(), NoiseModel()
+    variance = np.array([2e-4, 2e-4, 2e-3]) ** 2
+    problem = SimpleNamespace(noise=noise, observations=[SimpleNamespace(last_covariance=np.diag(variance))] * 3)
+    fit = cast(Any, SimpleNamespace(problem=problem))
+    assert noise_above_steps(fit, 0.9 * policy.max_step_effect, policy) is None
+    floor = noise_above_steps(fit, 3.0 * policy.max_step_effect, policy)
+    assert floor is not None
+    # With the new floor in place of the old one, the same change of the ends is below the limit.
+    change = 3.0 * policy.max_step_effect * np.sqrt(variance / (variance + floor.floor.diagonal() - noise.floor.diagonal()))
+    assert np.all(change < policy.max_step_effect) and change == pytest.approx(0.92 * policy.max_step_effect, rel=0.05)
+    assert noise_above_steps(fit, 30.0 * policy.max_step_effect, policy) is None
+    assert noise_above_steps(fit, np.inf, policy) is None

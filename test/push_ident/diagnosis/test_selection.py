@@ -121,3 +121,10 @@ def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None
     assert not selection.found
     assert selection.base is selection.fit
     assert selection.base.log_evidence > good.log_evidence - 2.0
+
+
+def test_that_something_acts_is_known_from_the_strongest_effect_whichever_is_named() -> None:
+    named, general = Candidate("table_tilt", stub_fit("table_tilt"), 14.2), Candidate("tether", stub_fit("tether"), 19.5)
+    step = Step(stub_fit(), None, (), (named, general))
+    assert step.best is named and step.log_bayes_factor == 19.5
+    assert Step(stub_fit(), None, (), ()).log_bayes_factor == -np.inf

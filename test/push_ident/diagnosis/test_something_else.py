@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from helpers.diagnosis import TRUTH, simulated_pushes
+from helpers.objects import with_forces
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import folds_of
 from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
@@ -65,6 +68,16 @@ def test_tool_that_slipped_in_one_push_is_found_with_that_push(plain: list[PushR
     single = [pattern for pattern in found.patterns if pattern.family.varies_with is VariesWith.ONE_PUSH]
     assert found.log_bayes_factor > 10.0 and found.best in single and found.best.member.key == FIRST
     assert words_of(found).where == f"in push {FIRST} only"
+
+
+def test_friction_that_rises_with_a_push_is_found_by_forces_where_poses_do_not_change(plain: list[PushRecord]) -> None:
+    rougher = replace(TRUTH, friction=1.6 * TRUTH.friction)
+    felt = [with_forces(record, TRUTH if push < FIRST else rougher) for push, record in enumerate(plain)]
+    _, found = found_in(felt)
+    assert found.log_bayes_factor > 10.0
+    assert found.best.family.varies_with is VariesWith.FROM_PUSH and found.best.member.key == FIRST
+    _, constant = found_in([with_forces(record, TRUTH) for record in plain])
+    assert constant.log_bayes_factor < 0.0 and constant.p_value > 0.02
 
 
 def test_one_step_estimate_is_clipped_along_its_direction() -> None:

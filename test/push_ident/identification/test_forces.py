@@ -38,6 +38,26 @@ def test_a_window_without_a_sample_says_nothing() -> None:
     assert np.all(seen.residual(np.zeros_like(seen.force))[np.isinf(seen.std)] == 0.0)
 
 
+def test_a_pusher_that_stands_still_against_the_object_says_nothing_of_it() -> None:
+    """Friction holds a body at rest against any force below its limit: what presses it after the stop is that of springs in the arm."""
+    truth = hammer(1)
+    record = with_forces(random_records(truth, 1, 1)[0], truth)
+    assert record.wrench is not None
+    end, rest = record.pusher.time[-1], np.arange(0.01, 0.5, 0.01)
+    stop = record.pusher.time[np.flatnonzero(np.any(np.diff(record.pusher.position, axis=0) != 0.0, axis=1))[-1]]
+    time = np.r_[record.wrench.time, end + rest]
+    force = np.vstack([record.wrench.force, np.full((len(rest), 2), 0.4)])
+    pusher = replace(
+        record.pusher,
+        time=np.r_[record.pusher.time, end + rest],
+        position=np.vstack([record.pusher.position, np.tile(record.pusher.position[-1], (len(rest), 1))]),
+    )
+    seen = observe_forces(replace(record, pusher=pusher, wrench=WrenchTrack(time, force)))
+    assert seen is not None
+    assert np.all(np.isinf(seen.std[seen.edges[:-1] > stop]))
+    assert np.all(np.isfinite(seen.std[seen.edges[1:] < stop])) and np.count_nonzero(seen.edges[1:] < stop) > 5
+
+
 def problem_with_forces(effects: tuple[str, ...]) -> tuple[FitProblem, Float64Array]:
     truth = hammer(1)
     records = [with_forces(r, truth) for r in random_records(truth, 2, 1)]

@@ -72,7 +72,7 @@ def push(case: Case, effects: EffectValues | tuple[str, ...], mode: str, *, jaco
 
 
 def test_the_catalogue_is_whole() -> None:
-    assert {name for name, effect in EFFECTS.items() if not (effect.is_unknown_cause or effect.needs_forces)} == CATALOGUE
+    assert {name for name, effect in EFFECTS.items() if not effect.needs_forces} == CATALOGUE
     assert {name for name, effect in EFFECTS.items() if effect.needs_forces} == {"force_delay", "force_offset", "force_scale"}
 
 

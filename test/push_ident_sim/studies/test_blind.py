@@ -303,3 +303,7 @@ def test_causes_that_are_said_surely_are_counted_with_their_twins() -> None:
     found = figures([judge(case) for case in (null, single, outside, outcome("null", [], "no_gap", [], [], 0, 0))])
     assert found["said_surely"]["n"] == 3 and found["said_surely"]["share"] == pytest.approx(2 / 3)
     assert found["said_surely_mean"]["value"] == pytest.approx((0.92 + 0.99 + 0.95) / 3)
+    ranges = {row["from"]: row for row in summarise_cases([null, single, outside])["by_probability"]}
+    assert ranges[0.9]["right"]["n"] == 2 and ranges[0.9]["right"]["share"] == pytest.approx(0.5)
+    assert ranges[0.97]["right"]["share"] == 1.0 and ranges[0.97]["said"] == pytest.approx(0.99)
+    assert ranges[0.3]["right"]["n"] == 1 and ranges[0.3]["right"]["share"] == 1.0

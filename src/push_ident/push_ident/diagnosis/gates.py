@@ -12,7 +12,7 @@ from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.observation import NoiseModel, noise_at_rest, noise_correlation, observe_push
+from push_ident.identification.observation import NoiseModel, noise_at_rest, noise_correlation, noise_correlation_std, observe_push
 from push_ident.types import BoolArray, PushRecord
 
 __all__ = ["check_data", "check_pushes"]
@@ -28,6 +28,7 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
         records=tuple(record for record in records if observe_push(record, noise).touched),
         settings=replace(settings, noise=noise_at_rest(records, noise)),
         rest_noise_known=bool(np.isfinite(noise_correlation(records, enough_pairs=policy.min_rest_pairs))),
+        rest_correlation_std=noise_correlation_std(records),
         data_gates=tuple(gates),
     )
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -37,6 +37,8 @@ class Explanation:
 
     causes: frozenset[str]
     log_weight: float
+    imitated_by: frozenset[str] = frozenset()
+    """Effects whose evidence something else made, in this explanation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,20 +124,20 @@ def explanations_of(
     """
     found: list[str] = []
     weight = 0.0
-    explanations = [Explanation(frozenset(), 0.0)]
-    explanations.append(Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.alone))
+    named: list[Explanation] = []
     for name, (_, candidate) in selection.added.items():
         weight += policy.log_prior_effect + candidate.log_bayes_factor / _discrepancy(found, selection, policy)
         found.append(name)
-        explanations.append(Explanation(frozenset(found), weight))
+        named.append(Explanation(frozenset(found), weight))
     for rival in selection.rivals:
         own = frozenset(name for name in found if name != rival.replaces) | {rival.name}
-        explanations.append(Explanation(own, weight - rival.deficit / _rivalry(rival, selection, policy)))
-    explanations += _twins(found, weight, explanations)
-    explanations += _not_added(selection, weight, policy, rejected or {})
+        named.append(Explanation(own, weight - rival.deficit / _rivalry(rival, selection, policy)))
+    named += _twins(found, weight, named)
     if found:
-        explanations.append(Explanation(frozenset([*found, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.beside))
-    return tuple(explanations)
+        named.append(Explanation(frozenset([*found, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.beside))
+    nothing = Explanation(frozenset(), 0.0)
+    other = Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.alone)
+    return (nothing, other, *_with_imitations(named, policy), *_not_added(selection, weight, policy, rejected or {}))
 
 
 def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[str, ...]) -> Probabilities:
@@ -170,6 +172,16 @@ def _twins(found: Sequence[str], weight: float, others: Sequence[Explanation]) -
     return [Explanation(causes, weight) for causes in twins if causes not in known and len(causes) == len(found)]
 
 
+def _with_imitations(explanations: Sequence[Explanation], policy: SelectionPolicy) -> list[Explanation]:
+    """Explanations by effects, of each of which a part says that something else is there in their place, which they imitate."""
+    split: list[Explanation] = []
+    for one in explanations:
+        imitated = policy.imitated_in_part if SOMETHING_ELSE in one.causes else policy.imitated_wholly
+        other = Explanation(frozenset({SOMETHING_ELSE}), one.log_weight + math.log(imitated), one.causes - {SOMETHING_ELSE})
+        split += [replace(one, log_weight=one.log_weight + math.log1p(-imitated)), other]
+    return split
+
+
 def _discrepancy(found: Sequence[str], selection: Selection, policy: SelectionPolicy) -> float:
     """Of the evidence of one more effect beside those that were found."""
     if not found:
@@ -187,10 +199,11 @@ def _rivalry(rival: RivalFit, selection: Selection, policy: SelectionPolicy) -> 
 
 
 def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rejected: Mapping[str, float]) -> list[Explanation]:
-    """Effects of the last step, none of which was added."""
-    if not selection.steps or selection.steps[-1].before is not selection.fit:
+    """Effects that were looked for beside those that were found, none of which was added."""
+    step = next((step for step in selection.steps if step.before is selection.fit), None)
+    if step is None:
         return []
-    step, found = selection.steps[-1], list(selection.found)
+    found = list(selection.found)
     evidence = {score.name: score.expected_log_bayes_factor for score in step.scores}
     evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates}
     # The pushes that do not support an effect support none of its rivals more.

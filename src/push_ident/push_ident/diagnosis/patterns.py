@@ -11,15 +11,16 @@ displacements in millimetres.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from push_ident.identification.fit import Fit
-from push_ident.physics.simulation import StepResponse
+from push_ident.physics.simulation import Motion, StepResponse
 from push_ident.types import Float64Array
 
 __all__ = ["FIRST_SECONDS", "RADIUS", "Acts", "Family", "Member", "VariesWith", "pattern_families", "waves"]
@@ -113,7 +114,8 @@ class Family:
     acts_on: Acts
     varies_with: VariesWith
     columns: Float64Array
-    """Change of the whitened residuals of all frames by a unit amplitude of each column, shape (3 n_frames of all pushes, n_columns)."""
+    """Change of the whitened residuals of all frames, then of all measured forces, by a unit amplitude of each column, shape (3 n_frames +
+    2 n_windows of all pushes, n_columns)."""
     members: tuple[Member, ...]
     scales: tuple[float, ...]
     """Prior standard deviations of the amplitudes; which of them holds is not known."""
@@ -202,6 +204,10 @@ def _times(wrench: Float64Array, functions: Float64Array) -> Float64Array:
     return np.asarray(np.einsum("tip,tm->timp", wrench, functions)).reshape(len(wrench), wrench.shape[1], -1)
 
 
+_Rows = tuple[Float64Array, Float64Array]
+"""Rows of the poses and of the measured forces of one push, weighted as in the cost, shapes (3 n_frames, n) and (2 n_windows, n)."""
+
+
 def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
     """The change of the residuals of a fit by every pattern; None where a push cannot be simulated."""
     problem = fit.problem
@@ -210,19 +216,26 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
         return None
     paths = [_Path.of(response) for _, response in simulated if response is not None]
     places = _places(paths)
-    weights = [np.sqrt(problem.frame_weight(problem.residual(fit.x, motion, push))) for push, (motion, _) in enumerate(simulated)]
-    whitening = [w[:, None, None] * o.whitening for w, o in zip(weights, problem.observations, strict=True)]
-    by_push = [_blocks_of(path, places) for path in paths]
-    responses = [_respond(path, blocks, white) for path, blocks, white in zip(paths, by_push, whitening, strict=True)]
+    responses = [_respond(fit, push, motion, path, places) for push, ((motion, _), path) in enumerate(zip(simulated, paths, strict=True))]
     return tuple(_families(responses, places, [_knot_times(path) for path in paths]))
 
 
-def _respond(path: _Path, blocks: dict[str, _Block], whitening: Float64Array) -> dict[str, Float64Array]:
+def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Array) -> dict[str, _Rows]:
+    """Change of the residuals of one push by every pattern."""
+    problem, blocks = fit.problem, _blocks_of(path, places)
+    if problem.feels:
+        blocks |= _felt_blocks_of(path)
     wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
     displacement = np.concatenate([b.displacement for b in blocks.values()], axis=2)
-    response = np.einsum("fij,fjp->fip", whitening, path.response(wrench, displacement)).reshape(3 * len(whitening), -1)
-    ends = np.cumsum([b.wrench.shape[2] for b in blocks.values()])[:-1]
-    return dict(zip(blocks, np.split(response, ends, axis=1), strict=True))
+    by_pose, by_impulse = path.response(wrench, displacement)
+    weight = np.sqrt(problem.frame_weight(problem.residual(fit.x, motion, push)))
+    whitening = weight[:, None, None] * problem.observations[push].whitening
+    of_poses = np.einsum("fij,fjp->fip", whitening, by_pose).reshape(3 * len(whitening), -1)
+    weight = np.sqrt(problem.frame_weight(problem.force_residual(fit.x, motion, push)))
+    of_forces = weight[:, None, None] * problem.force_change(fit.x, motion, push, by_impulse)
+    ends = np.cumsum([b.wrench.shape[2] for b in blocks.values()])
+    parts = [np.split(rows, ends[:-1], axis=1) for rows in (of_poses, of_forces.reshape(-1, ends[-1]))]
+    return dict(zip(blocks, zip(*parts, strict=True), strict=True))
 
 
 def _places(paths: Sequence[_Path]) -> Float64Array:
@@ -267,6 +280,20 @@ def _blocks_of(path: _Path, places: Float64Array) -> dict[str, _Block]:
     }
 
 
+def _felt_blocks_of(path: _Path) -> dict[str, _Block]:
+    """Friction of all cells alike, for pushes with measured forces."""
+    friction = _all_friction(path)
+    after = np.asarray(path.since > 0.0, dtype=np.float64)
+    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in FIRST_SECONDS])
+    first_ways = np.column_stack([np.exp(-path.way / w) for w in FIRST_WAYS])
+    return {
+        "order_friction": _Block.forces(friction),
+        "friction_since": _Block.forces(_times(friction, first)),
+        "friction_way": _Block.forces(_times(friction, first_ways)),
+        "friction_speed": _Block.forces(_times(friction, _hats(np.log(path.speed), np.log(_SPEEDS)))),
+    }
+
+
 def _hats(at: Float64Array, knots: Float64Array) -> Float64Array:
     """Hat functions of the knots, constant outside, shape (len(at), n_knots)."""
     return np.column_stack([np.interp(at, knots, row) for row in np.eye(len(knots))])
@@ -295,6 +322,27 @@ def _bells(path: _Path) -> Float64Array:
 
 def _friction_by_place(path: _Path, places: Float64Array) -> Float64Array:
     """Friction of the cells within a bell over each place, shape (n_steps, 3, n_places)."""
+    pose = path.response.pose
+
+    def near(steps: NDArray[np.int64], x: Float64Array, y: Float64Array) -> Float64Array:
+        # A bell over a place is a product over the two axes, on which places of a grid repeat.
+        bell_x, bell_y = (_bells_over(own + pose[steps, axis][:, None], places[:, axis]) for axis, own in ((0, x), (1, y)))
+        return bell_x * bell_y
+
+    return _friction_of(path, near, len(places))
+
+
+def _all_friction(path: _Path) -> Float64Array:
+    """Friction of all cells alike, which hardly changes a slow motion but the force that it takes, shape (n_steps, 3, 1)."""
+    return _friction_of(path, lambda steps, x, y: np.ones((*x.shape, 1)), 1)
+
+
+_Weigh = Callable[[NDArray[np.int64], Float64Array, Float64Array], Float64Array]
+"""Weights of the cells in some steps, shape (n, n_cells, n_patterns), by their positions from the centre of mass, table axes."""
+
+
+def _friction_of(path: _Path, weigh: _Weigh, n_patterns: int) -> Float64Array:
+    """Friction of the cells times weights, shape (n_steps, 3, n_patterns)."""
     response, arms = path.response, path.response.arms
     sampled = np.arange(0, len(response.time), _THIN)
     steps = sampled[path.speed[sampled] > 2.0 * _STILL]
@@ -305,10 +353,8 @@ def _friction_by_place(path: _Path, places: Float64Array) -> Float64Array:
     size = np.sqrt(vx**2 + vy**2 + _STILL**2)
     fx, fy = -response.limit * vx / size, -response.limit * vy / size
     force = np.stack([fx, fy, x * fy - y * fx], axis=1)
-    # A bell over a place is a product over the two axes, on which places of a grid repeat.
-    bell_x, bell_y = (_bells_over(own + response.pose[steps, axis][:, None], places[:, axis]) for axis, own in ((0, x), (1, y)))
-    wrench = np.zeros((len(sampled), 3, len(places)))
-    wrench[path.speed[sampled] > 2.0 * _STILL] = np.matmul(force, bell_x * bell_y)
+    wrench = np.zeros((len(sampled), 3, n_patterns))
+    wrench[path.speed[sampled] > 2.0 * _STILL] = np.matmul(force, weigh(steps, x, y))
     return np.repeat(wrench, _THIN, axis=0)[: len(response.time)]
 
 
@@ -338,9 +384,9 @@ def _sides(path: _Path) -> Float64Array:
     return np.asarray(-1e-3 * direction[:, :, None] * bell[:, None, :])
 
 
-def _families(responses: Sequence[dict[str, Float64Array]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
-    shared = {name: np.concatenate([r[name] for r in responses]) for name in _SHARED}
-    separate = {name: _block_diagonal([r[name] for r in responses]) for name in _SEPARATE}
+def _families(responses: Sequence[dict[str, _Rows]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
+    shared = {name: _stacked(responses, name) for name in _SHARED}
+    separate = {name: _stacked(responses, name, separate=True) for name in _SEPARATE}
     n, sides = len(responses), 2.0 * np.pi * np.arange(_SIDES)[:, None] / _SIDES
     times = np.concatenate([np.column_stack([np.full(len(own), push), own]) for push, own in enumerate(knots)])
     friction, field = shared["friction"], shared["field"]
@@ -348,7 +394,7 @@ def _families(responses: Sequence[dict[str, Float64Array]], places: Float64Array
     since, way, speed = shared["since"], shared["way"], shared["speed"]
     n_acting = since.shape[1] // len(FIRST_SECONDS)
     speeds = np.repeat(_SPEEDS, speed.shape[1] // len(_SPEEDS))[:, None]
-    return [
+    families = [
         Family(Acts.FRICTION, VariesWith.SPOT, friction, _singles(places), _FRICTIONS, places),
         Family(Acts.FRICTION, VariesWith.PLACE, friction, _all_of(friction), _FRICTIONS, places),
         Family(Acts.FORCE, VariesWith.SPOT, field, _singles(places), _FORCES, places),
@@ -368,6 +414,26 @@ def _families(responses: Sequence[dict[str, Float64Array]], places: Float64Array
         Family(Acts.FORCE, VariesWith.TIME, separate["time"], _all_of(separate["time"]), _FORCES, np.repeat(times, 3, axis=0)),
         Family(Acts.TOOL, VariesWith.TIME, separate["time_tool"], _all_of(separate["time_tool"]), _LENGTHS, np.repeat(times, 2, axis=0)),
     ]
+    return families if "order_friction" not in responses[0] else families + _felt_families(responses)
+
+
+def _felt_families(responses: Sequence[dict[str, _Rows]]) -> list[Family]:
+    """Friction of all cells alike."""
+    by_push = _stacked(responses, "order_friction", separate=True)
+    since, way, speed = (_stacked(responses, name) for name in ("friction_since", "friction_way", "friction_speed"))
+    return [
+        Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, _from_push(len(responses), 1), _FRICTIONS),
+        Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, _one_push(len(responses), 1), _FRICTIONS),
+        Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, _parts(FIRST_SECONDS, 1), _FRICTIONS),
+        Family(Acts.FRICTION, VariesWith.WAY, way, _parts(FIRST_WAYS, 1), _FRICTIONS),
+        Family(Acts.FRICTION, VariesWith.SPEED, speed, _all_of(speed), _FRICTIONS, np.array(_SPEEDS)[:, None]),
+    ]
+
+
+def _stacked(responses: Sequence[dict[str, _Rows]], name: str, *, separate: bool = False) -> Float64Array:
+    """Rows of the poses of all pushes, then those of their forces; with `separate` each push has columns of its own."""
+    stack = _block_diagonal if separate else np.concatenate
+    return np.concatenate([stack([own[name][kind] for own in responses]) for kind in (0, 1)])
 
 
 def _block_diagonal(parts: Sequence[Float64Array]) -> Float64Array:

@@ -53,6 +53,11 @@ class GatePolicy:
     max_step_effect: float = 0.2
     """Median change of end poses under half the time steps and half the smoothing speed, below which numerics are accepted, in standard
     deviations of the poses' noise [1]. Twice what the steps are chosen for (`physics/accuracy.py`); judgement."""
+    max_floor: tuple[float, float] = (1e-3, 0.01)
+    """Largest standard deviations of a pose that all frames of a rest share [m, rad], up to which poses count as no more exact than the
+    time steps. Judgement: with those of a usual camera a diagnosis still says something."""
+    step_margin: float = 1.2
+    """Factor of the variance that this adds [1]: the median of the step effect then ends below its limit. Judgement."""
     max_outline_deviations: float = 3.75
     """Fitted distance of the surface from an outline that a camera traced, in standard deviations of that outline, below which it is
     accepted [-]: 1.5 mm where the simulated camera traced it (0.4 mm)."""
@@ -68,6 +73,10 @@ class SelectionPolicy:
     """Probability that one effect of the catalogue acts, shared by all of them alike [1]. Judgement."""
     prior_something_else: float = 0.1
     """Probability that something else acts [1]. Judgement: a fifth of all gaps."""
+    imitated_wholly: float = 0.05
+    """Probability that what an effect explains alone is a cause outside the catalogue, whose law says nearly the same [1]."""
+    imitated_in_part: float = 0.5
+    """Probability that what effects explain is part of the trace of something else, where that leaves a structure beside them [1]."""
     cost_false_alarm: float = 6.0
     """Cost of a cause where there is none, in that of a cause that is not reported [1]. With the prior it asks for a log Bayes factor of
     5.0 nat, with which 40 of 40 effect-free cases had no false alarm."""

@@ -68,9 +68,17 @@ class FrameResiduals:
 
     @property
     def excess_autocorrelation(self) -> tuple[float, float]:
+        """As `excess_autocorrelation_beside` where the correlation of the noise is known exactly."""
+        return self.excess_autocorrelation_beside(0.0)
+
+    def excess_autocorrelation_beside(self, correlation_std: float) -> tuple[float, float]:
         """Part of the residual ratio that continues from one frame of a motion to the next, beyond its expectation, and the p-value.
 
-        Noise is new in every frame; a missing effect continues. (0, 1) where no push has neighbouring frames in motion.
+        Noise is new in every frame, or correlated as it is at rest; a missing effect continues. (0, 1) where no push has neighbouring
+        frames in motion.
+
+        Args:
+            correlation_std: standard error of the correlation of the noise [1], which all draws have in common.
         """
         # Without the rest that ends a push.
         pairs = np.flatnonzero((self.push[:-2] == self.push[1:-1]) & (self.push[1:-1] == self.push[2:]))
@@ -82,16 +90,17 @@ class FrameResiduals:
             return np.asarray(2.0 * np.sum(before * after, axis=(-2, -1)) / np.sum(before**2 + after**2, axis=(-2, -1)))
 
         expected, found = autocorrelation(self.null_draws), float(autocorrelation(self.standardized))
-        return self.residual_ratio[0] * (found - float(np.mean(expected))), _p_value(expected, found)
+        p_value = _p_value(expected, found, correlation_std)
+        return self.residual_ratio[0] * (found - float(np.mean(expected))), p_value
 
 
-def _p_value(drawn: Float64Array, found: float) -> float:
-    """Probability of as much or more. Beyond all draws it is that of a normal distribution with their mean and variance: what is drawn is a
-    mean over many frames."""
+def _p_value(drawn: Float64Array, found: float, shared_std: float = 0.0) -> float:
+    """Probability of as much or more. Beyond all draws, and where they share an error, it is that of a normal distribution with their mean
+    and variance: what is drawn is a mean over many frames."""
     reached = int(np.count_nonzero(drawn >= found))
-    if reached:
+    if reached and shared_std == 0.0:
         return reached / len(drawn)
-    return max(float(ndtr((np.mean(drawn) - found) / np.std(drawn))), _LEAST_P_VALUE)
+    return max(float(ndtr((np.mean(drawn) - found) / np.hypot(np.std(drawn), shared_std))), _LEAST_P_VALUE)
 
 
 def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
@@ -165,10 +174,10 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     problem = fit.problem
     counts = [len(observation.time) for observation in problem.observations]
     noise = np.hstack([draw_noise(observation, rng, n_draws).reshape(n_draws, -1) for observation in problem.observations])
-    jacobian = problem.jacobian(fit.x)
-    if jacobian is not None:
+    linear = problem.linearise(fit.x)
+    if linear is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
-        precision = np.diag(problem.unit_prior)
+        jacobian, precision = linear.by_poses, np.diag(problem.unit_prior)
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(n_draws, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]

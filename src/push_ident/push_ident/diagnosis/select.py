@@ -74,7 +74,7 @@ def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | N
     while True:
         step = _make_step(selection, policy, report)
         best = step.best
-        if best is None or not best.log_bayes_factor >= required_log_bayes_factor(selection, policy):
+        if best is None or not step.log_bayes_factor >= required_log_bayes_factor(selection, policy):
             return replace(selection, steps=(*selection.steps, step))
         if (freed := _freed(selection, best, policy)) is not selection:
             selection = freed

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore
 from push_ident.identification.fit import Fit
@@ -38,6 +40,11 @@ class Step:
     def best(self) -> Candidate | None:
         """The refitted effect with the largest log Bayes factor, or its special case in a tie."""
         return self.candidates[0] if self.candidates else None
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """The largest of all refitted effects [nat]: that something acts, whichever is named."""
+        return max((candidate.log_bayes_factor for candidate in self.candidates), default=-np.inf)
 
 
 @dataclass(frozen=True, slots=True)

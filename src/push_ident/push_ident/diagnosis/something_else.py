@@ -1,6 +1,7 @@
 """Something else as a hypothesis: structure in the residuals that no law of the catalogue stands for.
 
-With the residuals r of a fit, weighted as in its cost, their derivative J by everything that was fitted and the precision P of the prior,
+With the residuals r of a fit (poses, and forces where they are measured), weighted as in its cost, their derivative J by everything that
+was fitted and the precision P of the prior,
 patterns Phi (`patterns.py`) whose amplitudes have the prior N(0, s^2) raise the log evidence, in the linear range of the fit, by
 
     B(s) = 1/2 g' (1/s^2 + A)^-1 g - 1/2 log det(1 + s^2 A),       g = Phi' M r,  A = Phi' M Phi,  M = 1 - J (J'J + P)^-1 J'
@@ -18,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from push_ident.diagnosis.patterns import Family, Member, pattern_families
@@ -61,7 +63,7 @@ class SomethingElse:
     patterns: tuple[Pattern, ...]
     """Of each family, the most probable first."""
     log_bayes_factor_without: Float64Array
-    """The same without each fold of the pushes [nat], shape (n_folds,)."""
+    """The same without each fold of the pushes [nat], shape (n_folds,); of no folds where none were asked for, or nothing was found."""
 
     @property
     def least(self) -> float:
@@ -76,14 +78,14 @@ class SomethingElse:
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """A fit in its linear range, rows weighted as in its cost."""
+    """A fit in its linear range, rows weighted as in its cost: poses of all pushes, then measured forces."""
 
     jacobian: Float64Array
     """Shape (n_rows, n_unknowns)."""
     observed: Float64Array
     """Observed minus simulated, shape (n_rows,)."""
     weight: Float64Array
-    """Root of the weight of each frame, shape (n_rows,)."""
+    """Root of the weight of each frame and of each mean force, shape (n_rows,)."""
     precision: Float64Array
     """Of the unknowns by the prior, shape (n_unknowns,)."""
     onto: Float64Array
@@ -94,6 +96,29 @@ class _Linear:
     def without_fitted(self, columns: Float64Array) -> Float64Array:
         """M times columns, shape (n_rows, n)."""
         return columns - self.jacobian @ (self.onto @ columns)
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Which rows belong to which push."""
+
+    poses: NDArray[np.int64]
+    """First row of the poses of each push, and the end of those of the last one, shape (n_pushes + 1,)."""
+    forces: NDArray[np.int64]
+    """The same of its measured forces."""
+
+    @classmethod
+    def of(cls, fit: Fit) -> _Layout:
+        poses = np.cumsum([0, *(3 * len(own.time) for own in fit.problem.observations)])
+        return cls(poses, poses[-1] + np.cumsum([0, *(0 if own is None else 2 * len(own.force) for own in fit.problem.forces)]))
+
+    def without(self, fold: Sequence[int]) -> BoolArray:
+        """All rows but those of some pushes, of which only the first frame stays: it is the prior of their first pose."""
+        known = np.ones(self.forces[-1], dtype=bool)
+        for push in fold:
+            known[self.poses[push] + 3 : self.poses[push + 1]] = False
+            known[self.forces[push] : self.forces[push + 1]] = False
+        return known
 
 
 def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
@@ -119,26 +144,18 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
     share = np.exp(families - logsumexp(families))
     patterns = [_pattern(all_families[k], found[k][2], float(families[k]), float(share[k]), linear) for k in order]
     p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
-    without = [_evidence_without(fit, linear, all_families, fold) for fold in folds] if total > 0.0 else []
+    layout = _Layout.of(fit)
+    without = [_evidence_without(fit, linear, all_families, layout, fold) for fold in folds] if total > 0.0 else []
     return SomethingElse(total, p_value, tuple(patterns), np.array(without))
 
 
-def _evidence_without(fit: Fit, linear: _Linear, families: Sequence[Family], fold: Sequence[int]) -> float:
+def _evidence_without(fit: Fit, linear: _Linear, families: Sequence[Family], layout: _Layout, fold: Sequence[int]) -> float:
     """Log Bayes factor of anything of the kind without some pushes [nat]."""
-    rows = _rows_without(fit, fold)
+    rows = layout.without(fold)
     rest = _solved(fit, linear.jacobian[rows], linear.observed[rows], linear.weight[rows], linear.precision)
     residual = rest.residual[:, None]
     own = [replace(family, columns=family.columns[rows]) for family in families]
     return float(_log_mean(np.array([_evaluate(family, rest, residual)[0] for family in own])))
-
-
-def _rows_without(fit: Fit, fold: Sequence[int]) -> BoolArray:
-    """Rows of the Jacobian but those of some pushes, of which only the first frame stays: it is the prior of their first pose."""
-    first = np.concatenate([[0], np.cumsum([3 * len(o.time) for o in fit.problem.observations])])
-    known = np.ones(first[-1], dtype=bool)
-    for push in fold:
-        known[first[push] + 3 : first[push + 1]] = False
-    return known
 
 
 def error_with_patterns(fit: Fit, found: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
@@ -171,14 +188,13 @@ def _end_residuals(fit: Fit, linear: _Linear, pattern: Pattern | None, folds: Se
         columns = np.hstack([columns, own])
         precision = np.append(precision, np.full(own.shape[1], pattern.scale**-2))
         start = np.append(start, np.zeros(own.shape[1]))
-    first = np.concatenate([[0], np.cumsum([3 * len(o.time) for o in problem.observations])])
-    residuals = np.empty((len(problem.records), 3))
+    residuals, layout = np.empty((len(problem.records), 3)), _Layout.of(fit)
     for fold in folds:
-        known = _rows_without(fit, fold)
+        known = layout.without(fold)
         rows = columns[known]
         step = np.linalg.solve(rows.T @ rows + np.diag(precision), rows.T @ linear.observed[known] - precision * start)
         for push in fold:
-            ends = slice(first[push + 1] - 3, first[push + 1])
+            ends = slice(layout.poses[push + 1] - 3, layout.poses[push + 1])
             observation = problem.observations[push]
             whitening = linear.weight[ends][:, None] * observation.whitening[-1]
             in_metres = cell_displacement(problem.records[push].shape.cells, observation.pose[-1, 2]) @ np.linalg.inv(whitening)
@@ -188,14 +204,13 @@ def _end_residuals(fit: Fit, linear: _Linear, pattern: Pattern | None, folds: Se
 
 def _linear(fit: Fit) -> _Linear | None:
     problem = fit.problem
-    jacobian, motions = problem.jacobian(fit.x), problem.simulate(fit.x)
-    if jacobian is None:
+    linear = problem.linearise(fit.x)
+    if linear is None:
         return None
-    residuals = [problem.residual(fit.x, motion, push) for push, motion in enumerate(motions)]
-    weight = np.concatenate([np.repeat(np.sqrt(problem.frame_weight(residual)), 3) for residual in residuals])
-    weighted = jacobian * weight[:, None]
+    weight = np.concatenate([np.repeat(np.sqrt(problem.frame_weight(own)), own.shape[1]) for own in (*linear.poses, *linear.forces)])
+    weighted = np.concatenate([linear.by_poses, linear.by_forces]) * weight[:, None]
     # The residual of a problem is simulated minus observed.
-    observed = -weight * np.concatenate([own.ravel() for own in residuals])
+    observed = -weight * np.concatenate([own.ravel() for own in (*linear.poses, *linear.forces)])
     return _solved(fit, weighted, observed, weight, problem.unit_prior)
 
 
@@ -209,10 +224,11 @@ def _solved(fit: Fit, jacobian: Float64Array, observed: Float64Array, weight: Fl
 
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
     """Draws of what `_Linear.residual` is under noise alone, shape (n_rows, n_draws)."""
-    rng = np.random.default_rng(0)
-    drawn = [draw_noise(observation, rng, n_draws) for observation in fit.problem.observations]
+    rng, problem = np.random.default_rng(0), fit.problem
+    drawn = [draw_noise(observation, rng, n_draws) for observation in problem.observations]
+    drawn += [rng.normal(size=(n_draws, len(own.force), 2)) * np.isfinite(own.std)[:, None] for own in problem.forces if own is not None]
     # The slope of the cost of a draw, by which it is judged, has the weights of the draw.
-    scores = [(own * fit.problem.frame_weight(own)[..., None]).reshape(n_draws, -1) for own in drawn]
+    scores = [(own * problem.frame_weight(own)[..., None]).reshape(n_draws, -1) for own in drawn]
     noise = np.hstack(scores).T / linear.weight[:, None]
     return np.asarray(noise - linear.jacobian @ (linear.onto @ noise))
 

@@ -75,6 +75,8 @@ class DiagnosisState:
     """Whether poses and outline come from a camera."""
     rest_noise_known: bool = False
     """Whether frames at rest show how the errors of neighbouring frames are correlated."""
+    rest_correlation_std: float = float("inf")
+    """Standard error of that correlation [1]."""
     data_gates: tuple[Gate, ...] = ()
     fit_gates: tuple[Gate, ...] = ()
     outliers: tuple[str, ...] = ()

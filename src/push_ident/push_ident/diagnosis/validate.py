@@ -77,7 +77,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     return replace(state, validation=validation)
 
 
-def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, noise_is_known: bool) -> tuple[float, ...]:
+def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, correlation_std: float) -> tuple[float, ...]:
     """P-values of those tests in which residuals beside all named effects are larger than noise, or continue from frame to frame as noise
     does not.
 
@@ -85,16 +85,16 @@ def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: Unknow
         base: residuals of the base model; what it leaves in excess widens the limits.
         residuals: beside all effects that were named.
         policy: limits.
-        noise_is_known: whether the correlation of the pose errors is known; else correlated residuals may be noise.
+        correlation_std: standard error of the correlation of the pose errors [1]; infinite where correlated residuals may be noise.
     """
     excess = max(base.residual_ratio[0] - 1.0, 0.0)
     failed = []
     ratio, p_value = residuals.residual_ratio
     if ratio > max(policy.max_residual_ratio, 1.0 + policy.residual_ratio_share * excess) and p_value < policy.max_p_value:
         failed.append(p_value)
-    autocorrelation, p_value = residuals.excess_autocorrelation
+    autocorrelation, p_value = residuals.excess_autocorrelation_beside(correlation_std)
     limit = policy.max_excess_autocorrelation + policy.excess_autocorrelation_share * excess
-    if noise_is_known and autocorrelation > limit and p_value < policy.max_p_value:
+    if autocorrelation > limit and p_value < policy.max_p_value:
         failed.append(p_value)
     return tuple(failed)
 
@@ -126,18 +126,19 @@ def _look_outside(state: DiagnosisState, selection: Selection, base_residuals: F
     alone = find_something_else(selection.base, policy.unknown, folds)
     beside, residuals = alone, base_residuals
     if selection.found:
-        beside = find_something_else(selection.fit, policy.unknown, folds)
+        # Only what is found in place of effects is asked what it is without some pushes.
+        beside = find_something_else(selection.fit, policy.unknown, ())
         residuals = standardized_residuals(selection.fit, policy.residuals)
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
-    known = state.rest_noise_known and not state.from_camera
-    failed = failed_tests(base_residuals, residuals, policy.unknown, noise_is_known=known)
+    correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
+    failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
     evidence = OutsideEvidence.of(alone, beside, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
     probabilities = probabilities_of(explanations, selection.base.names)
-    return _Outside(residuals, alone, alone if len(most.causes) == 1 else beside, probabilities)
+    return _Outside(residuals, alone, beside if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else alone, probabilities)
 
 
 def _with_patterns(gap: Gap, selection: Selection, found: SomethingElse | None) -> Gap:

@@ -3,7 +3,8 @@
 A mean over a window averages the noise of the sensor and what hands and contacts shake, and its model is a difference of impulses, which
 the engine gives with its exact derivative. What the samples scatter from one to the next is the noise of the sensor. The model itself is
 wrong by a share of the force, since no law of friction is exact; the windows of a push share this discrepancy. Where a force comes
-or goes it takes its time, which a rigid contact does not.
+or goes it takes its time, which a rigid contact does not. A pusher that stands still against the object may press it with any force up to
+friction: what is measured then says nothing of the object.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from push_ident.identification.observation import NoiseModel
+from push_ident.identification.observation import DRIVING, NEAR, NoiseModel, pusher_gaps
 from push_ident.physics.effect_values import EffectValues, force_times, measured_forces
 from push_ident.physics.simulation import Motion
-from push_ident.types import Float64Array, PushRecord, WrenchTrack
+from push_ident.types import BoolArray, Float64Array, PushRecord, WrenchTrack
 
 __all__ = ["ForceObservation", "observe_forces"]
 
@@ -38,7 +39,8 @@ class ForceObservation:
     force: Float64Array
     """Mean of each [N], shape (n, 2), table frame."""
     std: Float64Array
-    """Standard deviation of each component, the discrepancy of the model included [N], shape (n,); infinite where nothing was measured."""
+    """Standard deviation of each component, the discrepancy of the model included [N], shape (n,); infinite where nothing was measured, and
+    where the pusher stands still against the object."""
 
     def times(self, effects: EffectValues) -> Float64Array:
         """When the forces at `edges` were measured [s], shape (n + 1,)."""
@@ -94,7 +96,7 @@ def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> Force
     edges = np.linspace(wrench.time[0] - step, wrench.time[-1], n + 1)
     window = np.clip(np.searchsorted(edges, wrench.time - 0.5 * step, side="right") - 1, 0, n - 1)
     count = np.bincount(window, minlength=n)
-    measured = count > 0
+    measured = (count > 0) & ~_leans(record, edges)
     sums = np.column_stack([np.bincount(window, weights=wrench.force[:, axis], minlength=n) for axis in (0, 1)])
     force = sums / np.maximum(count, 1)[:, None]
     sensor = np.hypot(_scatter(wrench) / np.sqrt(np.maximum(count, 1)), noise.floor_force)
@@ -102,6 +104,21 @@ def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> Force
     rise = min(1.0, noise.force_rise / (edges[1] - edges[0])) * _jumps(force)
     std = np.sqrt(sensor**2 + discrepancy**2 + rise**2)
     return ForceObservation(edges, force, np.where(measured, std, np.inf))
+
+
+def _leans(record: PushRecord, edges: Float64Array) -> BoolArray:
+    """Windows in which the pusher stands still where it may touch the object, after it drove there, shape (n,)."""
+    pusher = record.pusher
+    gap, speed = pusher_gaps(record), np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
+    slow = DRIVING * max(float(speed.max()), 1e-9)
+    near = max(NEAR, 3 * float(np.sqrt(np.median(record.poses.covariance[:, 0, 0]))))
+    arrived = pusher.time[(gap < near) & (speed > slow)]
+    if not len(arrived):
+        return np.zeros(len(edges) - 1, dtype=bool)
+    at = np.column_stack([np.interp(edges, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
+    stands = np.linalg.norm(np.diff(at, axis=0), axis=1) < slow * np.diff(edges)
+    nearest = np.minimum(*(np.interp(own, pusher.time, gap) for own in (edges[:-1], edges[1:])))
+    return np.asarray(stands & (nearest < near) & (edges[:-1] > arrived[0]))
 
 
 def _jumps(force: Float64Array) -> Float64Array:

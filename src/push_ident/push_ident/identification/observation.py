@@ -24,7 +24,18 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape, PushRecord
 
-__all__ = ["UNCHECKED", "NoiseModel", "Observation", "noise_at_rest", "noise_correlation", "observe_push", "pusher_gaps"]
+__all__ = [
+    "DRIVING",
+    "NEAR",
+    "UNCHECKED",
+    "NoiseModel",
+    "Observation",
+    "noise_at_rest",
+    "noise_correlation",
+    "noise_correlation_std",
+    "observe_push",
+    "pusher_gaps",
+]
 
 UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
@@ -44,9 +55,9 @@ _CLEAR = 0.01
 """Gap above which the pusher cannot touch, even with several times the usual errors of tool and camera [m]."""
 _COAST = 0.15
 """Time within which an object released at 0.3 m/s on friction 0.2 comes to rest [s]."""
-_NEAR = 3e-3
+NEAR = 3e-3
 """Gap below which the pusher may touch [m]; at least three standard deviations of a position."""
-_DRIVING = 0.05
+DRIVING = 0.05
 """Share of its top speed above which the pusher counts as driving [-]."""
 _TRAVEL_PER_TURN = 0.05
 """Travel that counts for a turn of the object [m/rad]: half the size of a usual object."""
@@ -202,24 +213,36 @@ def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENO
     them (Marriott & Pope, Bias in the estimation of autocorrelations, Biometrika 41, 1954).
     """
     products = squares = 0.0
-    n_pairs = n_frames = n_rests = 0
+    rests = _clear_rests(records)
+    n_pairs, n_frames = sum(len(error) - 1 for error in rests), sum(map(len, rests))
+    for error in rests:
+        products += float(np.sum(error[1:] * error[:-1]))
+        squares += float(np.sum(error**2))
+    if n_pairs < enough_pairs or squares <= 0.0:
+        return float("nan")
+    length = n_frames / len(rests)
+    raw = products / n_pairs / (squares / n_frames)
+    return float(np.clip((raw + 1.0 / length) / max(1.0 - 3.0 / length, 0.25), -_MAX_CORRELATION, _MAX_CORRELATION))
+
+
+def noise_correlation_std(records: Sequence[PushRecord]) -> float:
+    """Standard error of `noise_correlation`, that of n pairs of independent errors, 1 / sqrt(n); infinite where there is no pair."""
+    n_pairs = sum(len(error) - 1 for error in _clear_rests(records))
+    return float(1.0 / np.sqrt(n_pairs)) if n_pairs else float("inf")
+
+
+def _clear_rests(records: Sequence[PushRecord]) -> list[Float64Array]:
+    """Errors of the frames of each rest of four frames and more, in standard deviations, each of shape (n, 3)."""
+    errors = []
     for record in records:
         before, after, _ = _rests(record)
         # With an error of tool or camera, the object moves before the pusher seems to touch it.
         clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < _CLEAR)]
         for rest in (_agreeing(record, clear), _agreeing(record, after)):
-            if len(rest) < 4:
-                continue
-            error = record.poses.pose[rest] - record.poses.pose[rest].mean(axis=0)
-            error = error / np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2))
-            products += float(np.sum(error[1:] * error[:-1]))
-            squares += float(np.sum(error**2))
-            n_pairs, n_frames, n_rests = n_pairs + max(len(error) - 1, 0), n_frames + len(error), n_rests + 1
-    if n_pairs < enough_pairs or squares <= 0.0:
-        return float("nan")
-    length = n_frames / n_rests
-    raw = products / n_pairs / (squares / n_frames)
-    return float(np.clip((raw + 1.0 / length) / max(1.0 - 3.0 / length, 0.25), -_MAX_CORRELATION, _MAX_CORRELATION))
+            if len(rest) >= 4:
+                error = record.poses.pose[rest] - record.poses.pose[rest].mean(axis=0)
+                errors.append(error / np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2)))
+    return errors
 
 
 def _agreeing(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -241,10 +264,10 @@ def _repetition(correlation: float) -> float:
 def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
     """Frames at rest before contact and after the push, at least one each; and whether the pusher comes near the object."""
     poses, pusher = record.poses, record.pusher
-    near = pusher_gaps(record) < max(_NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
+    near = pusher_gaps(record) < max(NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
     contact_time = _first_time(record, near)
     speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
-    driving = near & (speed > _DRIVING * max(float(speed.max()), 1e-9))
+    driving = near & (speed > DRIVING * max(float(speed.max()), 1e-9))
     rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + _COAST if np.any(driving) else -np.inf
 
     before = np.flatnonzero(poses.time <= contact_time)

@@ -38,7 +38,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, simulate_body_with_response
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
-__all__ = ["TAILS", "Evaluation", "FitProblem", "PushTerms", "unknowns_of_push", "without_first_push"]
+__all__ = ["TAILS", "Evaluation", "FitProblem", "Linearisation", "PushTerms", "unknowns_of_push", "without_first_push"]
 
 TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
@@ -79,6 +79,20 @@ class PushTerms:
     """Gauss-Newton approximation, shape (unknowns.size + unknowns_of_push, unknowns.size + unknowns_of_push)."""
     residual: Float64Array
     """Whitened, shape (n_frames, 3)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """Whitened residuals at one point with their derivative by all unknowns, poses and forces apart."""
+
+    poses: tuple[Float64Array, ...]
+    """Residual of each push, shape (n_frames, 3)."""
+    forces: tuple[Float64Array, ...]
+    """Residual of the measured forces of each push, shape (n_windows, 2); of no windows where there are none."""
+    by_poses: Float64Array
+    """Derivative of `poses`, push by push, shape (3 n_frames of all pushes, size)."""
+    by_forces: Float64Array
+    """Derivative of `forces`, push by push, shape (2 n_windows of all pushes, size)."""
 
 
 def _unlimited() -> Meter:
@@ -308,6 +322,13 @@ class FitProblem:
             return np.zeros((0, 2))
         return observed.residual(observed.simulated(motion.impulse, self.unknowns.mass_factor(z), self.unknowns.effects_at(z)))
 
+    def force_change(self, x: Float64Array, motion: Motion, push: int, by_impulse: Float64Array) -> Float64Array:
+        """Change of `force_residual`, shape (n_windows, 2, n), by that of `Motion.impulse`, shape (n_windows + 1, 2, n)."""
+        observed, z = self.forces[push], self.object_unknowns(x)
+        if observed is None:
+            return np.zeros((0, 2, by_impulse.shape[2]))
+        return observed.derivative(motion, by_impulse, self.unknowns.mass_factor(z), self.unknowns.effects_at(z))[0]
+
     def cost_of(self, x: Float64Array, motions: Sequence[Motion]) -> float:
         """Cost of motions simulated at `x`."""
         if motions[-1].status is SolveStatus.SIMULATION_FAILED:
@@ -347,24 +368,28 @@ class FitProblem:
             residuals.append(terms.residual)
         return Evaluation(cost, gradient, hessian, np.concatenate(residuals))
 
-    def jacobian(self, x: Float64Array) -> Float64Array | None:
-        """Derivative of the whitened residuals of all frames, of poses only, by all unknowns, shape (3 n_frames of all pushes, size).
-
-        None where a simulation fails.
-        """
-        n_z = self.unknowns.size
+    def linearise(self, x: Float64Array) -> Linearisation | None:
+        """Residuals at `x`, shape (size,), with their derivative: one simulation per push. None where one fails."""
         mechanics = self.unknowns.mechanics(self.object_unknowns(x))
-        parts = []
+        residuals: list[tuple[Float64Array, Float64Array]] = []
+        poses, forces = [np.zeros((0, self.size))], [np.zeros((0, self.size))]
         for push in range(len(self.records)):
             motion = self._simulate_push(mechanics, x, push, jacobian=True)
             if motion.status is SolveStatus.SIMULATION_FAILED:
                 return None
-            own = self._whitened_jacobian(mechanics, motion, push)
-            rows = np.zeros((len(own), self.size))
-            rows[:, :n_z] = own[:, :n_z]
-            rows[:, self.slice_of_push(push)] = own[:, n_z:]
-            parts.append(rows)
-        return np.concatenate(parts)
+            residuals.append((self.residual(x, motion, push), self.force_residual(x, motion, push)))
+            poses.append(self._rows(self._whitened_jacobian(mechanics, motion, push), push))
+            if self.forces[push] is not None:
+                forces.append(self._rows(self._force_jacobian(mechanics, x, motion, push), push))
+        of_poses, of_forces = zip(*residuals, strict=True)
+        return Linearisation(of_poses, of_forces, np.concatenate(poses), np.concatenate(forces))
+
+    def _rows(self, own: Float64Array, push: int) -> Float64Array:
+        """Derivatives by the unknowns of the object and those of one push, among all unknowns, shape (n, size)."""
+        rows = np.zeros((len(own), self.size))
+        rows[:, : self.unknowns.size] = own[:, : self.unknowns.size]
+        rows[:, self.slice_of_push(push)] = own[:, self.unknowns.size :]
+        return rows
 
     def evaluate_push(self, x: Float64Array, push: int) -> PushTerms | None:
         """Contribution of one push to `evaluate`; None where its simulation fails."""

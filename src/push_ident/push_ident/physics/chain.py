@@ -34,7 +34,7 @@ from push_ident.physics.tape import (
 )
 from push_ident.types import Float64Array
 
-__all__ = ["Chain", "chain_backward", "chain_forward", "chain_response"]
+__all__ = ["Chain", "add_impulse", "advance", "chain_backward", "chain_forward", "emit_state"]
 
 _CHUNK = 256  # columns of the Jacobian carried at a time, so that they stay in the cache
 
@@ -182,7 +182,7 @@ def _advance_memory(by_inputs: Float64Array, s: Float64Array, first: int, last: 
 
 
 @fast_kernel
-def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
+def advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64Array, cos: float, sin: float, dt: float) -> None:
     """Carry the derivative of the state, shape (6, n), over one step; `du` is the part of the twist that does not come from the state,
     and `dt` the time for which the body moves at the new velocity."""
     vx_table, vy_table = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
@@ -200,7 +200,7 @@ def _advance(s: Float64Array, du: Float64Array, d: Float64Array, twist: Float64A
 
 
 @kernel
-def _emit_state(s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_pose: Float64Array) -> None:
+def emit_state(s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, by_pose: Float64Array) -> None:
     """Add to `by_pose`, shape (3, n), what the derivative `s` of the state does to the pose of the object frame."""
     rx, ry = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
     for p in range(by_pose.shape[1]):
@@ -214,7 +214,7 @@ def _emit(
     s: Float64Array, cos: float, sin: float, centre: Float64Array, weight: float, first: int, last: int, jacobian: Float64Array
 ) -> None:
     """Add `weight` times the derivative of the pose of the object frame, columns `first` to `last`, to that of one frame."""
-    _emit_state(s, cos, sin, centre, weight, jacobian[:, first:last])
+    emit_state(s, cos, sin, centre, weight, jacobian[:, first:last])
     if first == 0:
         jacobian[0, PARAM_CENTRE] -= weight * cos
         jacobian[0, PARAM_CENTRE + 1] += weight * sin
@@ -223,7 +223,7 @@ def _emit(
 
 
 @kernel
-def _add_impulse(chain: Chain, n: int, s: Float64Array, own: Float64Array, total: Float64Array) -> None:
+def add_impulse(chain: Chain, n: int, s: Float64Array, own: Float64Array, total: Float64Array) -> None:
     """Add the pusher's impulse in step n, table axes, to the derivative `total` of their sum, shape (2, n).
 
     Args:
@@ -293,14 +293,14 @@ def chain_forward(chain: Chain, jacobian: Float64Array, impulses: Frames, by_imp
                 _own_columns(chain, n, tape.block[n], columns, n_values, memory, du)
                 if n_impulses > 0 and (chain.force[n, 0] != 0.0 or chain.force[n, 1] != 0.0):
                     _own_columns(chain, n, tape.reaction[n], columns, n_values, memory, own)
-                    _add_impulse(chain, n, s, own, total)
+                    add_impulse(chain, n, s, own, total)
             if n_memory > 0:
                 _advance_memory(tape.memory[n], s, first, last, arms.shape[1], memory)
             if tape.event[n] != IDLE:
                 before = tape.coasting[n]
                 if before > 0.0:
                     velocity[:] = s[3:]
-                _advance(s, du, tape.block[n], tape.twist[n], cos, sin, (1.0 - before) * dt)
+                advance(s, du, tape.block[n], tape.twist[n], cos, sin, (1.0 - before) * dt)
                 if before > 0.0:
                     for i in range(3):
                         for p in range(last - first):
@@ -311,44 +311,6 @@ def chain_forward(chain: Chain, jacobian: Float64Array, impulses: Frames, by_imp
                 _emit(s, tape.heading[n + 1, 0], tape.heading[n + 1, 1], centre, frame_fraction[j], first, last, jacobian[j])
             for j in range(begin_impulse, impulse):
                 by_impulse[j, :, first:last] += impulses.fraction[j] * total
-
-
-@kernel
-def chain_response(chain: Chain, impulse: Float64Array, nearer: Float64Array, response: Float64Array) -> None:
-    """Change of the poses at the frames by small forces on the object and displacements of the pusher, which no parameter stands for.
-
-    Args:
-        chain: the rollout.
-        impulse: on the object in each step, object axes, about the centre of mass, shape (n_steps, 3, n) [N s, N s, N m s].
-        nearer: displacement of the pusher in each step, table axes, shape (n_steps, 2, n) [m]; the sliding of a contact that this adds is
-            left out.
-        response: filled, shape (n_frames, 3, n).
-    """
-    tape, centre, frame_step, frame_fraction = chain.tape, chain.centre, chain.frames.step, chain.frames.fraction
-    n = response.shape[2]
-    s, du, velocity = np.zeros((6, n)), np.zeros((3, n)), np.zeros((3, n))
-    response[:] = 0.0
-    frame = 0
-    for step in range(tape.event.shape[0]):
-        cos, sin, dt = tape.heading[step, 0], tape.heading[step, 1], chain.dt[step]
-        begin = frame
-        while frame < frame_step.shape[0] and frame_step[frame] == step:
-            _emit_state(s, cos, sin, centre, 1.0 - frame_fraction[frame], response[frame])
-            frame += 1
-        if tape.event[step] != IDLE:
-            block, before = tape.block[step], tape.coasting[step]
-            for i in range(3):
-                for p in range(n):
-                    du[i, p] = -block[i, BLOCK_STATE] * nearer[step, 0, p] - block[i, BLOCK_STATE + 1] * nearer[step, 1, p]
-                    for j in range(3):
-                        du[i, p] += block[i, BLOCK_IMPULSE + j] * impulse[step, j, p]
-            velocity[:] = s[3:]
-            _advance(s, du, block, tape.twist[step], cos, sin, (1.0 - before) * dt)
-            s[:3] += before * dt * velocity
-        if tape.event[step] != MOVED:
-            s[3:] = 0.0
-        for j in range(begin, frame):
-            _emit_state(s, tape.heading[step + 1, 0], tape.heading[step + 1, 1], centre, frame_fraction[j], response[j])
 
 
 @fast_kernel

@@ -295,8 +295,6 @@ class Effect:
     """Whether it has no meaning in a quasi-static push."""
     fades_at_rest: bool = False
     """Whether nothing is left of it some time after the pusher has stopped."""
-    is_unknown_cause: bool = False
-    """It names no cause: it measures what no named effect explains."""
     exact_twins: tuple[str, ...] = ()
     """Effects that no push can distinguish from it. They name it as well."""
     special_case_of: tuple[str, ...] = ()
@@ -314,7 +312,7 @@ class Effect:
                 f"The effect {self.name} loads cells by {len(self.parameters)} parameters and {memory} numbers of memory, "
                 f"expected {MAX_LOAD_NUMBERS} of each at most; raise MAX_LOAD_NUMBERS and `_four` in table_laws.py, or use fewer."
             )
-        if not (self.check or self.is_unknown_cause):
+        if not self.check:
             raise InputError(f"The effect {self.name} has no `check`; say in one sentence how to confirm it at the cell without a push.")
         if self.export in (ExportAs.GRAVITY, ExportAs.CELL_ANISOTROPY) and len(self.parameters) != 2:
             raise InputError(

@@ -14,12 +14,13 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
 from push_ident.physics.body import BodyParameters, body_of_cells, cell_gradient, check_body, owned
-from push_ident.physics.chain import Chain, chain_backward, chain_forward, chain_response
+from push_ident.physics.chain import Chain, chain_backward, chain_forward
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectsLike, EffectValues, changed_friction, driven_path, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.measurement import Measurement, ReportTimes, StepClock
 from push_ident.physics.pyramid import FINAL_NU
+from push_ident.physics.response import chain_response
 from push_ident.physics.rollout import Numerics, Push, new_effect_scratch, rollout
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.support import GRAVITY
@@ -275,7 +276,7 @@ def simulate_body_with_pullback(
 
 @dataclass(frozen=True, slots=True)
 class StepResponse:
-    """A simulated push, ready to say how its poses change under small forces, whatever their law."""
+    """A simulated push, ready to say how its poses and the forces of the pusher change under small forces, whatever their law."""
 
     time: Float64Array
     """Middle of each step [s], shape (n_steps,)."""
@@ -293,8 +294,8 @@ class StepResponse:
     """Friction limits of the cells without effects [N], shape (n_cells,)."""
     _run: _Run
 
-    def __call__(self, wrench: Float64Array, displacement: Float64Array | None = None) -> Float64Array:
-        """Change of the reported poses, shape (n_frames, 3, n).
+    def __call__(self, wrench: Float64Array, displacement: Float64Array | None = None) -> tuple[Float64Array, Float64Array]:
+        """Change of the reported poses, shape (n_frames, 3, n), and of `Motion.impulse`, shape (n_forces, 2, n).
 
         Args:
             wrench: on the object in each step, table axes, about the centre of mass, shape (n_steps, 3, n) [N, N, N m].
@@ -305,10 +306,11 @@ class StepResponse:
         x, y, turn = np.moveaxis(wrench, 1, 0)
         impulse = np.stack([cos * x + sin * y, -sin * x + cos * y, turn], axis=1) * chain.dt[:, None, None]
         nearer = np.zeros((len(chain.dt), 2, n)) if displacement is None else displacement
-        response = np.empty((len(chain.frames.step), 3, n))
-        chain_response(chain, owned(impulse), owned(nearer), response)
+        response, by_impulse = np.empty((len(chain.frames.step), 3, n)), np.empty((len(self._run.impulses.step), 2, n))
+        chain_response(chain, owned(impulse), owned(nearer), response, self._run.impulses, by_impulse)
         measurement = self._run.measurement
-        return response if measurement is None else np.einsum("fij,fjp->fip", measurement.by_pose, response)
+        reported = response if measurement is None else np.einsum("fij,fjp->fip", measurement.by_pose, response)
+        return reported, by_impulse
 
 
 def simulate_body_with_response(
@@ -320,7 +322,7 @@ def simulate_body_with_response(
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
 ) -> tuple[Motion, StepResponse | None]:
-    """As `simulate_body`; also how the poses change under small forces in any step. None where the simulation failed."""
+    """As `simulate_body`; also how poses and forces of the pusher change under small forces in any step. None where a simulation failed."""
     numerics, acting = settings or SimulationSettings(), effect_values(effects)
     run = _run(shape, body, pusher_friction, scenario, numerics, acting, True)
     if run.motion.status is SolveStatus.SIMULATION_FAILED:

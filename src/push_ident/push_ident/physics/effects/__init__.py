@@ -67,7 +67,7 @@ def _with_both_directions(found: dict[str, Effect], extra: set[str]) -> dict[str
 EFFECTS = _discover()
 """All effects by name."""
 
-CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.is_unknown_cause and not effect.needs_forces)
+CAUSES = tuple(name for name, effect in EFFECTS.items() if not effect.needs_forces)
 """Names of the effects that are a named cause, and that poses show."""
 
 FORCE_CAUSES = tuple(name for name, effect in EFFECTS.items() if effect.needs_forces)

@@ -94,6 +94,16 @@ def tables(summary: Json) -> str:
             for row in summary["by_noncentrality"]
         ]
         parts.append(markdown_table(["noncentrality", "first name right", "truth in the set", "wrong", "silent"], bins))
+        if said := summary.get("by_probability"):
+            rows = [
+                [
+                    f"{row['from']:.2f} to {min(row['to'], 1.0):.2f}",
+                    "–" if row["said"] is None else f"{row['said']:.2f}",
+                    _number(row["right"]),
+                ]
+                for row in said
+            ]
+            parts.append(markdown_table(["probability of a cause", "mean", "right"], rows))
         smallest = summary["smallest"]
         rows = [
             [

@@ -234,8 +234,8 @@ def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
         plain: the same pushes without effects, by their order.
     """
     problem = base.problem
-    jacobian = problem.jacobian(base.x)
-    if jacobian is None:
+    linear = problem.linearise(base.x)
+    if linear is None:
         return float("nan")
     parts = []
     for record, observed in zip(problem.records, problem.observations, strict=True):
@@ -244,7 +244,7 @@ def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
         change[:, 2] = wrap_angle(change[:, 2])
         parts.append(np.einsum("fij,fj->fi", observed.whitening, change).ravel())
     difference = np.concatenate(parts)
-    precision = np.diag(problem.unit_prior)
+    jacobian, precision = linear.by_poses, np.diag(problem.unit_prior)
     absorbed = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
     return float(difference @ (difference - absorbed))
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
+from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.files import finite
 from push_ident.identification.next_push import PlannedPush
@@ -18,7 +20,7 @@ from push_ident_sim.engines.planar import PlanarWorld
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
-from push_ident_sim.studies.blind.cases import CAMERAS, draw_truth, make_records, make_requested_record
+from push_ident_sim.studies.blind.cases import CAMERAS, Truth, draw_truth, make_records, make_requested_record
 from push_ident_sim.studies.blind.page import draw, tables
 from push_ident_sim.studies.blind.scoring import score_case
 from push_ident_sim.studies.blind.sealing import ENGINES, decision_hashes, seal_cases
@@ -28,8 +30,12 @@ from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSetti
 
 __all__ = ["STUDY"]
 
-_N_PUSHES = {"14-pushes": 14, "8-pushes": 8, "6-pushes": 6, **dict.fromkeys(CAMERAS, 8)}
-_N_MODELS = {"8-pushes": 8, "6-pushes": 8, **dict.fromkeys(CAMERAS, 2), "camera": 8, ENGINES: 2}
+CHOSEN: Final = "6-chosen"
+"""Variant of as many pushes, most of which the diagnosis chose."""
+_N_RANDOM: Final = 3
+"""Random pushes before it chooses: the fewest that it takes."""
+_N_PUSHES = {"14-pushes": 14, "8-pushes": 8, "6-pushes": 6, CHOSEN: 6, **dict.fromkeys(CAMERAS, 8)}
+_N_MODELS = {"8-pushes": 8, "6-pushes": 8, CHOSEN: 8, **dict.fromkeys(CAMERAS, 2), "camera": 8, ENGINES: 2}
 """Ground truths of each object: there are many models of sensors."""
 _N_COMPARED = 3
 """Pushes on which engines are compared."""
@@ -42,7 +48,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     if case.variant == ENGINES:
         return _compare_engines(case)
     truth = draw_truth(case.object_name, case.model, sensor=CAMERAS.get(case.variant))
-    records = make_records(truth, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
+    make = _chosen_records if case.variant == CHOSEN else _random_records
+    records = make(truth, case, settings)
 
     def make_push(push: PlannedPush, number: int) -> PushRecord | None:
         return make_requested_record(truth, case.object_name, case.model, push, number, settings.noise)
@@ -52,8 +59,31 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         return make_records(plain, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
 
     thing = make_object(case.object_name, case.model)
-    values = score_case(records, truth, thing, DiagnosisSettings(), make_push=make_push, make_plain=make_plain)
+    # Without any effect, other pushes would have been proposed.
+    plain = None if case.variant == CHOSEN else make_plain
+    values = score_case(records, truth, thing, DiagnosisSettings(), make_push=make_push, make_plain=plain)
     return {**finite(values), **decision_hashes()}
+
+
+def _random_records(truth: Truth, case: Case, settings: CaseSettings) -> list[PushRecord]:
+    return make_records(truth, case.object_name, case.model, _N_PUSHES[case.variant], settings.noise)
+
+
+def _chosen_records(truth: Truth, case: Case, settings: CaseSettings) -> list[PushRecord]:
+    """A few random pushes, then those that a diagnosis of all before proposes: to separate causes, or else to learn the maps.
+
+    Where it proposes none, or the camera cannot make it, the next random one is made.
+    """
+    of_case = case.object_name, case.model
+    n_pushes = _N_PUSHES[CHOSEN]
+    random = make_records(truth, *of_case, n_pushes, settings.noise)
+    records = random[:_N_RANDOM]
+    while len(records) < n_pushes:
+        found, number = diagnose(records, DiagnosisSettings()), len(records)
+        push = found.first_push if found.next_push is None else found.next_push.push
+        made = None if push is None else make_requested_record(truth, *of_case, push, number, settings.noise)
+        records.append(random[number] if made is None else made)
+    return records
 
 
 def _compare_engines(case: Case) -> Json:
@@ -113,13 +143,14 @@ STUDY = Experiment(
         "detectable where it does so nine times out of ten; one outside the catalogue is detectable where the same pushes without it "
         "differ by a noncentrality of 25. The noncentrality is that beside fitted maps and the hardest rival. The first name counts as "
         "right where it is the injected effect or its exact twin. S is the share of the gap on held-out pushes that the effect "
-        "explains. Where a verdict leaves more than one effect, up to two requested pushes are made. `camera`: the same through "
+        "explains. Where a verdict leaves more than one effect, up to two requested pushes are made. `6-chosen`: three random pushes and "
+        "three that the diagnosis proposes, one after the other. `camera`: the same through "
         "rendered depth images and perception. `camera-NAME`: the same pushes as the first of those, through a sensor of that model, "
         "another unit for each ground truth; perception gets the pose and intrinsics that the unit publishes, not its own. Only a table "
         "of their own counts these cases; a named error of calibration, which every unit has, is neither right nor wrong "
         "there. `engines`: the distance between the engines without any effect."
     ),
-    variants=("14-pushes", "8-pushes", "6-pushes", *CAMERAS, ENGINES),
+    variants=("14-pushes", "8-pushes", "6-pushes", CHOSEN, *CAMERAS, ENGINES),
     fewer=_N_MODELS,
     needs_truth=False,
     stages=("geometry", "physics", "identification", "diagnosis", "pushing"),

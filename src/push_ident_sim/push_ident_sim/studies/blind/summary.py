@@ -36,6 +36,8 @@ _OF_A_UNIT = ("camera_translation", "camera_rotation", "camera_scale")
 _N_BOOTSTRAP = 2000
 _SURE = 0.9
 """Probability from which a cause counts as said."""
+_PROBABILITIES = (0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0 + 1e-9)
+"""Ranges in which what is said is held against the truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +184,7 @@ def figures(cases: Sequence[Judged]) -> Json:
         "pairs_one": _share(both_detectable, lambda c: set(c.truth) & set(c.named)),
         "unknown_flagged": _share(visible, lambda c: c.verdict in ("unknown", "not_trustworthy")),
         "unknown_misnamed": _share(outside, lambda c: c.verdict in ("named", "several")),
-        **_calibration([*nulls, *detected, *both_detectable, *visible]),
+        **_calibration(_counted(cases)),
         "outside_invisible": interval(len(outside) - len(visible), len(outside)),
         "shrink": _statistic([own for own, _ in shrinks]),
         "shrink_oracle": _statistic([oracle for _, oracle in shrinks]),
@@ -199,20 +201,47 @@ def figures(cases: Sequence[Judged]) -> Json:
     }
 
 
-def _calibration(cases: Sequence[Judged]) -> Json:
-    """Of causes that are said with a high probability (effects, something else, nothing): the share that is right, and the mean of what was
-    said. Exact twins share theirs. Cases without a verdict, or from before probabilities were published, say nothing."""
+def _counted(cases: Sequence[Judged]) -> list[Judged]:
+    """Cases whose probabilities are held against the truth: without causes that are there and cannot be seen."""
+    return [
+        c
+        for c in cases
+        if c.kind == "null"
+        or (c.kind in ("single", "pair") and c.detectable)
+        or (c.kind == "outside" and (c.values.get("visibility") is None or c.values["visibility"] >= _PLAIN))
+    ]
+
+
+def _said(cases: Sequence[Judged]) -> list[tuple[float, bool]]:
+    """Probabilities of all causes (effects, something else, nothing), and whether each is there. Exact twins share theirs. Cases without a
+    verdict, or from before probabilities were published, say nothing."""
     said: list[tuple[float, bool]] = []
     for case in cases:
         true = {"null": {"nothing"}, "outside": {SOMETHING_ELSE}}.get(case.kind, set(case.truth))
         probabilities: Counter[str] = Counter()
         for name, value in (case.values.get("probabilities") or {}).items():
             probabilities[_one_of_twins(name)] += value
-        said += [(min(value, 1.0), name in true) for name, value in probabilities.items() if value >= _SURE]
+        said += [(min(value, 1.0), name in true) for name, value in probabilities.items()]
+    return said
+
+
+def _calibration(cases: Sequence[Judged]) -> Json:
+    """Of causes that are said with a high probability: the share that is right, and the mean of what was said."""
+    said = [(value, right) for value, right in _said(cases) if value >= _SURE]
     return {
         "said_surely": interval(sum(right for _, right in said), len(said)),
         "said_surely_mean": _statistic([value for value, _ in said], np.mean),
     }
+
+
+def _by_probability(cases: Sequence[Judged]) -> list[Json]:
+    """The same for every range of probabilities."""
+    said, rows = _said(_counted(cases)), []
+    for low, high in pairwise(_PROBABILITIES):
+        own = [(value, right) for value, right in said if low <= value < high]
+        mean = float(np.mean([value for value, _ in own])) if own else None
+        rows.append({"from": low, "to": high, "said": mean, "right": interval(sum(right for _, right in own), len(own))})
+    return rows
 
 
 def _settled_rightly(case: Judged) -> bool:
@@ -261,6 +290,7 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
             name: {"n": len(own), "of_the_unit": _share(own, lambda c: c.of_the_unit), **figures(own)} for name, own in by_sensor.items()
         },
         "by_noncentrality": _by_noncentrality(cases),
+        "by_probability": _by_probability(cases),
         "confusion": _confusion(cases),
         "smallest": _smallest(cases),
         "cases": [
