@@ -196,15 +196,7 @@ def rollouts(
         InputError: nothing to simulate, a body that cannot be simulated, pushes of different pushers or numbers of frames, or effects at an
             edge.
     """
-    if not models or not pushes:
-        raise InputError(f"There are {len(models)} models and {len(pushes)} pushes, expected one of each at least.")
-    for model in models:
-        check_body(shape, model.body, model.pusher_friction)
-        if edge is not None and len(model.effects) > 0:
-            raise InputError(f"At an edge of the table there is no law for {', '.join(model.effects.names)}; leave the effects out there.")
-    by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
-    if len(by_pusher) > 1:
-        raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
+    _check(shape, models, pushes, edge)
     pusher = pushes[0].pusher
     geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
     in_arrays, of_pushes, edges = _models(shape, models), _pushes(pushes, step), None if edge is None else _edges(edge, models)
@@ -230,6 +222,19 @@ def rollouts(
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(roll, ranges))
     return poses
+
+
+def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None) -> None:
+    """Raise InputError for what `rollouts` does not simulate."""
+    if not models or not pushes:
+        raise InputError(f"There are {len(models)} models and {len(pushes)} pushes, expected one of each at least.")
+    for model in models:
+        check_body(shape, model.body, model.pusher_friction)
+        if edge is not None and len(model.effects) > 0:
+            raise InputError(f"At an edge of the table there is no law for {', '.join(model.effects.names)}; leave the effects out there.")
+    by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
+    if len(by_pusher) > 1:
+        raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
 
 
 def _tape(n_cells: int, active: ActiveEffects) -> Tape:
