@@ -35,6 +35,7 @@ def test_unknown_object_is_pushed_to_a_goal_in_the_live_simulated_cell(tmp_path:
     assert files <= {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.long
 def test_command_without_a_cell_says_what_is_missing() -> None:
     done = run("push-to", "--x", 0.0, "--y", 0.0, "--yaw", 0.0, timeout=60.0)
     assert done.returncode == 1

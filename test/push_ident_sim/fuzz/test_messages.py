@@ -21,6 +21,7 @@ CASES = Path(__file__).with_name("cases")
 
 # Times are granted by load, but an arm that is played by a starved process makes no push at all.
 @pytest.mark.skipif(os.getloadavg()[0] > 4.0 * (os.cpu_count() or 1), reason="far more processes than processors")
+@pytest.mark.long
 @pytest.mark.alone
 def test_every_node_lives_answers_and_works_through_earlier_failures_and_a_sample_of_mutated_messages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
