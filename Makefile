@@ -38,8 +38,8 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment perception --seed 5000 --models 1 --json docs/results/experiments/perception.json
 	$(VENV)/push-ident experiment sensors --seed 5000 --models 1 --json docs/results/experiments/sensors.json
 	$(VENV)/push-ident experiment edge --seed 6000 --models 3 --json docs/results/experiments/edge.json
-	$(VENV)/push-ident experiment paths --seed 6100 --models 2 --json docs/results/experiments/paths.json
-	$(VENV)/push-ident experiment knocks --seed 6100 --models 2 --json docs/results/experiments/knocks.json
+	$(VENV)/push-ident experiment paths --seed 6400 --models 3 --json docs/results/experiments/paths.json
+	$(VENV)/push-ident experiment knocks --seed 6400 --models 2 --json docs/results/experiments/knocks.json
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
 	$(VENV)/push-ident experiment effects --seed 6300 --models 10 --json docs/results/experiments/effects.json
 	$(VENV)/push-ident experiment demo --seed 8200 --models 2 --json docs/results/experiments/demo.json
