@@ -34,7 +34,7 @@ _ARRIVED: Final = 0.0015
 _AHEAD: Final = 0.05
 """How far along the path the object may have come since the last frame [m]."""
 _NOT_BETTER: Final = 0.85
-"""Share of the present error that must not be left over the look ahead [1]; else the contact does not bring the object back."""
+"""A contact brings the object back only where the error at the end of the look ahead is below this share of the present one [1]."""
 _BAD: Final = 1.5
 """Root of the mean square error over the look ahead that another contact is worth [tolerances]."""
 _WORSE: Final = 1.3
