@@ -120,12 +120,18 @@ def _tables(summary: Json) -> str:
 
 
 def _draw(summary: Json, folder: Path) -> dict[str, str]:
+    from matplotlib.ticker import LogLocator
+
     errors, expected = 1e3 * np.array(summary["errors_m"]), 1e3 * np.array(summary["expected_m"])
     figure, (ax,) = new_figure(1)
     ax.loglog(expected, errors, "o", ms=4, color=COLOURS["gauss_newton"])
     ends = np.array([expected.min(), expected.max()])
     ax.plot(ends, ends, color=COLOURS["truth"], lw=1.0, label="as expected")
     ax.plot(ends, _BEYOND * ends, color=COLOURS["truth"], lw=1.0, ls=":", label=f"{_BEYOND:g} expected errors")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
     ax.set_xlabel("expected error [mm]")
     ax.set_ylabel("error [mm]")
     label_below(ax, 2)

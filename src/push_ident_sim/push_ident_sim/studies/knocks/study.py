@@ -95,7 +95,7 @@ def _tables(summary: Json) -> str:
 
 
 def _draw(summary: Json, folder: Path) -> dict[str, str]:
-    figure, (axes,) = new_figure(1, width=6.0, height=3.0)
+    figure, (axes,) = new_figure(1, width=6.0, height=4.2)
     for kind, own in summary["kinds"].items():
         n = sum(row["back"]["n"] for row in own.values())
         times = np.sort([t for row in own.values() for t in row["times_s"]])
