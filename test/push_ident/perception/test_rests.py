@@ -11,16 +11,16 @@ from scipy.optimize import least_squares
 
 from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, Prism, rectangle, render
 from push_ident.errors import PerceptionError
-from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.outline import cells_in_outline, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.perception.depth import points_in_table
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.rests import Rests
+from push_ident.perception.rests import Rests, with_cells
 from push_ident.perception.segments import Segment
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.shape import SegmentedView
 from push_ident.perception.tracking import PoseFit, TrackStatus
-from push_ident.types import DepthFrame
+from push_ident.types import DepthFrame, ObjectShape
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import suitable_pose
 from push_ident_sim.objects import make_object
@@ -293,3 +293,22 @@ def test_a_thing_that_touches_it_later_is_no_part_of_it():
     watched.move(PLACES[0], PLACES[1])
     watched.rest(PLACES[1])
     assert polygon_area(watched.perception.known("o1").traced.shape.outline) == pytest.approx(area, rel=0.01)
+
+
+def bar(length, half_width):
+    return np.array([(0.0, -half_width), (length, -half_width), (length, half_width), (0.0, half_width)])
+
+
+def test_an_edge_that_moves_across_a_row_of_centres_changes_no_cells():
+    """Half of the rows of a narrow handle may hang on a millimetre; what is known belongs to the cells as they are."""
+    cells = cells_in_outline(bar(0.2, 0.0155), 0.01)
+    for half_width in (0.0145, 0.0155):
+        assert len(cells_in_outline(bar(0.2, half_width), 0.01)) == (40 if half_width < 0.015 else 80)
+        kept = with_cells(ObjectShape(cells, bar(0.2, half_width)))
+        np.testing.assert_array_equal(kept.cells.centres, cells.centres)
+
+
+@pytest.mark.parametrize("length", [0.15, 0.25])
+def test_a_part_that_appears_or_is_none_changes_the_cells(length):
+    shape = ObjectShape(cells_in_outline(bar(0.2, 0.0155), 0.01), bar(length, 0.0155))
+    np.testing.assert_array_equal(with_cells(shape).cells.centres, cells_in_outline(shape.outline, 0.01).centres)

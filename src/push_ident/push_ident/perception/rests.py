@@ -18,9 +18,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from push_ident.errors import InputError, PerceptionError, PushIdentError
-from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.contacts import Placed
@@ -34,7 +35,7 @@ from push_ident.perception.shape import SegmentedView, TracedObject, median_dept
 from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, displaced_by_camera, fit_pose
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["Rests", "cut_to"]
+__all__ = ["Rests", "cut_to", "with_cells"]
 
 _STILL: Final = (0.003, 0.03)
 """Largest distance and turn of a pose of a rest from their mean [m, rad]: three times the noise of one frame of a RealSense D435."""
@@ -49,8 +50,8 @@ _BETTER: Final = 0.9
 """An outline is replaced where the latest rest scatters less about the new one, by this factor [-]. Of 59 outlines in the check of
 decision 65 none ended worse; of exact cameras the ratio is mostly nearer to 1."""
 _SAME_CELLS: Final = 0.1
-"""Relative change of the number of cells inside the outline up to which the object keeps its cells [-]: its masses and frictions
-belong to them. A part that was hidden and is larger needs cells of its own."""
+"""Share of the cells that may lie outside the outline or be missing in it, before the object gets cells anew [-]: its masses and frictions
+belong to the old ones. A part that was hidden and is larger needs cells of its own."""
 _AROUND: Final = 60
 """Margin of an image around the segment [px]: as far as parts of an object in a shadow are looked for."""
 _BESIDE: Final = 0.008
@@ -134,7 +135,7 @@ class _Resting:
         yield
         better = yield from _held(better, template, view)
         yield
-        better = replace(better, traced=replace(better.traced, shape=_with_cells(better.traced.shape)))
+        better = replace(better, traced=replace(better.traced, shape=with_cells(better.traced.shape)))
         self.views = [replace(view, pose=pose) for view, pose in zip(self.views, better.poses, strict=True)]
         return better, Template(better.traced)
 
@@ -340,14 +341,19 @@ def _is_better(better: Refined) -> bool:
     return better.misfit < _BETTER * better.misfit_before and error is not None and error < DISPLACED * better.misfit_before
 
 
-def _with_cells(shape: ObjectShape) -> ObjectShape:
-    """The shape with the same cells, unless the outline holds clearly more or fewer of them; checked.
+def with_cells(shape: ObjectShape) -> ObjectShape:
+    """The shape with the same cells, unless some lie clearly outside the outline or a part of it has none; checked.
+
+    Their number tells nothing: an edge that moves by a millimetre may hold a row of cells more or less.
 
     Raises:
         InputError: It is no shape of an object.
     """
-    anew = cells_in_outline(shape.outline, shape.cells.size)
-    if abs(len(anew) - len(shape.cells)) <= _SAME_CELLS * len(shape.cells):
+    cells = shape.cells
+    anew = cells_in_outline(shape.outline, cells.size)
+    outside = signed_distance(cells.centres, shape.outline) > 0.5 * cells.size
+    bare = KDTree(cells.centres).query(anew.centres)[0] > 1.5 * cells.size
+    if np.count_nonzero(outside) + np.count_nonzero(bare) <= _SAME_CELLS * len(cells):
         with suppress(InputError):
             return check_shape(shape)
     return check_shape(replace(shape, cells=anew))
