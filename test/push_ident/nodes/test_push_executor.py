@@ -425,9 +425,3 @@ def test_simulated_hand_is_activated_and_closed_to_a_fist() -> None:
         for node in (hand, user):
             node.destroy_node()
         context.try_shutdown()
-
-
-def test_contradicting_parameters_end_the_process_with_one_line(domain: int) -> None:
-    process = start_node(domain, push_height=0.2)
-    output, _ = process.communicate(timeout=10.0)
-    assert process.returncode == 1 and "heights must rise" in output and "Traceback" not in output
