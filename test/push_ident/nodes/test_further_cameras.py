@@ -21,7 +21,7 @@ from push_ident.nodes.convert import (
 )
 from push_ident.perception.parameter_file import pose_lines
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 
 def as_arguments(*parameters: str) -> list[str]:

@@ -273,7 +273,7 @@ def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:
 # ---- live
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(tmp_path: Path) -> None:
     domain = own_domain()
     process = NodeProcess("identification_node", "push_ident.nodes", {}, domain, tmp_path)

@@ -46,8 +46,6 @@ from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
-pytestmark = pytest.mark.alone
-
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -140,6 +138,7 @@ def start(domain: int, **parameters: object) -> subprocess.Popen[str]:
     return subprocess.Popen(command, env=os.environ | {"ROS_DOMAIN_ID": str(domain)}, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.alone
 def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: Path) -> None:
     file = tmp_path / "view.rrd"
     viewer = start(cell.domain, output="file", file=str(file))
