@@ -91,13 +91,8 @@ CHANGES = {
     "swapped poses": with_poses_of_another_push,
     "backwards": backwards,
 }
-PAIRS = [
-    pytest.param(source, change, marks=() if i // 2 == j // 2 % 2 else pytest.mark.long)
-    for i, source in enumerate(SOURCES)
-    for j, change in enumerate(CHANGES)
-    if (i + j) % 2 == 0
-]
-"""Each change in the pushes of two sources, of one of them in a long test; each source with every second change."""
+PAIRS = [(source, change) for i, source in enumerate(SOURCES) for j, change in enumerate(CHANGES) if (i + j) % 2 == 0]
+"""Each change in the pushes of two sources, each source with every second change."""
 
 
 @pytest.mark.parametrize(("pushes", "change"), PAIRS, indirect=["pushes"], scope="module", ids=lambda value: value)
