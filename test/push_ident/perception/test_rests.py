@@ -151,7 +151,6 @@ def ragged_hammer(rng):
     return lambda pose, _: hammer_frame(pose, rng, end_of_handle if np.array_equal(pose, PLACES[0]) else None)
 
 
-@pytest.mark.long
 def test_what_a_better_outline_takes_is_spread_over_frames_and_is_the_same_in_each_replay(monkeypatch):
     """Parts are counted where they are done: at most one in a frame at 30 Hz, none where there is a search."""
     done, per_frame, go_on = [], [], Rests.go_on
@@ -278,7 +277,6 @@ def test_a_part_that_lay_in_a_shadow_comes_back():
     assert np.max(np.abs(signed_distance(truth, watched.shapes[-1].outline))) < 0.003
 
 
-@pytest.mark.long
 def test_a_thing_that_touches_it_later_is_no_part_of_it():
     rng = np.random.default_rng(0)
     beside = Prism(rectangle(0.086, -0.04, 0.136, 0.04), 0.035)
