@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -24,10 +23,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from visualization_msgs.msg import MarkerArray
-from yaml import safe_load
 
 from helpers.domains import own_domain
-from helpers.paths import CONFIG, ROOT
 from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
@@ -197,14 +194,3 @@ def test_a_camera_that_moves_costs_no_memory(tmp_path: Path) -> None:
 def resident_megabytes() -> float:
     pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def test_layouts_name_topics_that_the_nodes_publish() -> None:
-    script = [sys.executable, str(ROOT / "tools" / "document_nodes.py")]
-    page = subprocess.run(script, capture_output=True, text=True, timeout=120, check=True).stdout
-    rviz = safe_load((CONFIG / "push_ident.rviz").read_text(encoding="utf-8"))
-    displays = [d for group in rviz["Visualization Manager"]["Displays"] for d in (group.get("Displays") or [group])]
-    topics = {d["Topic"]["Value"] for d in displays if "Topic" in d}
-    topics |= set(json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))["configById"]["3D!table"]["topics"])
-    for topic in topics:
-        assert f"| publishes | `{re.sub('^objects/[^/]+', 'objects/<id>', topic.removeprefix('/'))}` |" in page, topic
