@@ -60,19 +60,24 @@ endurance: setup  ## the live cell for an hour while its nodes are killed at ran
 faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
 	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json
 
-# Tests that look at the clock run one by one; all others, and lint, fill the idle time of both cores at the lowest priority, in a session of
-# their own: Linux schedules sessions against each other first, and niceness alone counts only within one.
+# Three runs at once (CONVENTIONS.md, Tests): `alone` first, `live` at a lower priority, all others and lint in the time that is left, at the
+# lowest, each in a session of its own: Linux schedules sessions against each other first, and niceness alone counts only within one.
+# Only the files that have tests of a marker are loaded where they are few.
+in_session = setsid nice -n $(1) bash -c 'echo $(1) 2>/dev/null >/proc/self/autogroup; $(2)'
+with_marker = $$(grep -rl --include="test_*.py" "mark.$(1)" test)
 test: setup  ## lint, types and tests
 	@mkdir -p log; \
-	OMP_NUM_THREADS=1 setsid nice -n 19 bash -c 'echo 19 2>/dev/null >/proc/self/autogroup; \
+	$(call in_session,19,export OMP_NUM_THREADS=1; \
 	  $(MAKE) --no-print-directory lint >log/lint.log 2>&1 & \
-	  $(VENV)/pytest -m "not alone and not long" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
-	  wait $$!; lint=$$?; exit $$((tests || lint))' \
+	  $(VENV)/pytest -m "not alone and not live and not long" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
+	  wait $$!; lint=$$?; exit $$((tests || lint))) \
 	  >log/tests.log 2>&1 & others=$$!; \
-	trap 'kill -- -$$others 2>/dev/null' EXIT; \
-	$(VENV)/pytest -m "alone and not long"; alone=$$?; \
-	echo "Lint and the other tests (log/tests.log):"; wait $$others; status=$$?; cat log/lint.log log/tests.log; \
-	exit $$((alone || status))
+	$(call in_session,10,$(VENV)/pytest -m "live and not alone and not long" $(call with_marker,live)) >log/live.log 2>&1 & live=$$!; \
+	trap 'kill -- -$$others -$$live 2>/dev/null' EXIT; \
+	$(VENV)/pytest -m "alone and not long" $(call with_marker,alone); status=$$?; \
+	echo "Lint and the other tests (log/live.log, log/tests.log):"; \
+	wait $$live || status=1; wait $$others || status=1; cat log/lint.log log/live.log log/tests.log; \
+	exit $$status
 
 test-long: setup  ## the tests that `make test` leaves out since they take long
 	OMP_NUM_THREADS=1 $(VENV)/pytest -m long

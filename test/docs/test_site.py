@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import json
 import os
 import re
 import subprocess
@@ -9,8 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from yaml import safe_load
 
-ROOT = Path(__file__).resolve().parents[2]
+from helpers.paths import CONFIG, ROOT
+
 ROOT_DOCUMENTS = (
     "README.md",
     "ARCHITECTURE.md",
@@ -74,6 +78,17 @@ def test_reference_has_every_command_node_message_and_effect(site: Path) -> None
     }
     missing = {page: [name for name in names if name not in pages[page]] for page, names in expected.items()}
     assert not any(missing.values()), missing
+
+
+def test_layouts_of_viewers_name_topics_that_the_nodes_publish(site: Path) -> None:
+    page = (site / "reference" / "nodes.html").read_text(encoding="utf-8")
+    rviz = safe_load((CONFIG / "push_ident.rviz").read_text(encoding="utf-8"))
+    displays = [d for group in rviz["Visualization Manager"]["Displays"] for d in (group.get("Displays") or [group])]
+    topics = {d["Topic"]["Value"] for d in displays if "Topic" in d}
+    topics |= set(json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))["configById"]["3D!table"]["topics"])
+    for topic in topics:
+        name = html.escape(re.sub("^objects/[^/]+", "objects/<id>", topic.removeprefix("/")))
+        assert re.search(rf"<td>publishes</td>\s*<td><code>{re.escape(name)}</code></td>", page), topic
 
 
 def test_links_of_the_documents_at_the_root_lead_somewhere() -> None:

@@ -67,39 +67,53 @@ print([
     for torque in (0.0, 0.1)
 ])
 """
+CAUSES = """
+import json
+from push_ident.physics.effects import CAUSES
+
+print(json.dumps(CAUSES))
+"""
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with what every program made of the effect, and with what it printed, in NAME.txt."""
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the effect, for what the programs make of it."""
     folder = tmp_path_factory.mktemp("effect")
     (folder / "effects").mkdir()
     (folder / "effects" / "swirl.py").write_text(EFFECT)
     (folder / "planar.py").write_text(PLANAR)
-    simulate = ("--object", "toolbox", "--effect", f"swirl={TORQUE}", "--pushes", "5", "--seed", "3")
-    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
-    known = ("--nominal-mass", MASS, "--friction", FRICTION)
-    programs = {
-        "page": (ROOT / "tools" / "document_effects.py",),
-        "listed": ("push-ident", "simulate", "--effects"),
-        "planar": (folder / "planar.py",),
-        "simulated": ("push-ident", "simulate", *simulate, "--out", folder / "bag", "--truth", folder / "truth.json"),
-        "diagnosed": ("push-ident", "diagnose", folder / "bag", *known, "--out", folder, "--json", folder / "result.json"),
-        "exported": ("push-ident", "export", folder / "model.json", "--format", "mjcf", "--out", folder / "model.xml"),
-    }
+    (folder / "causes.py").write_text(CAUSES)
+    return folder
+
+
+def run(folder: Path, programs: dict[str, tuple[object, ...]]) -> None:
+    """Run programs with the effect; what each printed is in NAME.txt."""
     calls = [[str(folder / f"{name}.txt"), list(map(str, program))] for name, program in programs.items()]
     # Compiled quickly rather than to quick code: the kernels of an effect given by a folder run here only.
     environment = {**os.environ, VARIABLE: str(folder / "effects"), "OMP_NUM_THREADS": "1", "NUMBA_OPT": "1"}
     call = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(call, env=environment, input=json.dumps(calls), capture_output=True, text=True, timeout=1800, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def made(folder: Path) -> Path:
+    """With what needs no kernels."""
+    programs: dict[str, tuple[object, ...]] = {
+        "page": (ROOT / "tools" / "document_effects.py",),
+        "listed": ("push-ident", "simulate", "--effects"),
+        "planar": (folder / "planar.py",),
+        "causes": (folder / "causes.py",),
+    }
+    run(folder, programs)
     return folder
 
 
-def test_effect_of_a_new_file_is_documented_and_offered_for_injection(made: Path) -> None:
+def test_effect_of_a_new_file_is_documented_and_offered_for_injection_and_as_a_cause(made: Path) -> None:
     assert "A turn to one side in every push." in (made / "page.txt").read_text()
     listed = (made / "listed.txt").read_text()
     assert "swirl: A constant torque turns the object about the vertical." in listed and "torque [N m]" in listed
+    assert "swirl" in json.loads((made / "causes.txt").read_text())
 
 
 def test_effect_of_a_new_file_acts_in_the_planar_engine(made: Path) -> None:
@@ -108,13 +122,23 @@ def test_effect_of_a_new_file_acts_in_the_planar_engine(made: Path) -> None:
     assert still == 0.0 and 1e-5 < turned < 1e-2
 
 
-def test_effect_of_a_new_file_is_simulated_diagnosed_and_exported(made: Path) -> None:
-    injected = json.loads((made / "truth.json").read_text())
+@pytest.mark.long
+def test_effect_of_a_new_file_is_simulated_diagnosed_and_exported(folder: Path) -> None:
+    simulate = ("--object", "toolbox", "--effect", f"swirl={TORQUE}", "--pushes", "5", "--seed", "3")
+    # Poses determine the ratio of the torque to the friction of the whole object, which is therefore given.
+    known = ("--nominal-mass", MASS, "--friction", FRICTION)
+    programs: dict[str, tuple[object, ...]] = {
+        "simulated": ("push-ident", "simulate", *simulate, "--out", folder / "bag", "--truth", folder / "truth.json"),
+        "diagnosed": ("push-ident", "diagnose", folder / "bag", *known, "--out", folder, "--json", folder / "result.json"),
+        "exported": ("push-ident", "export", folder / "model.json", "--format", "mjcf", "--out", folder / "model.xml"),
+    }
+    run(folder, programs)
+    injected = json.loads((folder / "truth.json").read_text())
     assert injected["effects"] == {"swirl": [TORQUE]}
     assert sum(injected["mass_kg"]) == pytest.approx(MASS)
     assert np.average(injected["friction"], weights=injected["mass_kg"]) == pytest.approx(FRICTION)
-    result = json.loads((made / "result.json").read_text())
+    result = json.loads((folder / "result.json").read_text())
     (found,) = result["effects"]
     assert result["verdict"] == "named" and found["name"] == "swirl"
     assert found["parameters"]["torque"] == pytest.approx(TORQUE, rel=0.35)
-    assert "swirl (torque = " in (made / "model.xml").read_text()
+    assert "swirl (torque = " in (folder / "model.xml").read_text()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.long]  # quicker: test_live_edge.py, test_live.py and test_goal_pushing.py have its parts
 
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 
@@ -35,7 +35,6 @@ def test_unknown_object_is_pushed_to_a_goal_in_the_live_simulated_cell(tmp_path:
     assert files <= {path.name for path in folder.iterdir()}
 
 
-@pytest.mark.long
 def test_command_without_a_cell_says_what_is_missing() -> None:
     done = run("push-to", "--x", 0.0, "--y", 0.0, "--yaw", 0.0, timeout=60.0)
     assert done.returncode == 1

@@ -37,6 +37,7 @@ def test_ur5e_of_its_file_pushes_the_object_in_the_simulated_cell(tmp_path: Path
     quick = {"object": "toolbox", "camera_rate": 0.0, "truth_as_perception": True, "real_time_factor": 0.3, "sensor": "plain"}
     # A slow clock: a pause of the machine is a short one for the arm, which would cut a corner to catch up and push further.
     patient = {"use_sim_time": True, "arm_timeout": 1.0, "tracking_lag": 1.0, "home_posture": [0.4, *executor["home_posture"][1:]]}
+    patient |= {"settle": 0.1, "rest": 0.2, "free_speed": 0.5}
     commands = [node_command("sim_cell_node", simulated | quick), node_command("push_executor_node", executor | patient)]
     with Supervisor(commands, log_dir=tmp_path / "log") as supervisor, CellClient(check=supervisor.check) as client:
         object_id = client.wait_for_object()

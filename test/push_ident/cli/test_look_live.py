@@ -29,7 +29,7 @@ from helpers.depth_scene import CAMERA, Prism, rectangle, render
 from push_ident.nodes.convert import depth_frame_to_msgs, transform_to_msg
 from push_ident.types import CameraIntrinsics
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 BOX = Prism(rectangle(-0.1, -0.06, 0.1, 0.06), 0.1).at((0.0, 0.0, 0.4))

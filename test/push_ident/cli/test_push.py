@@ -60,7 +60,7 @@ def test_random_pushes_are_reproducible_from_the_seed() -> None:
     assert seeds[0] == seeds[1] != seeds[2] and len(set(seeds[0])) == 4
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_a_push_that_misses_is_followed_by_the_next_and_a_silent_arm_ends_all(executor: Executor, tmp_path: Path) -> None:
     done = run_here("push", "--random", 4, "--seed", 2, "--dry-run", "--json", tmp_path / "pushes.json")
     assert done.returncode == 1 and "1 of 4 pushes could be planned" in done.stderr

@@ -211,7 +211,7 @@ def test_stop_at_any_moment_of_a_supervised_node_is_quiet_and_quick(tmp_path: Pa
 
 
 @pytest.mark.parametrize("command", ["up sim", "doctor"])
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.3, 0.8, 1.6])
+@pytest.mark.parametrize("delay", [0.0, pytest.param(0.05, marks=pytest.mark.long), 0.3, pytest.param(0.8, marks=pytest.mark.long), 1.6])
 def test_ctrl_c_at_any_moment_of_a_command_is_quiet(tmp_path: Path, command: str, delay: float) -> None:
     with Stalls() as stalls:
         code, took, output = interrupted((sys.executable, "-m", "push_ident.cli", *command.split()), delay, tmp_path / "output")

@@ -60,7 +60,14 @@ def test_tilted_table_is_named_with_its_size_and_closes_the_gap(tilted: Diagnosi
     assert low <= tilted.gap.shrink <= high
 
 
-@pytest.mark.parametrize(("name", "size"), [("pose_latency", 0.03), ("outline_error", 0.002), ("pusher_friction", 0.3)])
+SIZES = [
+    ("pose_latency", 0.03),
+    pytest.param("outline_error", 0.002, marks=pytest.mark.long),
+    pytest.param("pusher_friction", 0.3, marks=pytest.mark.long),
+]
+
+
+@pytest.mark.parametrize(("name", "size"), SIZES)
 def test_effect_is_named_with_its_size(name: str, size: float) -> None:
     found = diagnose(simulated_pushes(6, 2, {name: [size]}))
     assert found.effects[0].name == name, found.sentence
@@ -134,7 +141,10 @@ def test_poses_that_jump_and_come_back_are_not_trusted() -> None:
     assert "jump away" in found.sentence
 
 
-@pytest.mark.parametrize(("rho", "effects", "names"), [(0.6, None, []), (0.0, {"table_tilt": [0.03, 0.0]}, ["table_tilt"])])
+CORRELATED = [(0.6, None, []), pytest.param(0.0, {"table_tilt": [0.03, 0.0]}, ["table_tilt"], marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize(("rho", "effects", "names"), CORRELATED)
 def test_correlated_noise_is_no_effect_where_rests_are_too_short_to_show_it(
     rho: float, effects: dict[str, list[float]] | None, names: list[str]
 ) -> None:
@@ -151,7 +161,10 @@ def test_correlated_noise_is_no_effect_where_rests_are_too_short_to_show_it(
     assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
 
 
-@pytest.mark.parametrize(("effects", "names"), [(None, []), ({"pusher_lag": [0.05]}, ["pusher_lag"])])
+FILTERED = [(None, []), pytest.param({"pusher_lag": [0.05]}, ["pusher_lag"], marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize(("effects", "names"), FILTERED)
 def test_filtered_poses_are_diagnosed(effects: dict[str, list[float]] | None, names: list[str]) -> None:
     """Errors that hardly change from frame to frame, as of a tracking filter."""
     records = with_correlated_noise(simulated_pushes(8, 4, effects, noise=0.01 * NOISE), 0.97, 4)

@@ -14,7 +14,7 @@ from push_ident.fleet import FleetOptions, find_jobs, read_table, run_fleet, wri
 from push_ident.fleet.job import Outcome
 from push_ident.identification.model_file import load_model
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 OPTIONS = FleetOptions(max_seconds=5.0)
 

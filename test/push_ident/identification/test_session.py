@@ -41,19 +41,19 @@ def test_each_push_is_predicted_by_the_model_fitted_to_those_before_it() -> None
 
 def test_killed_at_any_push_the_maps_are_those_of_the_uninterrupted_run(tmp_path: Path) -> None:
     """The bag is played again from its start after each kill: known pushes are left out."""
-    lived = _session(tmp_path / "lived")
-    for record in RECORDS:
+    lived, records = _session(tmp_path / "lived"), RECORDS[:5]
+    for record in records:
         lived.finish(record)
-    for n_before in (1, 3, 5):
+    for n_before in (1, 4):
         folder = tmp_path / f"killed-{n_before}"
         killed = _session(folder)
-        for record in RECORDS[:n_before]:
+        for record in records[:n_before]:
             killed.finish(record)
-        killed.update(RECORDS[n_before])  # in the middle of a push
+        killed.update(records[n_before])  # in the middle of a push
         del killed
         again = _session(folder)
         assert again.restored
-        for record in RECORDS:
+        for record in records:
             again.finish(record)
         assert again.n_known_again == n_before
         assert np.array_equal(again.posterior.z, lived.posterior.z)

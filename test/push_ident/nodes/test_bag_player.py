@@ -12,7 +12,7 @@ import pytest
 from helpers.domains import own_domain
 from push_ident.bags.writer import BagWriter
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 DECADES = 1e9
 """[s]"""

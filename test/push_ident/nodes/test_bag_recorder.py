@@ -107,13 +107,6 @@ def end(process: subprocess.Popen[str]) -> str:
     return output
 
 
-def test_nothing_is_recorded_where_the_disk_is_low_already(user: User, tmp_path: Path) -> None:
-    process = record(user, tmp_path / "bag", min_free_mib=FULL)
-    output, _ = process.communicate(timeout=20.0)
-    assert process.returncode == 1 and "MiB free" in output and "Traceback" not in output
-    assert not (tmp_path / "bag").exists()
-
-
 def test_disk_that_runs_low_closes_the_bag_readable_and_is_reported(user: User, tmp_path: Path) -> None:
     process = record(user, tmp_path / "bag")
     try:
@@ -187,10 +180,3 @@ def test_recorder_started_again_after_its_death_begins_the_next_bag_and_keeps_th
     assert sorted((path, path.read_bytes()) for path in (tmp_path / "bag").rglob("*") if path.is_file()) == first
     with open_bag(tmp_path / "bag_2") as bag:
         assert sum(1 for _ in bag.raw_messages()) >= 5
-
-
-def test_bag_that_exists_is_refused_by_a_recorder_that_is_not_numbered(user: User, tmp_path: Path) -> None:
-    (tmp_path / "bag").mkdir()
-    process = record(user, tmp_path / "bag")
-    output, _ = process.communicate(timeout=20.0)
-    assert process.returncode == 1 and "exists already and is not overwritten" in output

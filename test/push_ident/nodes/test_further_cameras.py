@@ -21,7 +21,7 @@ from push_ident.nodes.convert import (
 )
 from push_ident.perception.parameter_file import pose_lines
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 
 def as_arguments(*parameters: str) -> list[str]:
@@ -80,18 +80,3 @@ def test_a_further_camera_helps_with_the_shape_and_a_missing_one_is_named(domain
     origin = (POSE[0] + 0.0199 * np.cos(POSE[2]), POSE[1] + 0.0199 * np.sin(POSE[2]), 0.0)
     outline = transform_points(origin, shape_from_msgs(camera.cells[-1], camera.outlines[-1]).outline)
     assert np.abs(signed_distance(outline, transform_points(POSE, HAMMER_OUTLINE))).max() < 0.001
-
-
-@pytest.mark.parametrize(
-    ("parameters", "line"),
-    [
-        (["extra_cameras:=[side]"], "Give side.camera_position and side.camera_quaternion"),
-        (["extra_cameras:=[side, side]"], "extra_cameras has 'side', expected different names"),
-        (["extra_cameras:=[2nd]"], "extra_cameras has '2nd', expected different names of letters"),
-    ],
-)
-def test_further_cameras_without_a_pose_or_a_name_end_with_one_line(domain, parameters, line):
-    process = start(domain, *as_arguments(*parameters))
-    output, _ = process.communicate(timeout=20.0)
-    assert process.returncode == 1
-    assert line in output and "Traceback" not in output

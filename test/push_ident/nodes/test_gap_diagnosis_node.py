@@ -28,7 +28,7 @@ from push_ident_msgs.msg import GapReport
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 N_PUSHES = 6
 TILT = 0.03

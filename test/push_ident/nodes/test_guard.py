@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -27,9 +26,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from helpers.domains import own_domain
-from helpers.executor_cell import BOX, CONTACT, Cell, send, start_node, summary, wait_for
+from helpers.executor_cell import BOX
 from helpers.node_process import NodeProcess, Talker, node_commands
-from helpers.spinning import spinning
+from helpers.wrong_poses import right_pose, wrong_poses
 from push_ident.errors import InputError
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.nodes.bag_player_node import BagPlayerNode
@@ -38,7 +37,6 @@ from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import (
     joints_from_msg,
     planar_pose_from_msg,
-    planar_pose_to_msg,
     shape_from_msgs,
     shape_to_msgs,
     stamp_from_msg,
@@ -136,41 +134,6 @@ def test_messages_that_agree_on_another_time_are_believed() -> None:
 
 
 # ---- conversion
-
-
-def pose() -> PoseWithCovarianceStamped:
-    return planar_pose_to_msg(Time(sec=5), [0.1, 0.2, 0.3], np.eye(3) * 1e-6)
-
-
-def wrong_poses() -> dict[str, PoseWithCovarianceStamped]:
-    found: dict[str, PoseWithCovarianceStamped] = {}
-
-    def add(name: str, change: Any) -> None:
-        message = found[name] = pose()
-        change(message)
-
-    def set_covariance(value: float, *entries: int) -> Any:
-        def change(message: PoseWithCovarianceStamped) -> None:
-            for entry in entries:
-                message.pose.covariance[entry] = value
-
-        return change
-
-    add("NaN in the covariance", set_covariance(np.nan, 0))
-    add("NaN beside the diagonal", set_covariance(np.nan, 1))
-    add("infinite covariance", set_covariance(np.inf, 7))
-    add("not symmetric", set_covariance(1e-7, 1))
-    add("not positive definite", set_covariance(-1.0, 35))
-    add("huge covariance", set_covariance(1e300, 0, 7, 35))
-    add("no covariance", set_covariance(0.0, *range(36)))
-    add("NaN", lambda m: setattr(m.pose.pose.position, "x", np.nan))
-    add("far", lambda m: setattr(m.pose.pose.position, "y", 1e300))
-    add("zero quaternion", lambda m: setattr(m.pose.pose, "orientation", type(m.pose.pose.orientation)(w=0.0)))
-    add("huge quaternion", lambda m: setattr(m.pose.pose.orientation, "x", 1e308))
-    add("negative stamp", lambda m: setattr(m.header.stamp, "sec", -1))
-    add("too many nanoseconds", lambda m: setattr(m.header.stamp, "nanosec", 2**32 - 1))
-    add("wrong frame", lambda m: setattr(m.header, "frame_id", "[/x]\x00" * 1000))
-    return found
 
 
 @pytest.mark.parametrize("name", wrong_poses())
@@ -310,19 +273,19 @@ def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:
 # ---- live
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(tmp_path: Path) -> None:
     domain = own_domain()
     process = NodeProcess("identification_node", "push_ident.nodes", {}, domain, tmp_path)
     try:
         with Talker(domain) as talker:
-            talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", pose())
+            talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", right_pose())
             save = talker.node.create_client(SaveModel, "save_model")
             cells, outline = shape_to_msgs(ObjectShape(cells_in_outline(BOX, 0.01), BOX), "o1", Time())
             talker.publish(OccupancyGrid, "objects/o1/cells", cells)
             talker.publish(PolygonStamped, "objects/o1/outline", outline)
             talker.until(
-                lambda: talker.values().get("shapes"), lambda: talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", pose())
+                lambda: talker.values().get("shapes"), lambda: talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", right_pose())
             )
             for wrong in wrong_poses().values():
                 talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", wrong)
@@ -338,37 +301,3 @@ def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(t
     finally:
         process.stop()
     assert "Traceback" not in process.output
-
-
-@pytest.mark.alone
-def test_a_wrong_pose_in_the_middle_of_a_push_ends_neither_the_push_nor_the_executor() -> None:
-    domain = own_domain()
-    with spinning(Cell, domain) as cell:
-        process = start_node(domain)
-        try:
-            wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
-            wrong, (first, *others) = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10), wrong_poses().values()
-
-            def refusal() -> str:
-                return next(v.value for v in cell.diagnostics[-1].status[0].values if v.key == "last refusal")
-
-            def is_heard() -> bool:
-                # A publisher may know its subscriber before that knows it, and is not heard until then.
-                wrong.publish(first)
-                time.sleep(0.2)
-                return refusal() != "none"
-
-            wait_for(is_heard)
-            before = refusal()
-            call = send(cell, **CONTACT)
-            wait_for(lambda: cell.pusher)
-            for message in others:
-                wrong.publish(message)
-            assert call.end().error_code == 0
-            wait_for(lambda: refusal() != before)
-            assert refusal().startswith("/objects/box/pose")
-            assert process.poll() is None
-        finally:
-            process.send_signal(signal.SIGINT)
-            output, _ = process.communicate(timeout=10.0)
-    assert process.returncode == 0 and "Traceback" not in output, output

@@ -52,7 +52,7 @@ def test_only_the_latest_outline_of_an_object_waits_and_pushes_keep_their_place(
     assert queue.n_waiting(Kind.OUTLINE) == 0
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_a_better_outline_is_no_push_that_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The fit with it is held up, so that the status of the node is seen meanwhile."""
     domain, may_go_on, refine = own_domain(), threading.Event(), ObjectSession.refine_shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import signal
 import subprocess
 import threading
@@ -283,19 +282,6 @@ def test_a_node_stops_while_a_better_outline_is_under_way_and_goes_on_or_begins_
         assert process.returncode == 0 and "Traceback" not in output, output
 
 
-@pytest.mark.parametrize(
-    ("parameter", "line"),
-    [
-        ("min_object_height:=7.0", "min_object_height of perception_node is 7.0: expected 0.002 to 0.5"),
-        ("camera_heading_std:=-0.01", "camera_heading_std of perception_node is -0.01: expected 0 to 0.2 (standard deviation"),
-    ],
-)
-def test_an_impossible_parameter_ends_the_process_with_one_line(domain, parameter, line):
-    process = start(domain, "-p", parameter)
-    output, _ = process.communicate(timeout=15.0)
-    assert process.returncode == 1 and line in output and "Traceback" not in output
-
-
 def test_accuracy_of_the_camera_is_published_and_again_when_it_changes(camera, node):
     client = camera.create_client(SetParameters, "perception_node/set_parameters")
 
@@ -352,12 +338,3 @@ def test_a_clock_that_does_not_tick_is_reported_within_five_seconds(domain, came
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(5.0)
-
-
-def test_extrinsics_from_tf_without_tf_end_with_one_line(domain):
-    if importlib.util.find_spec("tf2_ros") is not None:
-        pytest.skip("tf2_ros is installed here")
-    process = start(domain, "-p", "extrinsics:=tf")
-    output, _ = process.communicate(timeout=20.0)
-    assert process.returncode == 1
-    assert "tf2_ros is not installed; give camera_position" in output and "Traceback" not in output

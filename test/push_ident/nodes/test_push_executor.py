@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -35,6 +35,7 @@ from helpers.executor_cell import (
     summary,
     wait_for,
 )
+from helpers.wrong_poses import wrong_poses
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import stamp_from_msg
@@ -368,6 +369,36 @@ def test_arm_that_another_node_commands_is_not_commanded(cell: Cell) -> None:
     time.sleep(0.5)
 
 
+def test_wrong_poses_in_the_middle_of_a_push_are_refused_and_end_neither_push_nor_node(cell: Cell, node: subprocess.Popen[str]) -> None:
+    first, *others = wrong_poses().values()
+    wrong = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+
+    def values() -> dict[str, str]:
+        return {v.key: v.value for v in cell.diagnostics[-1].status[0].values}
+
+    def n_refused() -> int:
+        return int(values()["refused"])
+
+    def is_heard() -> bool:
+        # A publisher may know its subscriber before that knows it, and is not heard until then.
+        wrong.publish(first)
+        time.sleep(0.2)
+        return n_refused() > before
+
+    try:
+        before = n_refused()
+        wait_for(is_heard)
+        call = begin_push(cell)
+        before = n_refused()
+        for message in others:
+            wrong.publish(message)
+        assert call.end().error_code == 0
+        wait_for(lambda: n_refused() > before)
+    finally:
+        cell.destroy_publisher(wrong)
+    assert values()["last refusal"].startswith("/objects/box/pose") and node.poll() is None
+
+
 def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: Cell, node: subprocess.Popen[str]) -> None:
     call = send(cell, **CONTACT)
     wait_for(lambda: ExecutePush.Feedback.PHASE_PUSH in call.feedback)
@@ -425,9 +456,3 @@ def test_simulated_hand_is_activated_and_closed_to_a_fist() -> None:
         for node in (hand, user):
             node.destroy_node()
         context.try_shutdown()
-
-
-def test_contradicting_parameters_end_the_process_with_one_line(domain: int) -> None:
-    process = start_node(domain, push_height=0.2)
-    output, _ = process.communicate(timeout=10.0)
-    assert process.returncode == 1 and "heights must rise" in output and "Traceback" not in output

@@ -91,7 +91,7 @@ def test_a_node_that_cannot_start_gives_the_reason_in_one_line():
 
 
 @pytest.mark.parametrize("command", [("push_ident.nodes", "perception_node"), ("push_ident_sim", "sim_cell_node")], ids=lambda c: c[1])
-@pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("delay", [0.0, pytest.param(0.1, marks=pytest.mark.long), 0.3, 1.0, pytest.param(2.0, marks=pytest.mark.long)])
 def test_interrupt_while_a_node_is_loaded_ends_it_quietly(command, delay, tmp_path):
     # The import times show when Python has started: before that no code of a package runs.
     said = tmp_path / "stderr"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -24,10 +23,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from visualization_msgs.msg import MarkerArray
-from yaml import safe_load
 
 from helpers.domains import own_domain
-from helpers.paths import CONFIG, ROOT
 from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
@@ -45,8 +42,6 @@ from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.seeing import CAMERA_POSE
-
-pytestmark = pytest.mark.alone
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -140,6 +135,7 @@ def start(domain: int, **parameters: object) -> subprocess.Popen[str]:
     return subprocess.Popen(command, env=os.environ | {"ROS_DOMAIN_ID": str(domain)}, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.alone
 def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: Path) -> None:
     file = tmp_path / "view.rrd"
     viewer = start(cell.domain, output="file", file=str(file))
@@ -198,21 +194,3 @@ def test_a_camera_that_moves_costs_no_memory(tmp_path: Path) -> None:
 def resident_megabytes() -> float:
     pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def test_a_file_that_is_no_recording_is_refused_with_one_line(cell: Cell) -> None:
-    viewer = start(cell.domain, output="file", file="view.txt")
-    _, said = viewer.communicate(timeout=20.0)
-    assert viewer.returncode == 1
-    assert "expected a path that ends with .rrd" in said and "Traceback" not in said
-
-
-def test_layouts_name_topics_that_the_nodes_publish() -> None:
-    script = [sys.executable, str(ROOT / "tools" / "document_nodes.py")]
-    page = subprocess.run(script, capture_output=True, text=True, timeout=120, check=True).stdout
-    rviz = safe_load((CONFIG / "push_ident.rviz").read_text(encoding="utf-8"))
-    displays = [d for group in rviz["Visualization Manager"]["Displays"] for d in (group.get("Displays") or [group])]
-    topics = {d["Topic"]["Value"] for d in displays if "Topic" in d}
-    topics |= set(json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))["configById"]["3D!table"]["topics"])
-    for topic in topics:
-        assert f"| publishes | `{re.sub('^objects/[^/]+', 'objects/<id>', topic.removeprefix('/'))}` |" in page, topic

@@ -191,10 +191,10 @@ def test_a_thing_with_steps_stays_one_object_on_its_way():
 @pytest.mark.parametrize(
     ("outer", "inner", "top", "floor"),
     [
-        pytest.param(circle(0.07, 16), circle(0.066, 16), 0.05, 0.004, id="bowl", marks=pytest.mark.long),
-        pytest.param(circle(0.04, 16), circle(0.036, 16), 0.09, 0.004, id="mug", marks=pytest.mark.long),
+        pytest.param(circle(0.07, 16), circle(0.066, 16), 0.05, 0.004, id="bowl"),
+        pytest.param(circle(0.04, 16), circle(0.036, 16), 0.09, 0.004, id="mug"),
         pytest.param(rectangle(-0.08, -0.05, 0.08, 0.05), rectangle(-0.076, -0.046, 0.076, 0.046), 0.06, 0.004, id="box without a lid"),
-        pytest.param(circle(0.05, 16), circle(0.038, 16), 0.03, 0.0, id="roll of tape", marks=pytest.mark.long),
+        pytest.param(circle(0.05, 16), circle(0.038, 16), 0.03, 0.0, id="roll of tape"),
     ],
 )
 def test_a_hollow_thing_is_one_object_with_the_outline_of_its_rim(outer, inner, top, floor):

@@ -11,9 +11,14 @@ COVARIANCE = np.diag([1e-3, 1e-3, np.radians(0.5)]) ** 2
 
 def rest(pose: np.ndarray, n: int, rng: np.random.Generator) -> RestingPose:
     found = RestingPose()
-    for k in range(n):
-        found.add(float(k), pose + rng.multivariate_normal(np.zeros(3), COVARIANCE), COVARIANCE)
+    for k, error in enumerate(errors(n, rng)):
+        found.add(float(k), pose + error, COVARIANCE)
     return found
+
+
+def errors(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Noise of some poses, shape (n, 3); a draw for each would take most of the time of a test."""
+    return rng.multivariate_normal(np.zeros(3), COVARIANCE, size=n)
 
 
 def test_noise_is_no_motion_however_often_it_is_looked_at() -> None:
@@ -22,8 +27,8 @@ def test_noise_is_no_motion_however_often_it_is_looked_at() -> None:
     said = 0
     for _ in range(300):
         before, after = rest(pose, 30, rng), RestingPose()
-        for k in range(30):
-            after.add(float(k), pose + rng.multivariate_normal(np.zeros(3), COVARIANCE), COVARIANCE)
+        for k, error in enumerate(errors(30, rng)):
+            after.add(float(k), pose + error, COVARIANCE)
             said += displacement(before, after)[2]
     assert said <= 3
 

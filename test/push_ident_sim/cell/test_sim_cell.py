@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -467,18 +467,18 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
 
 
 @pytest.mark.alone
-def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback() -> None:
+def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback(tmp_path: Path) -> None:
     pytest.importorskip("rclpy")
-    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", "-p", "object:=toolbox"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(own_domain())}
-    node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+    from helpers.node_process import NodeProcess, Talker
+
+    domain = own_domain()
+    node = NodeProcess("sim_cell_node", "push_ident_sim", {"object": "toolbox"}, domain, tmp_path)
     try:
-        time.sleep(6.0)
-        assert node.poll() is None
-        node.send_signal(signal.SIGINT)
+        with Talker(domain) as talker:
+            talker.until(lambda: float(talker.values().get("images [1/s]", 0)) > 0)
         asked = time.monotonic()
-        output, _ = node.communicate(timeout=10.0)
+        assert node.stop() == 0
         assert time.monotonic() - asked < 2.5
-        assert node.returncode == 0 and "Traceback" not in output, output
     finally:
-        node.kill()
+        node.stop()
+    assert "Traceback" not in node.output

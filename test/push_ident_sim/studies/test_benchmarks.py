@@ -44,7 +44,10 @@ def test_growth_exponent_is_the_power() -> None:
     assert growth_exponent([100, 1000, 10000], [3e-3, 3e-3 * 10**1.5, 3.0]) == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize("name", BENCHMARKS)
+EACH = [pytest.param(name, marks=pytest.mark.long if name == "command-line" else ()) for name in BENCHMARKS]
+
+
+@pytest.mark.parametrize("name", EACH)
 def test_pieces_give_a_summary_with_tables_targets_and_pictures(name: str, tmp_path: Path) -> None:
     benchmark = BENCHMARKS[name]
     pieces = benchmark.pieces(Settings(tmp_path / "truth", quick=True))

@@ -1,0 +1,74 @@
+"""What a node says that cannot start with its parameters: one line, with which its process ends (`test_run.py`)."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+
+from helpers.domains import own_domain
+from helpers.paths import CONFIG
+from push_ident.errors import InputError
+from push_ident.nodes.bag_recorder_node import BagRecorderNode
+from push_ident.nodes.cell_node import CellNode
+from push_ident.nodes.perception.perception_node import PerceptionNode
+from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
+from push_ident.nodes.viewer.viewer_node import ViewerNode
+
+FULL = 10_000_000
+"""[MiB] that no disk has free."""
+REFUSED: tuple[tuple[type[CellNode], tuple[str, ...], str], ...] = (
+    (PerceptionNode, ("min_object_height:=7.0",), "min_object_height of perception_node is 7.0: expected 0.002 to 0.5"),
+    (
+        PerceptionNode,
+        ("camera_heading_std:=-0.01",),
+        "camera_heading_std of perception_node is -0.01: expected 0 to 0.2 (standard deviation",
+    ),
+    (PerceptionNode, ("extra_cameras:=[side]",), "Give side.camera_position and side.camera_quaternion"),
+    (PerceptionNode, ("extra_cameras:=[side, side]",), "extra_cameras has 'side', expected different names"),
+    (PerceptionNode, ("extra_cameras:=[2nd]",), "extra_cameras has '2nd', expected different names of letters"),
+    (PushExecutorNode, ("push_height:=0.2",), "heights must rise"),
+    (ViewerNode, ("output:=file", "file:=view.txt"), "expected a path that ends with .rrd"),
+)
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Context]:
+    context = Context()
+    rclpy.init(context=context, domain_id=own_domain())
+    yield context
+    context.try_shutdown()
+
+
+def refusal(node: type[CellNode], context: Context, *parameters: str) -> str:
+    """Why a node does not start with these parameters and those of the installed file."""
+    given = [word for parameter in parameters for word in ("-p", parameter)]
+    with pytest.raises(InputError) as caught:
+        node(context=context, cli_args=["--ros-args", "--params-file", str(CONFIG / "push_ident.yaml"), *given])
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("node", "parameters", "line"), REFUSED, ids=[f"{node.__name__}-{given[-1]}" for node, given, _ in REFUSED])
+def test_impossible_parameters_are_refused_in_one_line(
+    context: Context, node: type[CellNode], parameters: tuple[str, ...], line: str
+) -> None:
+    assert line in refusal(node, context, *parameters)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("tf2_ros") is not None, reason="tf2_ros is installed here")
+def test_extrinsics_from_tf_need_tf(context: Context) -> None:
+    assert "tf2_ros is not installed; give camera_position" in refusal(PerceptionNode, context, "extrinsics:=tf")
+
+
+def test_nothing_is_recorded_where_the_disk_is_low_already_or_the_bag_exists(context: Context, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    assert "MiB free" in refusal(BagRecorderNode, context, f"bag:={bag}", f"min_free_mib:={FULL}")
+    assert not bag.exists()
+    bag.mkdir()
+    assert "exists already and is not overwritten" in refusal(BagRecorderNode, context, f"bag:={bag}", "min_free_mib:=1")
+    assert not list(bag.iterdir())
