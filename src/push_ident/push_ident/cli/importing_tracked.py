@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +10,6 @@ import numpy as np
 import typer
 
 from push_ident.bags.importers import (
-    ImportReport,
     RosbagTopics,
     TableFormat,
     TrackedPoses,
@@ -20,16 +17,15 @@ from push_ident.bags.importers import (
     import_tracked_poses,
 )
 from push_ident.bags.importers.axes import parse_axes
-from push_ident.bags.importers.recording import OverlapError, RecordingOptions
+from push_ident.bags.importers.recording import RecordingOptions
 from push_ident.bags.importers.rosbag import parse_map
 from push_ident.bags.importers.shapes import CELL_SIZE
 from push_ident.bags.importers.tables import parse_columns
 from push_ident.bags.importers.tracked_poses import POSE_ROLES, PUSHER_ROLES
-from push_ident.cli.checks import above_zero, at_least_zero, finite, writable_file
-from push_ident.cli.import_report import BagOption, draw_import, show_import
+from push_ident.cli.checks import above_zero, at_least_zero, finite
+from push_ident.cli.import_report import BagOption, PageOption, run_import
 from push_ident.cli.output import JsonOption
 from push_ident.errors import InputError
-from push_ident.extras import need
 from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
@@ -112,10 +108,6 @@ LiftedOption = Annotated[
     typer.Option("--lifted-above", callback=finite, help="Height z of the pusher above which it is lifted [m].", show_default=False),
 ]
 CellSizeOption = Annotated[float, typer.Option(callback=above_zero, help="Edge of the cells of the object [m].")]
-PictureOption = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", callback=writable_file, help="Picture of the overlap check. Default: beside the bag.", show_default=False),
-]
 
 
 def csv_command(
@@ -147,7 +139,7 @@ def csv_command(
     yaw_std: YawStdOption = None,
     lifted_above: LiftedOption = None,
     cell_size: CellSizeOption = CELL_SIZE,
-    picture: PictureOption = None,
+    page: PageOption = None,
     json: JsonOption = None,
 ) -> None:
     """Tables of tracked poses of an object and of the pusher (CSV). Options are in metres and radians whatever the units of the files."""
@@ -174,8 +166,8 @@ def csv_command(
         time_offset=time_offset,
         pusher_frame=_frame(pusher_frame),
     )
-    with _picture_of_a_miss(out, picture):
-        _finish(import_tracked_poses(tables, out), picture, json)
+    source = ", ".join(dict.fromkeys(file.name for file in (tables.poses, pusher, outline)))
+    run_import(lambda: import_tracked_poses(tables, out), out, source, page, json)
 
 
 def rosbag_command(
@@ -206,7 +198,7 @@ def rosbag_command(
     yaw_std: YawStdOption = None,
     lifted_above: LiftedOption = None,
     cell_size: CellSizeOption = CELL_SIZE,
-    picture: PictureOption = None,
+    page: PageOption = None,
     json: JsonOption = None,
 ) -> None:
     """Bag with other topics than those of the contract: say which topic holds what."""
@@ -231,24 +223,9 @@ def rosbag_command(
         log_time=log_time,
         wrench_on_sensor=wrench_on_sensor,
     )
-    with _picture_of_a_miss(out, picture):
-        _finish(import_rosbag(source, out), picture, json)
+    run_import(lambda: import_rosbag(source, out), out, bag.name, page, json)
 
 
-@contextmanager
-def _picture_of_a_miss(out: Path, picture: Path | None) -> Iterator[None]:
-    """Where the pusher never comes near the object, the picture shows where it is instead."""
-    need("report")
-    try:
-        yield
-    except OverlapError as error:
-        draw_import(error.overlap, out, picture)
-        raise
-
-
-def _finish(report: ImportReport, picture: Path | None, json: Path | None) -> None:
-    draw_import(report.overlap, report.bag, picture)
-    show_import(report, json)
 
 
 def _frame(text: str) -> Float64Array | None:

@@ -38,6 +38,8 @@ class ImportReport:
     contact_distance: Float64Array
     """Distance of the pusher's surface to the outline at first contact of each push [m], negative inside; NaN where nothing shows a
     contact; shape (n_pushes,)."""
+    tolerance: float
+    """Distance that noise explains [m]; see `contact_tolerance`."""
     supports: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
     """Known support points [m], shape (n_supports, 2), object frame; none where they are unknown or the object rests on its whole base."""
     mass: float | None = None
