@@ -226,8 +226,6 @@ def rosbag_command(
     run_import(lambda: import_rosbag(source, out), out, bag.name, page, json)
 
 
-
-
 def _frame(text: str) -> Float64Array | None:
     """Pose `x,y,yaw` [m, m, rad]; None for no text. Raises InputError for another form."""
     if not text:

@@ -90,9 +90,7 @@ def test_an_outline_about_another_origin_is_named(tmp_path: Path, tables: Tracke
     np.testing.assert_allclose(shift, [-0.03, -0.02], atol=3e-3)
 
 
-def test_a_pusher_far_from_the_object_ends_in_an_error_and_a_page(
-    tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]
-) -> None:
+def test_a_pusher_far_from_the_object_ends_in_an_error_and_a_page(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
     _, pusher = tracked_rows(pushed)
     far = pusher[:, :3] * [1, 1e2, 1e2]
     still = table_file(tmp_path / "still.csv", "time,x,y,yaw", tracked_rows(pushed)[0] * [1, 0, 0, 0] + [0, 50.0, 50.0, 0])
