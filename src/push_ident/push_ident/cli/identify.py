@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -110,7 +112,7 @@ def identify_command(
             method=method,
             effects=loaded.nuisances if takes_effects else (),
             budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
-            options=FitOptions(seed=seed),
+            options=FitOptions(seed=seed, threads=len(os.sched_getaffinity(0))),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         report("predicting the pushes")
@@ -140,10 +142,14 @@ def prior_of_options(weighed: float | None, nominal_mass: float, friction: float
 
 
 def _load(bags: Sequence[Path], object_id: str, camera: Path | None, report: Callable[[str], None]) -> LoadedPushes:
-    """The pushes; kernels first, since their compilation, a minute the first time, would count as time of the solve."""
-    report("loading the kernels")
-    compile_kernels()
-    return load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
+    """The pushes. Kernels are loaded meanwhile, most of which needs no interpreter; the first time they are compiled, in a minute."""
+    in_table = read_camera(camera)
+    with ThreadPoolExecutor(1) as pool:
+        kernels = pool.submit(compile_kernels, gradients=False)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, on_progress=report)
+        report("loading the kernels")
+        kernels.result()
+    return loaded
 
 
 def read_camera(path: Path | None) -> Float64Array | None:
