@@ -48,7 +48,7 @@ def test_page_of_a_wrong_radius_says_what_to_mend_and_does_not_lead_on(tmp_path:
     text = page_of(replace(tables, radius=0.018), tmp_path)
     assert "pusher and object do not meet</h1>" in text and "What is wrong" in text
     assert re.search(r"Most likely: the radius of the pusher is (7|8)\.\d mm, not 18\.0 mm", text)
-    assert "push-ident identify" not in text and "Do not use this one" in text
+    assert "push-ident identify" not in text and "leave this bag aside" in text
     assert drawn(text, "missed") > 6 and columns(text, "pusher and outline").count("misses") > 3
     assert all(-13 < float(cell.split()[0]) < -7 for cell in columns(text, "while it moves"))
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.commands import run_here
+from helpers.objects import hammer, random_records
 from helpers.recordings import table_file, tracked_rows
 from push_ident.bags.importers import ImportReport, TrackedPoses, import_tracked_poses
 from push_ident.bags.importers.axes import parse_axes
@@ -148,3 +149,16 @@ def test_two_clocks_that_have_no_time_in_common_name_the_offset(tmp_path: Path, 
     unix.pusher.write_text("time,x,y,push\n" + "\n".join(f"{t + 1.6e9:.4f},{x:.6f},{y:.6f},{n:.0f}" for t, x, y, n in pusher) + "\n")
     with pytest.raises(BagError, match="one clock.*--time-offset -1600000000"):
         import_tracked_poses(unix, tmp_path / "bag")
+
+
+def test_noise_of_a_camera_is_no_motion_before_the_pusher_comes(tmp_path: Path, tables: TrackedPoses) -> None:
+    poses, pusher = tracked_rows(random_records(hammer(3), 6, 3))
+    noisy = replace(
+        tables,
+        poses=table_file(tmp_path / "p.csv", "time,x,y,yaw", poses),
+        pusher=table_file(tmp_path / "t.csv", "time,x,y,push", pusher),
+        position_std=1e-3,
+        yaw_std=8.7e-3,
+    )
+    report = import_tracked_poses(noisy, tmp_path / "bag")
+    assert report.warnings == () and np.abs(report.contact_distance).max() < 6e-3

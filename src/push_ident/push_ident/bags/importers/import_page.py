@@ -69,7 +69,7 @@ def write_import_page(path: Path, report: ImportReport, source: str) -> None:
     back, problem = _read_back(report)
     checks = _checks(report, back, problem)
     is_good = all(check.good for check in checks) and not report.warnings
-    verdict = _verdict(report.overlap) if report.overlap is not None else "look at the warnings" if report.warnings else "no warning"
+    verdict = _verdict(report)
     write_page(
         path,
         __package__,
@@ -121,10 +121,13 @@ def _context(overlap: Overlap | None) -> dict[str, Any]:
     }
 
 
-def _verdict(overlap: Overlap) -> str:
+def _verdict(report: ImportReport) -> str:
+    overlap, warned = report.overlap, " in most frames, with warnings" if report.warnings else ""
+    if overlap is None:
+        return "look at the warnings" if report.warnings else "no warning"
     if not len(overlap.push):
         return "no frame shows the object in motion"
-    return "pusher and object meet" if overlap.fits else "pusher and object do not meet"
+    return f"pusher and object meet{warned}" if overlap.fits else "pusher and object do not meet"
 
 
 def _read_back(report: ImportReport) -> tuple[_ReadBack | None, str]:
@@ -220,8 +223,10 @@ def _steps(report: ImportReport, back: _ReadBack | None, is_good: bool) -> list[
     """Sentences, each with the command that it asks for, or none."""
     bag, name = shlex.quote(str(report.bag)), shlex.quote(f"out/{report.bag.stem}")
     if report.warnings or back is None:
-        first = _mend(report.overlap) if report.overlap is not None else [("Look at the warnings above.", "")]
-        return [*first, ("Then import again, with another --out: a bag is not overwritten. Do not use this one before.", "")]
+        first = [("Look at the pushes and files that the warnings name.", "")]
+        if report.overlap is not None and not report.overlap.fits:
+            first = _mend(report.overlap)
+        return [*first, ("Then import again under another --out, since a bag is not overwritten, and leave this bag aside.", "")]
     steps = [("The picture and the checks show nothing wrong." if is_good else "Look at the checks above first.", "")]
     weighed = "" if report.mass is None else f" --total-mass {report.mass:g}"
     n = len(back.pushes)
@@ -275,7 +280,7 @@ def _point(point: Sequence[float] | Float64Array) -> str:
 
 
 def _millimetres(metres: float) -> str:
-    return f"{1e3 * metres:.1f} mm" if np.isfinite(metres) else "–"
+    return f"{round(1e3 * metres, 1) + 0.0:.1f} mm" if np.isfinite(metres) else "–"  # no -0.0
 
 
 def _count(n: int, what: str) -> str:
