@@ -25,7 +25,7 @@ class Placed:
     corners: Float64Array
     """On the table [m], shape (n_vertices, 2); two points are a line."""
     style: str
-    """`before`, `goal`, `predicted`, `seen`, `edge`, `outline`, `pusher`, `missed` or `trace`, a class of the page's styles."""
+    """`before`, `goal`, `predicted`, `seen`, `edge`, `outline`, `meets`, `missed` or `trace`, a class of the page's styles."""
     text: str
     """Shown under the pointer."""
     closed: bool = True

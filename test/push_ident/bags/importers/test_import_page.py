@@ -37,7 +37,7 @@ def test_page_of_a_right_import_leads_on_to_identify(tmp_path: Path, tables: Tra
     text = page_of(tables, tmp_path)
     assert "<h1>Import of bag: pusher and object meet</h1>" in text and "What is wrong" not in text
     assert set(columns(text, "result")) == {"good"} and columns(text, "pusher and outline") == ["meets"] * 6
-    assert drawn(text, "pusher") == 12 and drawn(text, "missed") == 0 and drawn(text, "outline") == 7
+    assert drawn(text, "meets") == 12 and drawn(text, "missed") == 0 and drawn(text, "outline") == 7
     ways = [1e3 * float(np.linalg.norm(push.poses.pose[-1, :2] - push.poses.pose[0, :2])) for push in pushed]
     np.testing.assert_allclose([float(way.split()[0]) for way in columns(text, "object moved")], ways, atol=1.5)
     assert f"push-ident identify {tmp_path / 'bag'} --train 0-3 --out out/bag_maps" in text

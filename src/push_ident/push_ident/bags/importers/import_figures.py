@@ -19,6 +19,8 @@ _Centre = Callable[[int], Float64Array]
 _MOST_PUSHES: Final = 12
 """Pushes that are drawn; with more, circles and outlines cover each other."""
 _CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
+_STEADY: Final = 2.0
+"""Largest time to the next frame, in the median one of a push, of a frame that begins its motion [-]."""
 _POINT: Final = 0.006
 """Radius of a pusher that is a point, as a share of the drawing [-]."""
 
@@ -69,7 +71,7 @@ def _panel(title: str, placed: list[Placed], overlap: Overlap, pushes: Float64Ar
     radius = max(overlap.radius, _POINT * float(np.max(frame[1] - frame[0])))
     circle = radius * np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
     for push, k, middle in zip(pushes, first, centres, strict=True):
-        style = "pusher" if abs(overlap.distance[k]) <= overlap.tolerance else "missed"
+        style = "meets" if abs(overlap.distance[k]) <= overlap.tolerance else "missed"
         text = f"pusher of push {push + 1:.0f}: {1e3 * overlap.distance[k]:.1f} mm from the outline"
         placed.append(Placed(middle + circle, style, text, label=f"{push + 1:.0f}"))
     return outline_panel(title, placed, frame)
@@ -92,5 +94,7 @@ def _over_time(title: str, overlap: Overlap, pushes: Float64Array) -> str:
 
 
 def _first(overlap: Overlap, push: float) -> int:
-    """The first frame in which a push moves the object."""
-    return int(np.flatnonzero(overlap.push == push)[0])
+    """The first frame in which a push moves the object: a frame far before the next one is noise that looks like motion."""
+    own = np.flatnonzero(overlap.push == push)
+    step = np.diff(overlap.time[own])
+    return int(own[np.argmax(step <= _STEADY * np.median(step))]) if len(step) else int(own[0])
