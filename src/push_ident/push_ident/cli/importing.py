@@ -28,7 +28,11 @@ from push_ident.types import Float64Array
 
 __all__ = ["import_app"]
 
-import_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Convert a recording of others to a bag of the contract.")
+import_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Convert own tables and bags, or published recordings, to a bag that all commands read.",
+)
 
 _MIT = MitOptions()
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The recording as it was published.", show_default=False)]
@@ -43,6 +47,10 @@ SupportsOption = Annotated[
 OutlineOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Table x,y of the outline [m], object frame, for another object.", show_default=False)
 ]
+
+
+import_app.command("csv")(csv_command)
+import_app.command("rosbag")(rosbag_command)
 
 
 @import_app.command("cmu-icra16")
@@ -131,7 +139,3 @@ def _outline(file: Path | None) -> Float64Array | None:
     if not np.isfinite(outline).all():
         raise InputError(f"{file}: a vertex lacks a number, expected x and y in every row.")
     return outline
-
-
-import_app.command("csv")(csv_command)
-import_app.command("rosbag")(rosbag_command)

@@ -72,10 +72,21 @@ class TimeUnit(StrEnum):
 
 PositionStdOption = Annotated[
     float | None,
-    typer.Option("--position-std", callback=above_zero, help="Standard deviation of an object position [m].", show_default=False),
+    typer.Option(
+        "--position-std",
+        callback=above_zero,
+        help="Standard deviation of an object position [m]. Default: the scatter at rest; for mit 0.5 mm.",
+        show_default=False,
+    ),
 ]
 YawStdOption = Annotated[
-    float | None, typer.Option("--yaw-std", callback=above_zero, help="Standard deviation of an object yaw [rad].", show_default=False)
+    float | None,
+    typer.Option(
+        "--yaw-std",
+        callback=above_zero,
+        help="Standard deviation of an object yaw [rad]. Default: the scatter at rest; for mit 0.3 degrees.",
+        show_default=False,
+    ),
 ]
 PusherOption = Annotated[
     Path, typer.Option(metavar="FILE", help="Table time,x,y of the axis of the pusher, optionally with z and push.", show_default=False)
@@ -89,7 +100,7 @@ ColumnsOption = Annotated[str, typer.Option(metavar="ROLE=NAME,…", help="Other
 PusherColumnsOption = Annotated[
     str, typer.Option(metavar="ROLE=NAME,…", help="Other names of the columns of --pusher.", show_default=False)
 ]
-TimeUnitOption = Annotated[TimeUnit, typer.Option(help="Unit of time, likewise.")]
+TimeUnitOption = Annotated[TimeUnit, typer.Option(help="Unit of time in columns whose names say none.")]
 PosesArgument = Annotated[
     Path | None, typer.Argument(metavar="POSES", help="Table time,x,y,yaw or time,x,y,z,qx,qy,qz,qw of the object.", show_default=False)
 ]
@@ -98,7 +109,9 @@ AxesOption = Annotated[
     str, typer.Option(metavar="A,B,C", help="Axes of the poses that are x, y and z of the table; of a file with y up x,-z,y.")
 ]
 PusherAxesOption = Annotated[str, typer.Option(metavar="A,B,C", help="The same of the pusher.")]
-TimeOffsetOption = Annotated[float, typer.Option(callback=finite, help="Added to the times of pusher and force [s].")]
+TimeOffsetOption = Annotated[
+    float, typer.Option(callback=finite, help="Added to the times of pusher and force; above 0 where their clock is behind [s].")
+]
 PusherFrameOption = Annotated[
     str,
     typer.Option(metavar="X,Y,YAW", help="Where the frame of the pusher lies in that of the poses [m, m, rad].", show_default=False),
@@ -126,11 +139,15 @@ def csv_command(
     columns: ColumnsOption = "",
     pusher_columns: PusherColumnsOption = "",
     length_unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths in columns whose names say none.")] = LengthUnit.m,
-    pusher_length_unit: Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)] = None,
+    pusher_length_unit: Annotated[
+        LengthUnit | None, typer.Option(help="Unit of lengths of the pusher, if it has another.", show_default=False)
+    ] = None,
     outline_length_unit: OutlineUnitOption = None,
-    angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw, likewise.")] = AngleUnit.rad,
+    angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = AngleUnit.rad,
     time_unit: TimeUnitOption = TimeUnit.s,
-    pusher_time_unit: Annotated[TimeUnit | None, typer.Option(help="Of pusher and force, if it is another.", show_default=False)] = None,
+    pusher_time_unit: Annotated[
+        TimeUnit | None, typer.Option(help="Unit of time of pusher and force, if it is another.", show_default=False)
+    ] = None,
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "x,y,z",
     time_offset: TimeOffsetOption = 0.0,
