@@ -15,7 +15,7 @@ from push_ident.errors import PushIdentError
 
 NEVER_NEGATIVE = ("seed", "models", "jobs", "hold_out", "goals", "workers", "pushes", "random", "explore", "max_pushes", "repeat")
 """Whole numbers that no command takes below zero."""
-RESULTS = ("out", "json", "page", "truth", "picture", "record")
+RESULTS = ("out", "json", "page", "truth", "record")
 
 
 def commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from helpers.diagnosis import NOISE, simulated_pushes, with_correlated_noise
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.budget import Budget, Sample
 from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify
 from push_ident.identification.model_file import load_model, save_model
@@ -35,6 +37,32 @@ def test_four_noisy_pushes_predict_others_within_three_millimetres(seed: int) ->
     uniform, identified = (float(np.mean(held_out_errors(m, records[4:]))) for m in (result.uniform, result.model))
     assert identified < 3e-3
     assert identified < 0.5 * uniform
+
+
+def test_threads_change_no_bit_of_a_result() -> None:
+    records = random_records(hammer(0), 2, 0)
+    budget = Budget(max_seconds=None)
+    one, two = (identify(records, budget=budget, options=FitOptions(threads=n)) for n in (1, 2))
+    for attribute in ("z", "covariance"):
+        np.testing.assert_array_equal(getattr(one.posterior, attribute), getattr(two.posterior, attribute))
+    assert [c.log_evidence for c in one.candidates] == [c.log_evidence for c in two.candidates]
+    assert one.n_simulations == two.n_simulations and one.status is two.status
+    assert [(h.n_simulations, h.cost) for h in one.history] == [(h.n_simulations, h.cost) for h in two.history]
+
+
+def test_progress_of_threads_is_reported_in_order() -> None:
+    seen: list[Sample] = []
+    result = identify(random_records(hammer(0), 1, 0), options=FitOptions(threads=2), on_progress=seen.append)
+    assert [h.cost for h in result.history[-2:]] == [sample.cost for sample in seen[-2:]]
+    assert all(a.cost > b.cost and a.n_simulations <= b.n_simulations for a, b in pairwise(seen))
+
+
+def test_errors_of_measured_forces_do_not_change_the_errors_of_pushes() -> None:
+    records = random_records(hammer(1), 2, 1)
+    plain = held_out_errors(hammer(1), records)
+    np.testing.assert_array_equal(held_out_errors(hammer(1), records, effects={"force_offset": [0.5, 0.2]}), plain)
+    observed = [observe_push(record) for record in records[::-1]]
+    assert not np.array_equal(held_out_errors(hammer(1), records, observed=observed), plain)
 
 
 def test_end_poses_suffice() -> None:

@@ -15,6 +15,9 @@ from helpers.commands import run_here
 from helpers.depth_scene import CAMERA, Prism, rectangle, render
 from helpers.diagnosis import simulated_pushes
 from helpers.objects import hammer, random_records
+from helpers.recordings import table_file, tracked_rows
+from push_ident.bags.importers import TrackedPoses, import_tracked_poses
+from push_ident.bags.importers.import_page import write_import_page
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.report import write_report as write_diagnosis
 from push_ident.fleet import write_index
@@ -24,13 +27,13 @@ from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import result_json
 from push_ident.planning.goal_page import write_goal_page
-from push_ident.types import CameraIntrinsics
+from push_ident.types import CameraIntrinsics, PushRecord
 
 SMALLEST_TEXT = 11.0
 """[CSS px]; smaller letters are hard to read."""
 CONTRAST = 4.5
 """Least ratio of luminances of text and ground (WCAG 2.2, 1.4.3)."""
-MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "broken_off": 2, "fleet": 2, "look": 3}
+MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "broken_off": 2, "fleet": 2, "look": 3, "import_meets": 3, "import_misses": 3}
 """Of A4, for a handful of pushes."""
 NAMES = list(MOST_PAGES)
 WIDER = "letter-spacing: 0.04em"
@@ -84,6 +87,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_goal_page(folder / "broken_off.html", goal_content("CANCELED", 1))
     write_index(folder / "fleet.html", fleet(result, *errors))
     look(folder)
+    imports(folder, records)
     return {path.stem: path for path in folder.glob("*.html")}
 
 
@@ -132,6 +136,22 @@ def look(folder: Path) -> None:
         cv2.imwrite(str(images / f"{number}.png"), np.rint(np.nan_to_num(depth) * 1e3).astype(np.uint16))
     done = run_here("look", images, "--intrinsics", "300,300,159.5,119.5", "--known", "0.12x0.08x0.05", "--out", folder)
     assert done.returncode == 0, done.stderr
+
+
+def imports(folder: Path, records: list[PushRecord]) -> None:
+    """Pages of an import of tables, and of the same with a wrong radius of the pusher."""
+    poses, pusher = tracked_rows(records)
+    tables = folder / "tables"
+    tables.mkdir()
+    files = [
+        table_file(tables / "poses.csv", "time,x,y,yaw", poses),
+        table_file(tables / "pusher.csv", "time,x,y,push", pusher),
+        table_file(tables / "outline.csv", "x,y", records[0].shape.outline),
+    ]
+    for name, radius in (("meets", 0.008), ("misses", 0.020)):
+        given = TrackedPoses(*files, radius=radius, position_std=1e-3, yaw_std=8.7e-3, cell_size=0.011)
+        report = import_tracked_poses(given, folder / f"bag_{name}")
+        write_import_page(folder / f"import_{name}.html", report, "poses.csv, pusher.csv, outline.csv")
 
 
 def goal_content(code: str, n_pushes: int) -> dict[str, object]:

@@ -102,3 +102,17 @@ def test_a_pose_is_fitted_in_few_steps(monkeypatch):
             assert len(steps) <= 9
         # Where the iterations end does not depend on where they begin, to less than a tenth of the noise of a pose.
         np.testing.assert_array_less(np.abs(fits[0].pose - fits[1].pose), 0.15 * np.sqrt(np.diag(fits[0].covariance)) + [5e-6, 5e-6, 5e-5])
+
+
+def test_without_an_occupancy_grid_poses_and_shapes_are_the_same() -> None:
+    with_grid, without = Perception(CAMERA, SETTINGS), Perception(CAMERA, SETTINGS, occupancy=False)
+    rng, grids = np.random.default_rng(3), 0
+    for n in range(20):
+        moved = np.array([2e-3 * max(n - 8, 0), 0.0, 0.0])
+        frame = render([*(prism.at(HAMMER_AT + moved) for prism in HAMMER), BOX], rng=rng, stamp=n / 10)
+        seen, other = with_grid.observe(frame), without.observe(frame)
+        grids += seen.occupancy is not None
+        assert other.occupancy is None and seen.new_shapes.keys() == other.new_shapes.keys() and seen.refined.keys() == other.refined.keys()
+        for one, two in zip(seen.objects, other.objects, strict=True):
+            np.testing.assert_array_equal(one.pose, two.pose)
+    assert grids > 1 and len(with_grid.observe(render([BOX], rng=rng, stamp=3.0)).objects) == 2

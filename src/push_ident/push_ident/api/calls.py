@@ -10,6 +10,7 @@ Everything that can go wrong with data raises a `PushIdentError` of one line; a 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
@@ -26,6 +27,7 @@ from push_ident.errors import InputError
 from push_ident.extras import need
 from push_ident.identification.budget import Budget
 from push_ident.identification.comparison import Comparison, compare_pushes
+from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import identify as _identify
 from push_ident.identification.model_file import load_model
 from push_ident.identification.prior import Prior
@@ -88,7 +90,8 @@ def identify(
     """
     effects = pushes.nuisances if isinstance(pushes, LoadedPushes) and solver_of(method).capabilities.takes_effects else ()
     known = _weighed(prior or Prior(), total_mass)
-    return _identify(list(pushes), known, method=method, effects=effects, budget=Budget(max_seconds=max_seconds))
+    options = FitOptions(threads=len(os.sched_getaffinity(0)))
+    return _identify(list(pushes), known, method=method, effects=effects, budget=Budget(max_seconds=max_seconds), options=options)
 
 
 def predict(model: Identification | ModelPosterior | str | PathLike[str], pushes: PushRecord | Sequence[PushRecord]) -> Comparison:

@@ -20,7 +20,9 @@ _CELLS = {"sliding": True, "fixed": False}
 
 
 def export_command(
-    model: Annotated[Path, typer.Argument(help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)],
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL", help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)
+    ],
     format_name: Annotated[str, typer.Option("--format", metavar="|".join(SUFFIXES), help="Gazebo, Bullet or MuJoCo.", show_default=False)],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", callback=writable_file, help="Default: beside the model.", show_default=False)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -20,7 +22,7 @@ from push_ident.identification.fit import FitOptions
 from push_ident.identification.identifiability import identifiability
 from push_ident.identification.identify import identify
 from push_ident.identification.prior import Prior
-from push_ident.identification.push_errors import push_errors
+from push_ident.identification.push_errors import PushErrors, push_errors
 from push_ident.identification.quantity_text import before_text, value_text
 from push_ident.identification.result import Identification
 from push_ident.identification.result_json import result_json
@@ -110,18 +112,20 @@ def identify_command(
             method=method,
             effects=loaded.nuisances if takes_effects else (),
             budget=Budget(max_simulations=max_simulations, max_seconds=max_seconds),
-            options=FitOptions(seed=seed),
+            options=FitOptions(seed=seed, threads=len(os.sched_getaffinity(0))),
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         report("predicting the pushes")
         fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, _others(chosen, loaded)))
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
-    content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
-    _show(content, loaded, result)
-    if json is not None:
-        write_json(json, content)
+    _show_errors(loaded, fitted, held_out)
+    _show_identifiability(result)
+    files = [file for file in (json, None if out is None else out / "result.json") if file is not None]
+    if files:
+        content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
+        for file in files:
+            write_json(file, content)
     if out is not None:
-        write_json(out / "result.json", content)
         from push_ident.cli.identify_files import write_files  # models and pages take a quarter of a second to import
 
         write_files(out, result, loaded, fitted, held_out, record=record, pictures=pictures)
@@ -140,10 +144,14 @@ def prior_of_options(weighed: float | None, nominal_mass: float, friction: float
 
 
 def _load(bags: Sequence[Path], object_id: str, camera: Path | None, report: Callable[[str], None]) -> LoadedPushes:
-    """The pushes; kernels first, since their compilation, a minute the first time, would count as time of the solve."""
-    report("loading the kernels")
-    compile_kernels()
-    return load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
+    """The pushes. Kernels are loaded meanwhile, most of which needs no interpreter; the first time they are compiled, in a minute."""
+    in_table = read_camera(camera)
+    with ThreadPoolExecutor(1) as pool:
+        kernels = pool.submit(compile_kernels, gradients=False)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, on_progress=report)
+        report("loading the kernels")
+        kernels.result()
+    return loaded
 
 
 def read_camera(path: Path | None) -> Float64Array | None:
@@ -171,23 +179,18 @@ def _others(chosen: Sequence[int], loaded: LoadedPushes) -> list[int]:
     return [i for i in range(len(loaded.records)) if i not in chosen]
 
 
-def _show(content: dict[str, Any], loaded: LoadedPushes, result: Identification) -> None:
-    _show_errors(content, loaded)
-    _show_identifiability(result)
-
-
-def _show_errors(content: dict[str, Any], loaded: LoadedPushes) -> None:
+def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors) -> None:
     """Print the notes and the mean cell errors of all models."""
     for note in loaded.notes:
         warn(f"note: {note}")
-    table = Table(title=f"object {loaded.object_id}: {content['n_cells']} cells, mean cell error at the end of a push")
+    n_cells = len(loaded.records[0].shape.cells)
+    table = Table(title=f"object {loaded.object_id}: {n_cells} cells, mean cell error at the end of a push")
     for heading in ("pushes", "equal cells, nominal", "equal cells, fitted", "identified"):
         table.add_column(heading, justify="right")
-    for name in ("train", "test"):
-        part = content[name]
-        if part["pushes"]:
-            row = [millimetres(part[f"{model}_m"]) for model in ("uniform", "scalar", "identified")]
-            table.add_row(f"{name} ({len(part['pushes'])})", *row)
+    for name, errors in (("train", fitted), ("test", held_out)):
+        if errors.pushes:
+            row = [millimetres(float(np.mean(own))) for own in (errors.uniform, errors.scalar, errors.identified)]
+            table.add_row(f"{name} ({len(errors.pushes)})", *row)
     console.print(table)
 
 

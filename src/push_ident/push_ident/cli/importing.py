@@ -19,7 +19,7 @@ from push_ident.bags.importers import (
 from push_ident.bags.importers.tables import read_table
 from push_ident.cli.checks import above_zero
 from push_ident.cli.identify import read_camera
-from push_ident.cli.import_report import BagOption, show_import
+from push_ident.cli.import_report import BagOption, PageOption, run_import
 from push_ident.cli.importing_tracked import PositionStdOption, YawStdOption, csv_command, rosbag_command
 from push_ident.cli.output import JsonOption
 from push_ident.errors import InputError
@@ -28,7 +28,11 @@ from push_ident.types import Float64Array
 
 __all__ = ["import_app"]
 
-import_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Convert a recording of others to a bag of the contract.")
+import_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Convert own tables and bags, or published recordings, to a bag that all commands read.",
+)
 
 _MIT = MitOptions()
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The recording as it was published.", show_default=False)]
@@ -45,10 +49,17 @@ OutlineOption = Annotated[
 ]
 
 
+import_app.command("csv")(csv_command)
+import_app.command("rosbag")(rosbag_command)
+
+
 @import_app.command("cmu-icra16")
-def icra16_command(file: FileArgument, out: BagOption, supports: SupportsOption = None, json: JsonOption = None) -> None:
+def icra16_command(
+    file: FileArgument, out: BagOption, supports: SupportsOption = None, page: PageOption = None, json: JsonOption = None
+) -> None:
     """Text file of single-point pushes of an aluminium triangle (CMU, ICRA 2016), any of the published sets."""
-    show_import(import_cmu_icra16(file, out, supports=_points(supports)), json)
+    points = _points(supports)
+    run_import(lambda: import_cmu_icra16(file, out, supports=points), out, file.name, page, json)
 
 
 @import_app.command("cmu-mocap")
@@ -68,11 +79,12 @@ def mocap_command(
             show_default=False,
         ),
     ] = None,
+    page: PageOption = None,
     json: JsonOption = None,
 ) -> None:
     """ROS 1 bag of many pushes of a wooden triangle under motion capture (CMU)."""
     body = MocapObject(_outline(outline), read_camera(frame_in_body), _points(supports), mass)
-    show_import(import_cmu_mocap(file, out, body=body), json)
+    run_import(lambda: import_cmu_mocap(file, out, body=body), out, file.name, page, json)
 
 
 @import_app.command("mit")
@@ -89,6 +101,7 @@ def mit_command(
     position_std: PositionStdOption = None,
     yaw_std: YawStdOption = None,
     ends_only: Annotated[bool, typer.Option("--ends-only", help="Keep only the poses before and after each push.")] = False,
+    page: PageOption = None,
     json: JsonOption = None,
 ) -> None:
     """Files of the MIT pushing dataset (IROS 2016), one push each, one object on one surface."""
@@ -100,7 +113,8 @@ def mit_command(
         yaw_std=_MIT.yaw_std if yaw_std is None else yaw_std,
         ends_only=ends_only,
     )
-    show_import(import_mit(files, out, options=options), json)
+    source = files[0].name + (f" and {len(files) - 1} more" if len(files) > 1 else "")
+    run_import(lambda: import_mit(files, out, options=options), out, source, page, json)
 
 
 def _points(texts: tuple[str, str, str] | None) -> Float64Array | None:
@@ -125,7 +139,3 @@ def _outline(file: Path | None) -> Float64Array | None:
     if not np.isfinite(outline).all():
         raise InputError(f"{file}: a vertex lacks a number, expected x and y in every row.")
     return outline
-
-
-import_app.command("csv")(csv_command)
-import_app.command("rosbag")(rosbag_command)

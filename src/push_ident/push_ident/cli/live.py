@@ -45,8 +45,11 @@ class CellKind(StrEnum):
 
 
 def up_command(
-    kind: Annotated[CellKind, typer.Argument(help="sim: simulated cell; replay: a bag; arm: beside a real arm.", show_default=False)],
-    bag: Annotated[Path | None, typer.Argument(help="Bag to play, for replay.", show_default=False)] = None,
+    kind: Annotated[
+        CellKind,
+        typer.Argument(metavar="sim|replay|arm", help="sim: simulated cell; replay: a bag; arm: beside a real arm.", show_default=False),
+    ],
+    bag: Annotated[Path | None, typer.Argument(metavar="[BAG]", help="Bag to play, for replay.", show_default=False)] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="BAG", callback=new_bag, help="Record the cell to this new bag.", show_default=False)
     ] = None,

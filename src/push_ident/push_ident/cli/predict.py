@@ -18,7 +18,9 @@ __all__ = ["predict_command"]
 
 
 def predict_command(
-    model: Annotated[Path, typer.Argument(help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)],
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL", help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)
+    ],
     bags: BagsArgument,
     json: JsonOption = None,
     out: OutOption = None,

@@ -65,6 +65,21 @@ class Meter:
         self._started = self._clock()
         self._stopped: float | None = None
 
+    def branch(self) -> Meter:
+        """A meter for work beside other work: same budget and clock, nothing counted, and no progress reported until `join`."""
+        other = Meter(self.budget)
+        other._started, other._stopped = self._started, self._stopped
+        return other
+
+    def join(self, branch: Meter) -> None:
+        """Add what a branch has counted, as if its work had been done now."""
+        for sample in branch.history:
+            if sample.cost < (self.history[-1].cost if self.history else np.inf):
+                self.history.append(replace(sample, n_simulations=self.n_simulations + sample.n_simulations))
+                if self._on_progress:
+                    self._on_progress(self.history[-1])
+        self.count(branch.n_simulations)
+
     def restart(self) -> None:
         """Set the clock to zero."""
         self._started = self._clock()

@@ -53,6 +53,8 @@ class FitOptions:
     """Of Gauss-Newton, for each fit."""
     seed: int = 0
     """Of solvers that draw at random."""
+    threads: int = 1
+    """Fits that know nothing of each other may run beside each other, in so many threads; results are the same with any number."""
 
 
 @dataclass(frozen=True, slots=True)

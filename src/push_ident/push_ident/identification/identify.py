@@ -123,9 +123,10 @@ def _prepared(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str
     """The options with the noise at rest, after one push was simulated: what is compiled then, once on a machine, may take longer than the
     budget of a solve."""
     options = replace(options, noise=noise_at_rest(records, options.noise))
-    unknowns = Unknowns(records[0].shape, prior, maps=False, effects=effects)
-    problem = FitProblem(records[:1], unknowns, noise=options.noise, settings=options.numerics)
-    problem.evaluate(np.zeros(problem.size))
+    for compiled in dict.fromkeys(((), tuple(effects))):  # pushes with effects have kernels of their own
+        unknowns = Unknowns(records[0].shape, prior, maps=False, effects=compiled)
+        problem = FitProblem(records[:1], unknowns, noise=options.noise, settings=options.numerics)
+        problem.evaluate(np.zeros(problem.size))
     return options
 
 

@@ -28,7 +28,7 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.prediction import cell_displacement
 from push_ident.identification.result import ModelPosterior
-from push_ident.identification.unknowns import Mechanics, Unknowns
+from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -215,12 +215,12 @@ def rank_pushes(
         raise InputError("There is no candidate to rank; give at least one push.")
     scale = _square_root(posterior.covariance)
     draws = posterior.z + rng.standard_normal((options.n_draws, len(posterior.z))) @ scale.T
-    points = (posterior.z, *draws)
-    rows = [_reference_rows(posterior.unknowns, z, _while_wanted(reference, is_wanted), options.numerics) for z in points]
+    possible = [posterior.unknowns.mechanics(z) for z in (posterior.z, *draws)]
+    rows = [_reference_rows(mechanics, _while_wanted(reference, is_wanted), options.numerics) for mechanics in possible]
     if len(rows[0]) == 0:
         raise InputError(f"None of {len(reference)} reference pushes moves the object; draw them over its outline.")
-    models = [_PossibleModel(z, own @ scale) for z, own in zip(points, rows, strict=True) if len(own)]
-    values = [_value(posterior, scale, models, push, options) for push in _while_wanted(candidates, is_wanted)]
+    models = [_PossibleModel(mechanics, own @ scale) for mechanics, own in zip(possible, rows, strict=True) if len(own)]
+    values = [_value(possible[0], scale, models, push, options) for push in _while_wanted(candidates, is_wanted)]
     useless = [v.status is not SolveStatus.CONVERGED for v in values]
     merit = [v.error_after if options.criterion is Criterion.ERROR else -v.information for v in values]
     return RankedPushes(
@@ -269,7 +269,7 @@ def _while_wanted(pushes: Sequence[PlannedPush], is_wanted: Callable[[], bool]) 
 class _PossibleModel:
     """A model that may be the true one, and the derivative of predictions there."""
 
-    z: Float64Array
+    mechanics: Mechanics
     rows: Float64Array
     """d(cell displacement at the end of a reference push) / d(unknowns of unit covariance), shape (n_references, 3, n_unknowns)."""
 
@@ -279,17 +279,14 @@ class _PossibleModel:
         return float(np.mean(np.sqrt(np.sum(after.reshape(len(root), -1, 3) ** 2, axis=(0, 2)))))
 
 
-def _value(
-    posterior: ModelPosterior, scale: Float64Array, models: Sequence[_PossibleModel], push: PlannedPush, options: RankingOptions
-) -> PushValue:
-    """Expected outcome of one push."""
+def _value(mean: Mechanics, scale: Float64Array, models: Sequence[_PossibleModel], push: PlannedPush, options: RankingOptions) -> PushValue:
+    """Expected outcome of one push, which the `mean` model decides whether it moves the object."""
     identity = np.eye(len(scale))
     roots: list[Float64Array] = [identity] * len(models)
-    unknowns, numerics = posterior.unknowns, options.numerics
-    record, status = imagine_push(unknowns.mechanics(posterior.z), push, sensor=options.sensor, settings=numerics)
+    record, status = imagine_push(mean, push, sensor=options.sensor, settings=options.numerics)
     if record is not None:
         observation = observe_push(record, options.noise)
-        sensitivities = [_sensitivity(unknowns, model.z, push, observation, numerics) @ scale for model in models]
+        sensitivities = [_sensitivity(model.mechanics, push, observation, options.numerics) @ scale for model in models]
         roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in sensitivities]
     at_mean = solve_triangular(roots[0], scale.T, lower=True)
     return PushValue(
@@ -301,13 +298,11 @@ def _value(
     )
 
 
-def _sensitivity(
-    unknowns: Unknowns, z: Float64Array, push: PlannedPush, observation: Observation, settings: SimulationSettings
-) -> Float64Array:
+def _sensitivity(mechanics: Mechanics, push: PlannedPush, observation: Observation, settings: SimulationSettings) -> Float64Array:
     """Rows G with H = G' G: derivative of whitened frames by z beyond that by the push's own unknowns, shape (n_rows, n_unknowns)."""
-    mechanics = unknowns.mechanics(z)
     motion = mechanics.simulate(PushScenario(push.pusher, push.pose_object_in_table, observation.time), settings=settings, jacobian=True)
-    nothing = np.zeros((0, len(z)))
+    size = mechanics.derivative.shape[1]
+    nothing = np.zeros((0, size))
     if motion.status is SolveStatus.SIMULATION_FAILED:
         return nothing
     whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian)
@@ -315,7 +310,7 @@ def _sensitivity(
     in_deviations = by_first @ np.linalg.cholesky(observation.first_covariance)
     if np.sum(in_deviations**2) > CHATTER**2 * len(observation.time):
         return nothing
-    by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, len(z))
+    by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, size)
     explained, _ = np.linalg.qr(by_first)
     rows = by_z - explained @ (explained.T @ by_z)
     if observation.surface_std == 0:
@@ -326,10 +321,9 @@ def _sensitivity(
     return np.asarray(solve_triangular(np.linalg.cholesky(np.eye(len(rows)) + moved @ moved.T), rows, lower=True))
 
 
-def _reference_rows(unknowns: Unknowns, z: Float64Array, reference: Iterable[PlannedPush], settings: SimulationSettings) -> Float64Array:
-    """d(cell displacement at the end) / dz of the reference pushes that move the object of `z`, shape (n_moved, 3, n_unknowns)."""
-    mechanics = unknowns.mechanics(z)
-    cells = unknowns.shape.cells
+def _reference_rows(mechanics: Mechanics, reference: Iterable[PlannedPush], settings: SimulationSettings) -> Float64Array:
+    """d(cell displacement at the end) / dz of the reference pushes that move the object of a model, shape (n_moved, 3, n_unknowns)."""
+    cells = mechanics.shape.cells
     rows = []
     for push in reference:
         motion = mechanics.simulate(

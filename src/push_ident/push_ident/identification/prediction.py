@@ -9,11 +9,11 @@ from functools import cache
 import numpy as np
 
 from push_ident.geometry.se2 import rotation, transform_points
-from push_ident.identification.observation import NoiseModel, observe_push
+from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.problem import unknowns_of_push
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.accuracy import choose_steps
-from push_ident.physics.effect_values import EffectsLike, true_pose
+from push_ident.physics.effect_values import EffectsLike, effect_values, true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
@@ -167,20 +167,23 @@ def held_out_errors(
     effects: EffectsLike | None = None,
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
+    observed: Sequence[Observation] | None = None,
 ) -> Float64Array:
     """Cell error at the end of each push [m], shape (n_records,), with the object simulated from its observed first pose.
 
-    First and last pose are the means of the frames at rest. `effects` act beside the model. NaN where the simulation failed.
+    First and last pose are the means of the frames at rest. `effects` act beside the model; those of measured forces move nothing.
+    `observed` are the condensed records, where they are known. NaN where the simulation failed.
     """
+    acting = effect_values(effects).of_poses
+    condensed = [observe_push(record, noise) for record in records] if observed is None else observed
     errors = []
-    for record in records:
-        observed = observe_push(record, noise)
-        scenario = PushScenario(record.pusher, true_pose(effects, observed.pose[0]), observed.time[-1:], record.order)
+    for record, push in zip(records, condensed, strict=True):
+        scenario = PushScenario(record.pusher, true_pose(acting, push.pose[0]), push.time[-1:], record.order)
 
+        @cache
         def end_pose(numerics: SimulationSettings, scenario: PushScenario = scenario) -> Float64Array:
-            return simulate(model, scenario, settings=numerics, effects=effects).pose[-1]
+            return simulate(model, scenario, settings=numerics, effects=acting).pose[-1]
 
-        chosen = choose_steps(end_pose, settings or SimulationSettings(), observed.last_covariance, scenario.duration)
-        motion = simulate(model, scenario, settings=chosen.settings, effects=effects)
-        errors.append(cell_error(record.shape.cells, motion.pose[-1], observed.pose[-1]))
+        chosen = choose_steps(end_pose, settings or SimulationSettings(), push.last_covariance, scenario.duration)
+        errors.append(cell_error(record.shape.cells, end_pose(chosen.settings), push.pose[-1]))
     return np.array(errors)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from push_ident.identification.observation import observe_push
 from push_ident.identification.prediction import held_out_errors
 from push_ident.identification.result import Identification
 from push_ident.types import Float64Array, PushRecord
@@ -35,6 +36,7 @@ def push_errors(result: Identification, records: Sequence[PushRecord], pushes: S
         pushes: numbers of those that are asked for, from 0.
     """
     chosen = [records[i] for i in pushes]
-    uniform, scalar = (held_out_errors(m, chosen) for m in (result.uniform, result.scalar))
-    identified = held_out_errors(result.model, chosen, effects=result.posterior.effects)
+    observed = [observe_push(record) for record in chosen]
+    uniform, scalar = (held_out_errors(m, chosen, observed=observed) for m in (result.uniform, result.scalar))
+    identified = held_out_errors(result.model, chosen, effects=result.posterior.effects, observed=observed)
     return PushErrors(tuple(pushes), uniform, scalar, identified)

@@ -19,7 +19,7 @@ from push_ident.types import Float64Array
 
 __all__ = [
     "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel",
-    "field_panel", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
+    "field_panel", "round_below", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
 ]  # fmt: skip
 
 VIRIDIS: Final = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
@@ -191,17 +191,21 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
     return svg_of(title, height, parts)
 
 
-def titled_polygon(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], style: str, text: str) -> str:
-    """A closed line with its name.
+def titled_polygon(
+    points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], style: str, text: str, *, closed: bool = True
+) -> str:
+    """A line with its name.
 
     Args:
         points: [m], shape (n, 2).
         place: from metres to units of the drawing.
         style: class of the page's styles.
         text: shown under the pointer.
+        closed: whether it ends where it begins.
     """
     where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
-    return f'<polygon class="{style}" points="{where}"><title>{_clean(text)}</title></polygon>'
+    shape = "polygon" if closed else "polyline"
+    return f'<{shape} class="{style}" points="{where}"><title>{_clean(text)}</title></{shape}>'
 
 
 def _line(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], name: str, *, closed: bool) -> str:
@@ -237,7 +241,7 @@ def _scale_of_colours(panel: CellPanel, low: float, high: float, y: float) -> li
 
 def bar_of_length(scale: float, y: float) -> list[str]:
     """A round length of about a quarter of the figure, at the height `y`; `scale` is in units of the drawing per metre."""
-    length = _round_below(0.25 * WIDTH / scale * 1e3)
+    length = round_below(0.25 * WIDTH / scale * 1e3)
     right, left = WIDTH - MARGIN, WIDTH - MARGIN - scale * 1e-3 * length
     return [
         f'<line class="axis" x1="{left:.1f}" y1="{y + 4:.1f}" x2="{right:.1f}" y2="{y + 4:.1f}"/>',
@@ -267,7 +271,7 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
         return _LABEL + MARGIN + width * max(0.0, value) / top
 
     parts = [part for y, lines in enumerate(legend) for part in _shifted(lines, MARGIN + 16.0 * y)]
-    step = _round_below(top / _TICKS) or top
+    step = round_below(top / _TICKS) or top
     for k in range(int(top / step) + 1):
         x = x_of(k * step)
         parts.append(f'<line class="grid" x1="{x:.1f}" y1="{first:.1f}" x2="{x:.1f}" y2="{bottom:.1f}"/>')
@@ -305,7 +309,7 @@ def _mark(series: Series, x: float, y: float, text: str) -> str:
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.2" style="{filled}">{title}</circle>'
 
 
-def _round_below(value: float) -> float:
+def round_below(value: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is not above `value`."""
     if not value > 0:
         return 0.0

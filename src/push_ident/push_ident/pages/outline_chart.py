@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
+from push_ident.limits import printable
 from push_ident.pages.chart import MARGIN, WIDTH, bar_of_length, svg_of, titled_polygon
 from push_ident.types import Float64Array
 
@@ -12,6 +14,8 @@ __all__ = ["Placed", "outline_panel"]
 
 _FOOT = 34.0
 """Height of the bar of length under the drawing, in its units."""
+_HALF_LETTER = 4.0
+"""From the middle of a letter to the line that it stands on, in units of the drawing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +25,13 @@ class Placed:
     corners: Float64Array
     """On the table [m], shape (n_vertices, 2); two points are a line."""
     style: str
-    """`before`, `goal`, `predicted`, `seen` or `edge`, a class of the page's styles."""
+    """`before`, `goal`, `predicted`, `seen`, `edge`, `outline`, `meets`, `missed` or `trace`, a class of the page's styles."""
     text: str
     """Shown under the pointer."""
+    closed: bool = True
+    """Whether it ends where it begins."""
+    label: str = ""
+    """A few letters in its middle."""
 
 
 def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> str:
@@ -42,5 +50,9 @@ def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> 
     def place(point: Float64Array) -> tuple[float, float]:
         return left + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
 
-    parts = [titled_polygon(one.corners, place, one.style, one.text) for one in placed]
+    parts = [titled_polygon(one.corners, place, one.style, one.text, closed=one.closed) for one in placed]
+    for one in placed:
+        if one.label:
+            x, y = place(0.5 * (one.corners.min(axis=0) + one.corners.max(axis=0)))
+            parts.append(f'<text x="{x:.1f}" y="{y + _HALF_LETTER:.1f}" text-anchor="middle">{escape(printable(one.label))}</text>')
     return svg_of(title, height, [*parts, *bar_of_length(scale, height - _FOOT + 12)])

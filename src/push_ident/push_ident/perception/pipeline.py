@@ -69,8 +69,15 @@ class Perception:
     status that gives the reason for the missing pose.
     """
 
-    def __init__(self, camera_in_table: ArrayLike, settings: PerceptionSettings | None = None) -> None:
-        """`camera_in_table`: optical frame in the table frame, homogeneous, shape (4, 4), from the extrinsics."""
+    def __init__(self, camera_in_table: ArrayLike, settings: PerceptionSettings | None = None, *, occupancy: bool = True) -> None:
+        """Begin with nothing known.
+
+        Args:
+            camera_in_table: optical frame in the table frame, homogeneous, shape (4, 4), from the extrinsics.
+            settings: ranges and thresholds.
+            occupancy: whether to make the occupancy grid; without it, poses and shapes are the same.
+        """
+        self._makes_occupancy = occupancy
         self._extrinsics = np.array(camera_in_table, dtype=np.float64)
         self.settings = settings or PerceptionSettings()
         self.reset()
@@ -200,8 +207,10 @@ class Perception:
                 self._is_outline_next = False
         return search, occupancy
 
-    def _occupancy(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> TopDownGrid:
+    def _occupancy(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> TopDownGrid | None:
         self._last_occupancy = frame.stamp
+        if not self._makes_occupancy:
+            return None  # its turn passes all the same: which work a frame does stays as it is in a live cell
         points = points_in_table(frame, self._camera)
         return top_down(points, label_pixels(points, robot, self.limits), self.limits)
 

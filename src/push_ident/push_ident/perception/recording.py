@@ -39,7 +39,7 @@ def observe_offline(
     Raises:
         PerceptionError: No object has two poses; the text gives the stage that failed.
     """
-    perception = Perception(camera_in_table, settings)
+    perception = Perception(camera_in_table, settings, occupancy=False)
     parts_at = robot_at or (lambda stamp: ())
     recent: deque[DepthFrame] = deque(maxlen=perception.settings.rest_frames)
     shapes: dict[str, ObjectShape] = {}

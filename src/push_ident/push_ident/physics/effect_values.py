@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,22 @@ _NEWTON_STEPS = 4
 """Measurements change poses by little and smoothly: two steps reach rounding."""
 
 
+@cache
+def _effects_of(names: tuple[str, ...]) -> tuple[Effect, ...]:
+    """A fit asks for the same ones thousands of times."""
+    return tuple(EFFECTS[name] for name in names)
+
+
+@cache
+def _places_of(names: tuple[str, ...]) -> dict[str, slice]:
+    """Of the values of each effect, by its name."""
+    places, start = {}, 0
+    for effect in _effects_of(names):
+        places[effect.name] = slice(start, start + len(effect.parameters))
+        start += len(effect.parameters)
+    return places
+
+
 @dataclass(frozen=True, slots=True)
 class EffectValues:
     """Active effects with the values of their parameters; made by `effect_values`."""
@@ -51,7 +67,7 @@ class EffectValues:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """In the order of `names`."""
-        return tuple(EFFECTS[name] for name in self.names)
+        return _effects_of(self.names)
 
     @property
     def parameters(self) -> tuple[EffectParameter, ...]:
@@ -65,12 +81,9 @@ class EffectValues:
 
     def slice_of(self, name: str) -> slice:
         """Position of the values of an active effect."""
-        start = 0
-        for effect in self.effects:
-            stop = start + len(effect.parameters)
-            if effect.name == name:
-                return slice(start, stop)
-            start = stop
+        place = _places_of(self.names).get(name)
+        if place is not None:
+            return place
         raise InputError(f"The effect {name!r} is not active, expected one of {', '.join(self.names) or 'none'}.")
 
     @property

@@ -121,11 +121,12 @@ class ModelGradient:
     motion: Motion
 
 
-def compile_kernels(*, effects: bool = False) -> None:
+def compile_kernels(*, effects: bool = False, gradients: bool = True) -> None:
     """Compile all kernels, or load them from the cache, so that the first push need not wait. Compilation takes a minute, loading a second.
 
     Args:
         effects: whether to include the second set of kernels, for pushes with effects.
+        gradients: whether to include those of the adjoint method and of small forces in any step, which a fit of maps does not need.
     """
     square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
@@ -133,11 +134,12 @@ def compile_kernels(*, effects: bool = False) -> None:
     pusher = PusherPath(np.array([0.0, 0.1]), np.array([[-0.02, 0.0], [0.0, 0.0]]), 0.005)
     arguments = (shape, body, 0.3, PushScenario(pusher, np.zeros(3), np.array([0.0, 0.1])))
     simulate_body(*arguments, jacobian=True)
-    _, pull_back = simulate_body_with_pullback(*arguments)
-    pull_back(np.zeros((2, 3)))
-    motion, response = simulate_body_with_response(*arguments)
-    assert response is not None, "a push of a square does not fail"
-    response(np.zeros((len(motion.force_time), 3, 1)))
+    if gradients:
+        _, pull_back = simulate_body_with_pullback(*arguments)
+        pull_back(np.zeros((2, 3)))
+        motion, response = simulate_body_with_response(*arguments)
+        assert response is not None, "a push of a square does not fail"
+        response(np.zeros((len(motion.force_time), 3, 1)))
     if effects:
         simulate_body(*arguments, effects=list(EFFECTS), jacobian=True)
 

@@ -81,7 +81,7 @@ def test_mapped_topics_become_a_bag_of_the_contract(tmp_path: Path, foreign: Pat
     done = run_here(*arguments(foreign, tmp_path, records, *MAP, *more))
     assert done.returncode == 0 and "warning" not in done.stderr, done.stderr
     pushes = split_pushes(read_bag(tmp_path / "own"), "hammer")
-    assert len(pushes) == N and (tmp_path / "own_overlap.png").exists()
+    assert len(pushes) == N and (tmp_path / "own_import.html").exists()
     for push, record in zip(pushes, records, strict=True):
         np.testing.assert_allclose(push.pusher.position[[0, -1]], record.pusher.position[[0, -1]], atol=1e-3)
         np.testing.assert_allclose(push.poses.pose[[0, -1], :2], record.poses.pose[[0, -1], :2], atol=2e-3)

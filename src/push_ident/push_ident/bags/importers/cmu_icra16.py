@@ -96,6 +96,7 @@ def import_cmu_icra16(text_file: Path, out_bag: Path, *, supports: Float64Array 
         bag=out_bag,
         n_pushes=len(pushes),
         contact_distance=distance,
+        tolerance=tolerance,
         supports=known,
         mass=_MASS,
         centre_of_mass=np.array([_LEG, _LEG]) / 3.0,

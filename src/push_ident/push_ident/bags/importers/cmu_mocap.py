@@ -112,6 +112,7 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path, *, body: MocapObject | None 
         bag=out_bag,
         n_pushes=len(spans),
         contact_distance=distance,
+        tolerance=tolerance,
         supports=supports,
         mass=_MASS if published and body.mass is None else body.mass,
         centre_of_mass=np.array(_CENTRE_OF_MASS) if published else None,

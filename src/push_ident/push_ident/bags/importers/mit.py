@@ -148,6 +148,7 @@ def import_mit(paths: Sequence[Path], out_bag: Path, *, options: MitOptions | No
         bag=out_bag,
         n_pushes=len(records),
         contact_distance=np.array([contact.distance for contact in contacts]),
+        tolerance=tolerance,
         mass=mass,
         centre_of_mass=np.array(polygon_centroid(shape.outline)),
         surface=surface,

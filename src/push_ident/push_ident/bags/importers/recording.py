@@ -136,6 +136,7 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
         bag=out_bag,
         n_pushes=len(spans),
         contact_distance=np.array([contact.distance for contact in contacts]),
+        tolerance=tolerance,
         notes=tuple(notes),
         warnings=warnings,
         overlap=overlap,

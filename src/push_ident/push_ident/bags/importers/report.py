@@ -38,6 +38,8 @@ class ImportReport:
     contact_distance: Float64Array
     """Distance of the pusher's surface to the outline at first contact of each push [m], negative inside; NaN where nothing shows a
     contact; shape (n_pushes,)."""
+    tolerance: float
+    """Distance that noise explains [m]; see `contact_tolerance`."""
     supports: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
     """Known support points [m], shape (n_supports, 2), object frame; none where they are unknown or the object rests on its whole base."""
     mass: float | None = None
@@ -84,11 +86,12 @@ def contact_of(
     """Contact of one push, from poses (x, y, yaw) in `table`, shape (n, 3), at `time` [s], shape (n,); n at least 1.
 
     `path` has rows (time, x, y) of the pusher's axis [s, m, m], shape (m, 3). The object has moved when a point of its outline may be
-    farther than `tolerance` from its place before the pusher starts.
+    farther than `tolerance` from its place before the pusher starts, in two frames that follow each other: one alone may be noise.
     """
     first = np.median(pose[time <= max(path[0, 0], time[0])][-_AT_REST:], axis=0)
     lever = float(np.linalg.norm(shape.outline, axis=1).max())
     moved = np.linalg.norm(pose[:, :2] - first[:2], axis=1) + lever * np.abs(pose[:, 2] - first[2]) > tolerance
+    moved &= np.append(moved[1:], True)
     at = int(np.argmax(moved)) if moved.any() else len(time) - 1
     if at > 0 and time[at] - time[at - 1] > _SPARSE:
         # When it moved between two poses is unknown: the pusher must have come to where the object stood before.

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import repeat
 from math import factorial, log
 from typing import ClassVar, Final
 
 import numpy as np
 
+from push_ident.identification.budget import Meter
 from push_ident.identification.fit import Fit
 from push_ident.identification.levenberg_marquardt import FINE, minimise, minimise_roughly
-from push_ident.identification.map_prior import STARTS, fit_by_evidence
+from push_ident.identification.map_prior import STARTS, EvidenceFit, fit_by_evidence
 from push_ident.identification.observation import UNCHECKED, NoiseModel
 from push_ident.identification.prior import MapPrior
 from push_ident.identification.problem import FitProblem
@@ -168,10 +172,10 @@ class _Candidates:
         """A candidate with less is negligible beside the best so far [nat]."""
         return max(entry.log_evidence for entry in self.fits) - _NEGLIGIBLE if self.fits else -np.inf
 
-    def _problem(self, unknowns: Unknowns, transform: Float64Array) -> FitProblem:
+    def _problem(self, unknowns: Unknowns, transform: Float64Array, meter: Meter | None = None) -> FitProblem:
         task = self._task
         past = task.past.cost.transformed(transform) if task.past else None
-        return self._pushes.of(unknowns, meter=task.meter, past=past)
+        return self._pushes.of(unknowns, meter=meter or task.meter, past=past)
 
     def fit_adopted(self) -> None:
         """On from a model that was adopted: its prior stays."""
@@ -231,18 +235,38 @@ class _Candidates:
         self._set_inflation(1.0)
         for remaining in reversed(range(_NOISE_ROUNDS)):
             self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
-            for name in STARTS:
-                self._fit_maps_from(name, earlier)
+            for name, found in zip(STARTS, self._maps_from_all_starts(earlier), strict=True):
+                self._keep_maps(name, found)
             if remaining == 0 or not self.fits or not self._set_inflation(self._expected_inflation):
                 break
 
-    def _fit_maps_from(self, name: str, warm_starts: Sequence[WarmStart]) -> None:
-        task, own = self._task, self._unknowns
+    def _maps_from_all_starts(self, warm_starts: Sequence[WarmStart]) -> list[EvidenceFit | None]:
+        """A fit from each start: they know nothing of each other, and run beside each other where the task has threads for it.
+
+        A budget of simulations ends the second fit by what the first one used: then one runs after the other.
+        """
+        meter, n_threads = self._task.meter, self._task.options.threads
+        if n_threads < 2 or meter.budget.max_simulations is not None:
+            return [self._maps_from(name, warm_starts, meter) for name in STARTS]
+        branches = [meter.branch() for _ in STARTS]
+        with ThreadPoolExecutor(min(n_threads, len(STARTS))) as pool:
+            found = list(pool.map(self._maps_from, STARTS, repeat(warm_starts), branches))
+        for branch, fit in zip(branches, found, strict=True):
+            meter.join(branch)
+            if fit is not None:
+                fit.fit.problem.meter = meter
+        return found
+
+    def _maps_from(self, name: str, warm_starts: Sequence[WarmStart], meter: Meter) -> EvidenceFit | None:
+        own = self._unknowns
         start, prior = self._flat(own), STARTS[name]
         warm = _warm_start(warm_starts, name, len(start))
         if warm is not None and warm.prior is not None:
             start[: len(warm.x)], prior = warm.x, warm.prior
-        found = fit_by_evidence(name, own, self._problem, prior, start, task.options.max_iterations)
+        return fit_by_evidence(name, own, partial(self._problem, meter=meter), prior, start, self._task.options.max_iterations)
+
+    def _keep_maps(self, name: str, found: EvidenceFit | None) -> None:
+        task, own = self._task, self._unknowns
         if found is None:
             return
         fit = found.fit

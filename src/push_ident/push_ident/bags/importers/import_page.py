@@ -1,0 +1,287 @@
+"""The page of an import: do pusher and object meet, what was imported, the checks in words, and what to do next."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from push_ident import __version__
+from push_ident.bags.importers.import_figures import overlap_figures
+from push_ident.bags.importers.overlap import Overlap
+from push_ident.bags.importers.report import ImportReport
+from push_ident.bags.pushes import split_pushes
+from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
+from push_ident.errors import BagError
+from push_ident.pages.page import write_page
+from push_ident.types import Float64Array, PushRecord
+
+__all__ = ["write_import_page", "write_refusal_page"]
+
+_MOST_ROWS: Final = 60
+"""Pushes in the table; of more, those that miss most."""
+_FOR_MAPS: Final = 6
+"""Pushes from different sides with which maps predict new pushes to about the noise (docs: what makes data useful)."""
+_FOR_DIAGNOSIS: Final = 8
+"""Pushes from which a diagnosis can tell effects from each other (likewise)."""
+_HELD_OUT: Final = 3
+"""One of so many pushes is held out in the command that is proposed, to measure the error of predictions."""
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadBack:
+    """The new bag as all other commands read it."""
+
+    object_id: str
+    track: ObjectTrack
+    contents: BagContents
+    pushes: list[PushRecord]
+
+
+@dataclass(frozen=True, slots=True)
+class _Check:
+    """One check: what was found, what is expected."""
+
+    name: str
+    found: str
+    expected: str
+    good: bool
+
+
+def write_import_page(path: Path, report: ImportReport, source: str) -> None:
+    """Write the page of a bag that was written.
+
+    The bag is read again, as other commands read it: the page shows what is in it, not what was meant to be.
+
+    Args:
+        path: HTML file.
+        report: of the import.
+        source: the recording, for the reader.
+
+    Raises:
+        InputError: the page cannot be written.
+    """
+    back, problem = _read_back(report)
+    checks = _checks(report, back, problem)
+    is_good = all(check.good for check in checks) and not report.warnings
+    verdict = _verdict(report)
+    write_page(
+        path,
+        __package__,
+        "import.html.j2",
+        _context(report.overlap)
+        | {
+            "title": f"Import of {report.bag.name}: {verdict}",
+            "headline": f"{_count(report.n_pushes, 'push')} of {source} {'is' if report.n_pushes == 1 else 'are'} now in {report.bag}.",
+            "wrong": list(report.warnings),
+            "checks": checks,
+            "rows": _rows(report, back),
+            "n_pushes": report.n_pushes,
+            "facts": _facts(report, back),
+            "notes": list(report.notes),
+            "steps": _steps(report, back, is_good),
+        },
+    )
+
+
+def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
+    """Write the page of a recording in which the pusher never comes near the object, so that there is no bag. Raises InputError."""
+    write_page(
+        path,
+        __package__,
+        "import.html.j2",
+        _context(overlap)
+        | {
+            "title": "Import: pusher and object do not meet",
+            "headline": "No bag was written: nothing in this recording is a push of this object.",
+            "wrong": [reason, *([] if overlap.causes or not len(overlap.distance) else [overlap.explanation()])],
+            "checks": [],
+            "rows": [],
+            "n_pushes": 0,
+            "facts": _facts_of_shape(overlap),
+            "notes": [],
+            "steps": [*_mend(overlap), ("Then import again.", "")],
+        },
+    )
+
+
+def _context(overlap: Overlap | None) -> dict[str, Any]:
+    """What both pages have."""
+    figures = overlap_figures(overlap) if overlap is not None and len(overlap.push) else []
+    return {
+        "figures": figures,
+        "explanation": "" if overlap is None else overlap.explanation(),
+        "most_rows": _MOST_ROWS,
+        "version": f"push_ident {__version__}, Python {platform.python_version()}",
+    }
+
+
+def _verdict(report: ImportReport) -> str:
+    overlap, warned = report.overlap, " in most frames, with warnings" if report.warnings else ""
+    if overlap is None:
+        return "look at the warnings" if report.warnings else "no warning"
+    if not len(overlap.push):
+        return "no frame shows the object in motion"
+    return f"pusher and object meet{warned}" if overlap.fits else "pusher and object do not meet"
+
+
+def _read_back(report: ImportReport) -> tuple[_ReadBack | None, str]:
+    """The bag as other commands see it, or None and why they refuse it."""
+    try:
+        contents = read_bag(report.bag)
+        object_id, track = next(iter(contents.objects.items()))
+        return _ReadBack(object_id, track, contents, split_pushes(contents, object_id)), ""
+    except BagError as error:
+        return None, str(error)
+
+
+def _checks(report: ImportReport, back: _ReadBack | None, problem: str) -> list[_Check]:
+    n, tolerance = report.n_pushes, 1e3 * report.tolerance
+    expected = f"within ± {tolerance:.1f} mm"
+    found = [_Check("the bag can be read", problem or f"{_count(n, 'push')} written", f"{_count(n, 'push')} read", back is not None)]
+    if back is not None:
+        found = [_Check("the bag can be read", f"{_count(len(back.pushes), 'push')} read", f"{n} written", len(back.pushes) == n)]
+        moved = sum(_way(push) > report.tolerance for push in back.pushes)
+        found.append(_Check("every push moves the object", f"{moved} of {len(back.pushes)}", "all", moved == len(back.pushes)))
+    distance = 1e3 * report.contact_distance[np.isfinite(report.contact_distance)]
+    if len(distance):
+        text = f"{np.mean(distance):.1f} ± {np.std(distance):.1f} mm, farthest {distance[np.argmax(np.abs(distance))]:.1f} mm"
+        found.append(_Check("pusher on the outline at first contact", text, expected, bool(np.all(np.abs(distance) <= tolerance))))
+    overlap = report.overlap
+    if overlap is not None and len(overlap.distance):
+        share = float(np.mean(np.abs(overlap.distance) <= overlap.tolerance))
+        text = f"{1e3 * overlap.miss:.1f} mm in the median, {100 * share:.0f} % of the frames within"
+        found.append(_Check("pusher on the outline while the object moves", text, expected, overlap.fits))
+    found.append(_Check("enough pushes for maps", str(n), f"{_FOR_MAPS} or more, from different sides", n >= _FOR_MAPS))
+    return found
+
+
+def _rows(report: ImportReport, back: _ReadBack | None) -> list[dict[str, str]]:
+    """What each push is, of more than `_MOST_ROWS` those that miss most."""
+    pushes = {} if back is None else {int(push.source.rpartition(" ")[2]) - 1: push for push in back.pushes}
+    median = _medians(report.overlap)
+    missed = [np.nanmax(np.abs([0.0, report.contact_distance[k], median.get(k, np.nan)])) for k in range(report.n_pushes)]
+    shown = sorted(np.argsort(missed, kind="stable")[-_MOST_ROWS:].tolist())
+    return [
+        {
+            "number": str(k + 1),
+            "time": "–" if k not in pushes else f"{pushes[k].pusher.time[-1] - pushes[k].pusher.time[0]:.1f} s",
+            "way": "left out" if k not in pushes else f"{1e3 * _path(pushes[k]):.0f} mm",
+            "turn": "–" if k not in pushes else f"{np.degrees(pushes[k].poses.pose[-1, 2] - pushes[k].poses.pose[0, 2]):.0f}°",
+            "first": _millimetres(float(report.contact_distance[k])),
+            "median": _millimetres(median.get(k, float("nan"))),
+            "verdict": "misses" if missed[k] > report.tolerance else "meets" if missed[k] > 0 else "not shown",
+        }
+        for k in shown
+    ]
+
+
+def _medians(overlap: Overlap | None) -> dict[int, float]:
+    """Median distance of pusher and outline while the object moves, by the number of the push [m]."""
+    if overlap is None:
+        return {}
+    return {int(push): float(np.median(overlap.distance[overlap.push == push])) for push in np.unique(overlap.push)}
+
+
+def _facts(report: ImportReport, back: _ReadBack | None) -> list[tuple[str, str]]:
+    facts = [("bag", str(report.bag))]
+    if back is not None:
+        track, contents = back.track, back.contents
+        if track.shape is not None:
+            facts.append(("object", f"{back.object_id}: {_size(track.shape.outline)}, {len(track.shape.cells)} cells"))
+        facts.append(("pusher", _pusher(contents.pusher_radius)))
+        facts.append(("poses", f"{len(track.time)} in {track.time[-1] - track.time[0]:.0f} s, {_rate(track.time)}"))
+        std = np.sqrt(np.median(track.covariance, axis=0).diagonal())
+        facts.append(("standard deviation of a pose", f"{1e3 * std[0]:.2f} mm and {np.degrees(std[2]):.2f}°"))
+        n_forces = 0 if contents.wrench is None else len(contents.wrench.time)
+        facts.append(("force", f"{n_forces} samples" if n_forces else "none: pushes alone do not show the total mass; weigh the object"))
+    if report.mass is not None:
+        facts.append(("published mass", f"{report.mass:g} kg"))
+    if report.centre_of_mass is not None:
+        facts.append(("published centre of mass", _point(report.centre_of_mass)))
+    if len(report.supports):
+        facts.append(("published supports", ", ".join(_point(point) for point in report.supports)))
+    if report.surface:
+        facts.append(("surface of the table", report.surface))
+    return facts
+
+
+def _facts_of_shape(overlap: Overlap) -> list[tuple[str, str]]:
+    return [
+        ("object", f"{_size(overlap.shape.outline)}, {len(overlap.shape.cells)} cells"),
+        ("pusher", _pusher(overlap.radius)),
+        ("accepted distance of pusher and outline", f"{1e3 * overlap.tolerance:.1f} mm"),
+    ]
+
+
+def _steps(report: ImportReport, back: _ReadBack | None, is_good: bool) -> list[tuple[str, str]]:
+    """Sentences, each with the command that it asks for, or none."""
+    bag, name = shlex.quote(str(report.bag)), shlex.quote(f"out/{report.bag.stem}")
+    if report.warnings or back is None:
+        first = [("Look at the pushes and files that the warnings name.", "")]
+        if report.overlap is not None and not report.overlap.fits:
+            first = _mend(report.overlap)
+        return [*first, ("Then import again under another --out, since a bag is not overwritten, and leave this bag aside.", "")]
+    steps = [("The picture and the checks show nothing wrong." if is_good else "Look at the checks above first.", "")]
+    weighed = "" if report.mass is None else f" --total-mass {report.mass:g}"
+    n = len(back.pushes)
+    train = f" --train 0-{n - max(1, n // _HELD_OUT) - 1}" if n > _HELD_OUT else ""
+    steps.append(("Identify the maps; pushes that are not in --train (it counts from 0) measure the error of predictions:" if train else
+                  "Identify the maps:", f"push-ident identify {bag}{train}{weighed} --out {name}_maps"))  # fmt: skip
+    if n >= _FOR_DIAGNOSIS:
+        steps.append(("Ask what the model lacks for these pushes:", f"push-ident diagnose {bag} --out {name}_diagnosis"))
+    else:
+        steps.append((f"For a diagnosis record {_FOR_DIAGNOSIS} to 14 pushes from different sides.", ""))
+    return steps
+
+
+def _mend(overlap: Overlap) -> list[tuple[str, str]]:
+    """The likely mistakes, the first one first."""
+    if not overlap.causes:
+        return [("Check frames, units, the pusher's radius and the clocks of both recordings; no single mistake explains the miss.", "")]
+    words = ["Most likely", *["Or"] * len(overlap.causes)]
+    return [(f"{word}: {cause.text}.", "") for word, cause in zip(words, overlap.causes, strict=False)]
+
+
+def _way(push: PushRecord) -> float:
+    """Farthest that a point of the outline may have moved between the ends of a push [m]."""
+    first, last = push.poses.pose[[0, -1]]
+    lever = float(np.linalg.norm(push.shape.outline, axis=1).max())
+    return _path(push) + lever * abs(float(last[2] - first[2]))
+
+
+def _path(push: PushRecord) -> float:
+    """Distance of the object frame between the ends of a push [m]."""
+    first, last = push.poses.pose[[0, -1]]
+    return float(np.linalg.norm(last[:2] - first[:2]))
+
+
+def _size(outline: Float64Array) -> str:
+    width, height = 1e3 * np.ptp(outline, axis=0)
+    return f"{width:.0f} x {height:.0f} mm"
+
+
+def _pusher(radius: float | None) -> str:
+    return "a point" if not radius else f"radius {1e3 * radius:.1f} mm"
+
+
+def _rate(time: Float64Array) -> str:
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    return f"{1.0 / step:.0f} a second" if 0 < step < 1.0 else "before and after each push only"
+
+
+def _point(point: Sequence[float] | Float64Array) -> str:
+    return f"({1e3 * float(point[0]):.1f}, {1e3 * float(point[1]):.1f}) mm"
+
+
+def _millimetres(metres: float) -> str:
+    return f"{round(1e3 * metres, 1) + 0.0:.1f} mm" if np.isfinite(metres) else "–"  # no -0.0
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 'es'}"

@@ -1,0 +1,90 @@
+"""Lines over time, as SVG that follows the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from push_ident.limits import printable
+from push_ident.pages.chart import MARGIN, WIDTH, round_below, svg_of
+from push_ident.types import Float64Array
+
+__all__ = ["Line", "time_chart"]
+
+_LEFT: Final = 40.0
+"""Width of the labels of the vertical axis, in units of the drawing."""
+_HEAD: Final = 24.0
+"""Height of the name of the vertical axis."""
+_FOOT: Final = 38.0
+"""Height of labels and name of the horizontal axis."""
+_HEIGHT: Final = 190.0
+_TICKS: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line."""
+
+    x: Float64Array
+    """Shape (n,)."""
+    y: Float64Array
+    """Shape (n,)."""
+    style: str
+    """`trace` or `missed`, a class of the page's styles."""
+    text: str
+    """Shown under the pointer."""
+
+
+def time_chart(title: str, lines: Sequence[Line], *, x_axis: str, y_axis: str, band: float) -> str:
+    """Lines over a horizontal axis that begins at zero, with a band about zero in which they should stay.
+
+    Args:
+        title: what the figure shows, for screen readers.
+        lines: the lines, the last one on top.
+        x_axis: name of the horizontal axis, with its unit.
+        y_axis: name of the vertical one.
+        band: half the height of the band, in the unit of the lines.
+    """
+    most = max([float(line.x.max()) for line in lines if len(line.x)], default=0.0) or 1.0
+    values = np.concatenate([[-band, band], *(line.y for line in lines)])
+    low, high = float(values.min()), float(values.max())
+    low, high = low - 0.05 * (high - low), high + 0.05 * (high - low) or 1.0
+    width = WIDTH - _LEFT - 2 * MARGIN
+    left, bottom = _LEFT + MARGIN, _HEAD + _HEIGHT
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        return left + width * x / most, bottom - _HEIGHT * (y - low) / (high - low)
+
+    (right, top), (_, foot) = place(most, band), place(0.0, -band)
+    parts = [
+        f'<text x="{MARGIN:.1f}" y="14">{_clean(y_axis)}</text>',
+        f'<rect class="band" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{max(foot - top, 1.0):.1f}">'
+        f"<title>{_clean(f'expected: within {band:.1f} of zero')}</title></rect>",
+    ]
+    for tick in _ticks(low, high):
+        _, y = place(0.0, tick)
+        parts.append(f'<line class="grid" x1="{left:.1f}" y1="{y:.1f}" x2="{right:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text x="{left - 6:.1f}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
+    for tick in _ticks(0.0, most):
+        x, _ = place(tick, 0.0)
+        parts.append(f'<text x="{x:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{tick:g}</text>')
+    for line in lines:
+        where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(float(a), float(b)) for a, b in zip(line.x, line.y, strict=True)))
+        parts.append(f'<polyline class="{line.style}" points="{where}"><title>{_clean(line.text)}</title></polyline>')
+    parts.append(f'<text x="{right:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{_clean(x_axis)}</text>')
+    return svg_of(title, bottom + _FOOT, parts)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers from `low` to `high`."""
+    step = round_below((high - low) / _TICKS) or 1.0
+    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def _clean(text: str) -> str:
+    return escape(printable(text))
