@@ -13,6 +13,7 @@ from push_ident.identification.budget import Budget, Meter, Progress
 from push_ident.identification.evidence import explain
 from push_ident.identification.explanation import Explanation
 from push_ident.identification.fit import Fit, FitOptions
+from push_ident.identification.known_effects import KnownEffect
 from push_ident.identification.levenberg_marquardt import minimise_roughly
 from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.observation import noise_at_rest
@@ -42,6 +43,8 @@ class Earlier:
     """`Identification.warm_starts`, of a fit to the first of the pushes that are given now."""
     past: Summary | None = None
     """Pushes that are not given now, summed up; used by solvers that can (`Capabilities.takes_past`)."""
+    known: Sequence[KnownEffect] = ()
+    """What is known of effects beside all these pushes; used by solvers that fit effects."""
 
 
 def uniform_model(shape: ObjectShape, prior: Prior | None = None) -> ObjectModel:
@@ -83,16 +86,17 @@ def identify(
     solver = solver_of(method)
     if not records:
         raise InputError("There is no push to learn from; give at least one push record.")
+    earlier = earlier or Earlier()
+    effects = tuple(dict.fromkeys((*effects, *(own.name for own in earlier.known))))
     if effects and not solver.capabilities.takes_effects:
         raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
-    earlier = earlier or Earlier()
     prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options = _prepared(records, prior, effects, options or FitOptions())
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
-    fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past))
+    fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past, earlier.known))
     explanation = explain(fit.posterior, records, settings=options.numerics)
     posterior, status = _checked(fit, explanation, prior, effects, earlier.past)
     return Identification(
