@@ -26,6 +26,8 @@ __all__ = ["KnownEffect", "check_agreement", "effects_cost", "effects_in_use", "
 
 _BY_CHANCE: Final = 1e-3
 """Probability with which the pushes of the model contradict a right value by chance [1]: one right diagnosis in a thousand is refused."""
+_ROUNDING: Final = 1e-15
+"""Least standard deviation, in the unit of the value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,12 +119,12 @@ def _measured(posterior: ModelPosterior) -> tuple[str, ...]:
 
 def effects_in_use(posterior: ModelPosterior) -> tuple[KnownEffect, ...]:
     """The effects of a posterior but for errors of sensors, with their values."""
-    effects, std, measured = posterior.effects, posterior.effects_std, _measured(posterior)
-    return tuple(
-        KnownEffect(name, effects.values[effects.slice_of(name)], std[effects.slice_of(name)])
-        for name in effects.names
-        if name not in measured
-    )
+    effects, measured = posterior.effects, _measured(posterior)
+    low, high = (np.array([getattr(parameter, bound) for parameter in effects.parameters]) for bound in ("low", "high"))
+    # A file or a fit may lie beside a bound by rounding.
+    value, std = np.clip(effects.values, low, high), np.maximum(posterior.effects_std, _ROUNDING)
+    own = {name: effects.slice_of(name) for name in effects.names if name not in measured}
+    return tuple(KnownEffect(name, value[there], std[there]) for name, there in own.items())
 
 
 def effects_text(posterior: ModelPosterior) -> str:
