@@ -17,6 +17,7 @@ from push_ident.identification.prior import Prior
 from push_ident.identification.result import prior_posterior
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
+from push_ident.planning.feasible import Surroundings
 from push_ident.planning.goal import Goal
 from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
@@ -56,8 +57,6 @@ _TOLERANCES: Final = ((0.0025, 0.03), (0.0015, 0.02), (0.0008, 0.012))
 """Of position [m] and yaw [rad], one after the other until the game is won: 2.6 mm or 3.6 degrees alone leave 5 % of the goal bare."""
 _AT_START: Final = 2
 """Ticks that the disc waits at a start: bodies that were put into one another come apart."""
-_NEAR: Final = 0.004
-"""Distance of contacts up to which a push to the middle is that which failed before [m], as the planner takes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,9 +179,6 @@ def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Playe
 
 
 def _to_the_middle(game: Game, failed: Sequence[PushPlan2D]) -> PushPlan2D | None:
-    """A push to the middle that was not tried yet; None where there is none."""
-
-    def is_new(push: PushPlan2D) -> bool:
-        return all(float(np.linalg.norm(push.contact_point - other.contact_point)) >= _NEAR for other in failed)
-
-    return next((push for push in recentring_pushes(BLOCK, game.pose, SETTINGS) if is_new(push)), None)
+    """A push to the middle that did not fail yet; None where there is none."""
+    around = Surroundings(failed=failed)
+    return next((push for push in recentring_pushes(BLOCK, game.pose, SETTINGS) if not around.has_failed(push)), None)
