@@ -23,7 +23,7 @@ from push_ident.types import PushRecord
 TILT = np.array([0.04, -0.02])
 """Of the table on which all pushes are made [rad]."""
 PUSHES = simulated_pushes(7, 1, {"table_tilt": TILT.tolist()})
-KNOWN = KnownEffect("table_tilt", TILT + [0.002, -0.002], np.array([0.004, 0.004]))
+KNOWN = KnownEffect("table_tilt", TILT + 0.002, np.array([0.004, 0.004]))
 
 
 def session_of(records: Sequence[PushRecord] = (), **options: object) -> ObjectSession:

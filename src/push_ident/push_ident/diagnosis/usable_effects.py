@@ -115,8 +115,8 @@ def _known(effect: _Effect) -> KnownEffect:
     names = [parameter.name for parameter in EFFECTS[effect.name].parameters]
     if set(effect.parameters) != set(names) or set(effect.std) != set(names):
         raise InputError(
-            f"The diagnosis gives {effect.name} the parameters {plain_text(', '.join(effect.parameters))}, expected {', '.join(names)}, each "
-            "with its standard deviation."
+            f"The diagnosis gives {effect.name} the parameters {plain_text(', '.join(effect.parameters))}, expected {', '.join(names)}, "
+            "each with its standard deviation."
         )
     return KnownEffect(effect.name, *(np.array([numbers[name] for name in names]) for numbers in (effect.parameters, effect.std)))
 
@@ -127,8 +127,8 @@ def _check_certain(name: str, probabilities: Mapping[str, float]) -> None:
     needed = 1.0 - SelectionPolicy().max_probability_of_error
     if not certain >= needed:
         raise InputError(
-            f"The diagnosis names {name} with a probability of {certain:.2f}, expected {needed:.2f} at least: the model stays as it is. Make "
-            "the push that the diagnosis proposes, and diagnose again."
+            f"The diagnosis names {name} with a probability of {certain:.2f}, expected {needed:.2f} at least: the model stays as it is. "
+            "Make the push that the diagnosis proposes, and diagnose again."
         )
 
 

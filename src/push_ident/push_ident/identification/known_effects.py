@@ -35,8 +35,8 @@ class KnownEffect:
     """One effect with the values of its parameters.
 
     Raises:
-        InputError: no such effect, other numbers of values than it has parameters, values that are not finite or not admissible, or standard
-            deviations that are not positive.
+        InputError: no such effect, other numbers of values than it has parameters, values that are not finite or not admissible, or
+            standard deviations that are not positive.
     """
 
     name: str

@@ -177,7 +177,7 @@ class ObjectSession:
         result = online.solve_again()
         if result is not None:
             if result.status.is_failure:
-                names = ', '.join(effect.name for effect in (*taken, *kept)) or "no effect"
+                names = ", ".join(effect.name for effect in (*taken, *kept)) or "no effect"
                 raise InputError(f"With {names} the pushes of `{self.object_id}` are not fitted: {result.status.value}.")
             check_agreement(online.posterior, taken)
         self.online = online

@@ -107,8 +107,10 @@ def _effects(goal: Mapping[str, Any]) -> str:
     effects = goal.get("effects", "")
     if not effects:
         return ""
-    is_left_out = goal.get("kind") == "edge"
-    return f"{'Diagnosed, but left out where pushes at the edge are judged' if is_left_out else 'Planned with what was diagnosed'}: {effects}."
+    words = "Planned with what was diagnosed"
+    if goal.get("kind") == "edge":
+        words = "Diagnosed, but left out where pushes at the edge are judged"
+    return f"{words}: {effects}."
 
 
 def _target(goal: Mapping[str, Any]) -> str:

@@ -110,7 +110,8 @@ class _GapDiagnosis(Component):
         for push in pushes:
             for record in push:
                 if self._table.beyond(record) > 0.0:
-                    self._collector.refuse("pushes", "gap_diagnosis", f"{record.object_id} overhung the edge of the table; the push is left out.")
+                    why = f"{record.object_id} overhung the edge of the table; the push is left out."
+                    self._collector.refuse("pushes", "gap_diagnosis", why)
                 elif observe_push(record).touched:
                     kept = self._records.setdefault(record.object_id, deque(maxlen=self._settings["keep"]))
                     order = kept[-1].order + 1 if kept else 0
