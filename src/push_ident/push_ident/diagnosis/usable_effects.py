@@ -118,7 +118,8 @@ def _known(effect: _Effect) -> KnownEffect:
             f"The diagnosis gives {effect.name} the parameters {plain_text(', '.join(effect.parameters))}, expected {', '.join(names)}, "
             "each with its standard deviation."
         )
-    return KnownEffect(effect.name, *(np.array([numbers[name] for name in names]) for numbers in (effect.parameters, effect.std)))
+    value, std = (np.array([numbers[name] for name in names]) for numbers in (effect.parameters, effect.std))
+    return KnownEffect(effect.name, value, std)
 
 
 def _check_certain(name: str, probabilities: Mapping[str, float]) -> None:
