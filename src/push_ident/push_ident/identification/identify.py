@@ -20,7 +20,7 @@ from push_ident.identification.observation import noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Checkpoint, Identification, ModelPosterior, WarmStart
-from push_ident.identification.solver import FitTask, MapFit
+from push_ident.identification.solver import FitTask, MapFit, Solver
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_total_mass
@@ -87,9 +87,7 @@ def identify(
     if not records:
         raise InputError("There is no push to learn from; give at least one push record.")
     earlier = earlier or Earlier()
-    effects = tuple(dict.fromkeys((*effects, *(own.name for own in earlier.known))))
-    if effects and not solver.capabilities.takes_effects:
-        raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
+    effects = _fitted(effects, earlier.known, solver)
     prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options = _prepared(records, prior, effects, options or FitOptions())
@@ -114,6 +112,14 @@ def identify(
         candidates=fit.candidates,
         explanation=explanation,
     )
+
+
+def _fitted(effects: Sequence[str], known: Sequence[KnownEffect], solver: Solver) -> tuple[str, ...]:
+    """Names of effects that somebody wants or knows. Raises InputError where the solver fits none."""
+    names = tuple(dict.fromkeys((*effects, *(own.name for own in known))))
+    if names and not solver.capabilities.takes_effects:
+        raise InputError(f"`{solver.name}` fits no effects ({', '.join(names)}); take {DEFAULT_SOLVER}.")
+    return names
 
 
 def _measured(prior: Prior, records: Sequence[PushRecord], takes_forces: bool) -> Prior:
