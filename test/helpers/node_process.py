@@ -79,7 +79,7 @@ class NodeProcess:
 
 
 class Talker:
-    """Publishes, asks and listens to the status of the only node of a domain. A context manager."""
+    """Publishes, asks and listens to the status of the nodes of a domain. A context manager."""
 
     def __init__(self, domain: int) -> None:
         self._context = Context()
@@ -107,9 +107,10 @@ class Talker:
             )
         self._publishers[topic].publish(message)
 
-    def values(self) -> dict[str, str]:
-        """Of the latest status."""
-        return {value.key: value.value for report in self._reports[-1:] for value in report.values}
+    def values(self, node: str = "") -> dict[str, str]:
+        """Of the latest status; with several nodes, of the one whose name contains `node`."""
+        own = [report for report in self._reports if node in report.name]
+        return {value.key: value.value for report in own[-1:] for value in report.values}
 
     def until(self, condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None, timeout: float = 60.0) -> None:
         """Spin until `condition` is true, calling `meanwhile` again and again."""
@@ -119,9 +120,9 @@ class Talker:
             meanwhile()
             self._executor.spin_once(timeout_sec=0.05)
 
-    def ask(self, client: Any, request: object) -> Any:
+    def ask(self, client: Any, request: object, timeout: float = 10.0) -> Any:
         """The answer of a service."""
         self.until(client.service_is_ready)
         future = client.call_async(request)
-        self.until(future.done, timeout=10.0)
+        self.until(future.done, timeout=timeout)
         return future.result()

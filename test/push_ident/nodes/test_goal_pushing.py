@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, PolygonStamped
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from visualization_msgs.msg import MarkerArray
@@ -27,6 +27,7 @@ from push_ident.geometry.se2 import quaternion_of_yaw, transform_points
 from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
+from push_ident.nodes.convert_table import EDGE_TOPIC, edge_from_msg
 from push_ident.planning.goal_code import GoalCode
 from push_ident.planning.goal_ports import GoalState
 from push_ident.types import ObjectShape
@@ -58,6 +59,8 @@ class GoalCell(Cell):
         self.drawings: list[GoalDrawing | None] = []
         """What is shown of goals."""
         self.create_subscription(MarkerArray, "push_to_goal/markers", self._on_markers, LATCHED)
+        self.edges: list[PolygonStamped] = []
+        self.create_subscription(PolygonStamped, EDGE_TOPIC, self.edges.append, LATCHED)
         self.publish_model()
 
     def _on_markers(self, msg: MarkerArray) -> None:
@@ -209,6 +212,15 @@ def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> 
     assert cell.records[0].error_code == 0, cell.records[0].error_text
     running.handle.cancel_goal_async()
     assert running.end().error_code == GoalCode.CANCELED
+
+
+def test_the_edge_of_a_goal_is_published_for_who_learns_from_its_pushes(cell: GoalCell) -> None:
+    assert not cell.edges, "goals that were refused gave theirs to nobody"
+    sent = send(cell, kind=1, edge=EDGE, overhang=0.01, held=0.005, explore=1)
+    wait_for(lambda: cell.edges or sent.result.done(), 20.0)
+    sent.handle.cancel_goal_async()
+    assert [edge_from_msg(msg).ends.tolist() for msg in cell.edges] == [pytest.approx(np.array([[p.x, p.y] for p in EDGE]), abs=1e-6)]
+    assert sent.end().error_code == GoalCode.CANCELED
 
 
 def test_unknown_mechanics_are_said_where_exploring_is_not_allowed(cell: GoalCell) -> None:

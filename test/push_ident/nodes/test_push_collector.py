@@ -25,7 +25,10 @@ from shape_msgs.msg import SolidPrimitive
 from helpers.domains import own_domain
 from helpers.executor_cell import wait_for
 from helpers.objects import hammer, random_records
+from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert import cylinder_to_msg, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg
+from push_ident.nodes.convert_table import EDGE_TOPIC, edge_to_msg
+from push_ident.physics.overhang import TableEdge
 from push_ident.types import PushRecord
 from push_ident_msgs.msg import MassFrictionMap
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
@@ -128,3 +131,17 @@ def test_push_without_an_end_record_is_not_learned_where_an_executor_is(cell: Ce
 
     cell.play(TRAIN[2], 70.0, records)
     wait_for(lambda: cell.values.get("pushes") == "2")
+
+
+def test_push_over_an_edge_that_only_a_goal_gave_is_left_out_and_said(cell: Cell) -> None:
+    reach = transform_points(TRAIN[0].poses.pose, TRAIN[0].shape.outline).reshape(-1, 2)[:, 0].max()
+    edge = TableEdge(np.array([1.0, 0.0]), float(reach) - 0.02, (-0.5, 0.5))
+    latched = cell.create_publisher(PolygonStamped, EDGE_TOPIC, LATCHED)
+    latched.publish(edge_to_msg(edge, stamp_to_msg(1.0)))
+    cell.play(TRAIN[0], 10.0)
+    wait_for(lambda: cell.values.get("pushes refused") == "1")
+    assert "overhung the edge of the table by 20 mm" in cell.values["last error"] and cell.values.get("pushes") is None
+    # A later goal with another edge: the same push is on the table.
+    latched.publish(edge_to_msg(TableEdge(edge.outward, edge.offset + 0.05, edge.span), stamp_to_msg(1.0)))
+    cell.play(TRAIN[0], 40.0)
+    wait_for(lambda: cell.values.get("pushes") == "1")

@@ -78,6 +78,7 @@ class GoalReport:
         edge: first and last point of the edge that it shall overhang, shape (2, 2) [m]; None away from edges.
         overhang: beyond that edge, as last observed [m]; NaN where not known.
         margin: expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known.
+        effects: diagnosed effects in the model of the object, with their values; empty where there are none.
     """
 
     def __init__(self, goal: PushToGoal.Goal) -> None:
@@ -88,6 +89,7 @@ class GoalReport:
         self.target = planar(goal.goal.pose) if goal.kind == goal.KIND_POSE else np.full(3, np.nan)
         self.edge: Float64Array | None = None
         self.overhang = self.margin = float("nan")
+        self.effects = ""
 
     def take(self, feedback: PushToGoal.Feedback) -> None:
         """Note what a feedback says, and print a push that is new in it."""
@@ -124,6 +126,7 @@ class GoalReport:
             "chance": float(result.chance),
             "n_pushes": int(result.pushes),
             "time_s": float(result.elapsed),
+            "effects": self.effects,
             "pushes": [line.content() for line in self.lines],
         }
 

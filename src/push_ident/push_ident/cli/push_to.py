@@ -106,6 +106,7 @@ def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], N
         found = (goal.object_id,) if goal.object_id else client.object_ids()
         if len(found) == 1 and client.is_known(found[0]):
             goal.object_id, report.outline = found[0], client.shape(found[0]).outline
+            report.effects = printable(client.values_of("identification_node").get(f"{found[0]}: diagnosed effects", ""))
     if latest is not None and (poses := client.poses(goal.object_id)):
         report.take(last_feedback(report.result, latest, poses[-1][1]))
 

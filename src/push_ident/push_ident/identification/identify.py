@@ -13,13 +13,14 @@ from push_ident.identification.budget import Budget, Meter, Progress
 from push_ident.identification.evidence import explain
 from push_ident.identification.explanation import Explanation
 from push_ident.identification.fit import Fit, FitOptions
+from push_ident.identification.known_effects import KnownEffect
 from push_ident.identification.levenberg_marquardt import minimise_roughly
 from push_ident.identification.nuisances import nuisances_of
 from push_ident.identification.observation import noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Checkpoint, Identification, ModelPosterior, WarmStart
-from push_ident.identification.solver import FitTask, MapFit
+from push_ident.identification.solver import FitTask, MapFit, Solver
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.summary import Summary
 from push_ident.identification.total_mass import with_total_mass
@@ -42,6 +43,8 @@ class Earlier:
     """`Identification.warm_starts`, of a fit to the first of the pushes that are given now."""
     past: Summary | None = None
     """Pushes that are not given now, summed up; used by solvers that can (`Capabilities.takes_past`)."""
+    known: Sequence[KnownEffect] = ()
+    """What is known of effects beside all these pushes; used by solvers that fit effects."""
 
 
 def uniform_model(shape: ObjectShape, prior: Prior | None = None) -> ObjectModel:
@@ -83,16 +86,15 @@ def identify(
     solver = solver_of(method)
     if not records:
         raise InputError("There is no push to learn from; give at least one push record.")
-    if effects and not solver.capabilities.takes_effects:
-        raise InputError(f"`{method}` fits no effects ({', '.join(effects)}); take {DEFAULT_SOLVER}.")
     earlier = earlier or Earlier()
+    effects = _fitted(effects, earlier.known, solver)
     prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
     effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
     options = _prepared(records, prior, effects, options or FitOptions())
     meter = Meter(budget, on_progress)
     scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
-    fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past))
+    fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past, earlier.known))
     explanation = explain(fit.posterior, records, settings=options.numerics)
     posterior, status = _checked(fit, explanation, prior, effects, earlier.past)
     return Identification(
@@ -110,6 +112,14 @@ def identify(
         candidates=fit.candidates,
         explanation=explanation,
     )
+
+
+def _fitted(effects: Sequence[str], known: Sequence[KnownEffect], solver: Solver) -> tuple[str, ...]:
+    """Names of effects that somebody wants or knows. Raises InputError where the solver fits none."""
+    names = tuple(dict.fromkeys((*effects, *(own.name for own in known))))
+    if names and not solver.capabilities.takes_effects:
+        raise InputError(f"`{solver.name}` fits no effects ({', '.join(names)}); take {DEFAULT_SOLVER}.")
+    return names
 
 
 def _measured(prior: Prior, records: Sequence[PushRecord], takes_forces: bool) -> Prior:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from push_ident.identification.budget import Budget
 from push_ident.identification.fit import FitOptions
 from push_ident.identification.identify import Earlier, identify
+from push_ident.identification.known_effects import KnownEffect, with_known_effects
 from push_ident.identification.observation import NoiseModel, noise_at_rest
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import unknowns_of_push, without_first_push
@@ -40,6 +42,8 @@ class OnlineState:
     posterior: ModelPosterior
     status: SolveStatus | None
     """Of the last solve; None before the first."""
+    known: tuple[KnownEffect, ...] = ()
+    """What is known of effects from elsewhere."""
 
     @property
     def n_pushes(self) -> int:
@@ -113,6 +117,18 @@ class OnlineIdentifier:
         past = Summary(0, unknowns.modes, known, prior.feet, has_prior=True)
         return OnlineState(unknowns.shape, prior, (), past, (), posterior, None)
 
+    @staticmethod
+    def with_effects(state: OnlineState, known: Sequence[KnownEffect]) -> OnlineState:
+        """The state with these effects beside the maps, and with no others but errors of sensors; to be solved anew (`solve_again`).
+
+        Pushes that were summed up are left out: they were fitted without these effects. A model that was adopted stays.
+        """
+        posterior, onto = with_known_effects(state.posterior, known)
+        past = state.past if state.past is not None and state.past.has_prior else None
+        if past is not None:
+            past = replace(past, cost=past.cost.transformed(onto))
+        return replace(state, past=past, warm_starts=(), posterior=posterior, known=tuple(known))
+
     @property
     def n_pushes(self) -> int:
         """Number of finished pushes in the estimate."""
@@ -139,19 +155,24 @@ class OnlineIdentifier:
         self.state = replace(self.state, shape=shape)
         return self._solve(tuple(replace(record, shape=shape) for record in self.state.records), None, self.state.warm_starts)
 
+    def solve_again(self) -> Identification | None:
+        """Fit the latest pushes of the state anew; None where there are none."""
+        return self._solve(self.state.records, self.state.past, self.state.warm_starts) if self.state.records else None
+
     def _solve(self, records: tuple[PushRecord, ...], past: Summary | None, starts: tuple[WarmStart, ...]) -> Identification:
         """Fit these pushes together with the summed up ones, and keep the result."""
         state, prior = self.state, self.state.prior
         if past is None and prior != (prior := prior.felt_in(records)):
             starts = ()  # they lack the total mass
         effects = state.posterior.effects.names if self._solver.capabilities.takes_effects else ()
-        earlier = Earlier(starts, past)
+        earlier = Earlier(starts, past, state.known)
         result = identify(
             records, prior, method=self._solver.name, effects=effects, options=self._options, budget=self._budget, earlier=earlier
         )
         self.result, self.posterior, self._under_way = result, result.posterior, None
         self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, self._options.noise))
-        self.state = OnlineState(state.shape, prior, records, past, result.warm_starts, result.posterior, result.status)
+        posterior, status = result.posterior, result.status
+        self.state = OnlineState(state.shape, prior, records, past, result.warm_starts, posterior, status, state.known)
         return result
 
     def drop_update(self) -> bool:

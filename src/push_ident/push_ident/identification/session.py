@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from push_ident.errors import InputError, PlanningError
+from push_ident.identification.known_effects import KnownEffect, check_agreement, effects_in_use
 from push_ident.identification.next_push import PlannedPush, RankingOptions, UnwantedError, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
@@ -16,7 +17,7 @@ from push_ident.identification.prediction import Prediction, predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, RunningRecord, score_push
-from push_ident.identification.solvers import DEFAULT_SOLVER
+from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.state_file import load_state, save_state
 from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.push import PushSettings
@@ -30,6 +31,8 @@ _LATEST = 0.1
 """The pusher is assumed to keep its mean velocity over this last period [s]."""
 _N_REFERENCES = 12
 """Reference pushes for the choice of the next push."""
+_SAME_TIME = 1e-6
+"""Between stamps of one time [s], which are rounded where they become numbers."""
 _SOURCES = 200
 """Number of the latest pushes that a model names as its sources."""
 REMEMBERED_PUSHES = 10_000
@@ -134,13 +137,51 @@ class ObjectSession:
         """
         own, state = self.shape, self.online.state
         if self.is_new:
-            self.online = self._identifier(OnlineIdentifier.new(shape, self.options.prior))
+            fresh = OnlineIdentifier.new(shape, self.options.prior)
+            self.online = self._identifier(OnlineIdentifier.with_effects(fresh, state.known) if state.known else fresh)
             return False
         if (own.outline_std is None) != (shape.outline_std is None) or state.past is not None or _is_equal(own, shape):
             return False
         self.online.refine(replace(shape, cells=own.cells))
         self.save()
         return True
+
+    def use_effects(self, effects: Sequence[KnownEffect], *, n_pushes: int, until: float = np.inf, keep: Collection[str] = ()) -> None:
+        """Fit these effects with the maps from now on, and no others but errors of sensors and those to `keep`.
+
+        The latest pushes are fitted anew; older ones, which were summed up without these effects, count no more.
+
+        Args:
+            effects: with the values that are known of them. An error of a sensor that is an unknown already stays what it is.
+            n_pushes: behind these values.
+            until: end of the last of them [s]; pushes of the model that ended later are not among them.
+            keep: names of effects that are in use and stay.
+
+        Raises:
+            InputError: the solver fits no effects, or the pushes of the model contradict these. The estimate stays what it was.
+            ModelFileError: the state cannot be written. The estimate has changed nevertheless.
+        """
+        if not solver_of(self.options.method).capabilities.takes_effects:
+            raise InputError(f"`{self.options.method}` fits no effects; set the parameter `method` to {DEFAULT_SOLVER}.")
+        state = self.online.state
+        shared = sum(float(record.poses.time[-1]) <= until + _SAME_TIME for record in state.records)
+        own = {effect.name: effect for effect in effects_in_use(state.posterior)}
+        measured = set(state.posterior.effects.names) - set(own)
+        share = max(0.0, 1.0 - shared / n_pushes)
+        taken = [replace(effect, share=share) for effect in effects if effect.name not in measured]
+        before = {name: replace(effect, share=0.0) for name, effect in own.items()} | {effect.name: effect for effect in state.known}
+        kept = [effect for name, effect in before.items() if name in keep and name not in {effect.name for effect in taken}]
+        if not taken and len(kept) == len(own):
+            return
+        online = self._identifier(OnlineIdentifier.with_effects(state, [*taken, *kept]))
+        result = online.solve_again()
+        if result is not None:
+            if result.status.is_failure:
+                names = ", ".join(effect.name for effect in (*taken, *kept)) or "no effect"
+                raise InputError(f"With {names} the pushes of `{self.object_id}` are not fitted: {result.status.value}.")
+            check_agreement(online.posterior, taken)
+        self.online = online
+        self.save()
 
     def knows(self, record: PushRecord) -> bool:
         """Whether this push is in the estimate already."""
@@ -167,7 +208,9 @@ class ObjectSession:
         if not observe_push(record, self.options.noise).touched:
             self.drop_update()
             return None
-        record = replace(record, order=self.n_pushes)
+        records = self.online.state.records
+        # Pushes that count no more were made all the same.
+        record = replace(record, order=max(self.n_pushes, records[-1].order + 1 if records else 0))
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
         result = self.online.add(record)
         score = replace(score, explained=result.explanation.pushes[-1].is_explained and result.status is not SolveStatus.UNEXPLAINED)

@@ -15,6 +15,7 @@ import numpy as np
 
 from push_ident.identification.budget import Budget, Meter
 from push_ident.identification.fit import Fit, FitOptions
+from push_ident.identification.known_effects import KnownEffect
 from push_ident.identification.prior import Prior
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.result import Candidate, ModelPosterior, WarmStart
@@ -59,6 +60,8 @@ class FitTask:
     """`MapFit.warm_starts` of an earlier fit by this solver to the first of these pushes."""
     past: Summary | None = None
     """Pushes before these, summed up."""
+    known: Sequence[KnownEffect] = ()
+    """What is known of effects beside these pushes, for solvers that take effects."""
 
     @property
     def shape(self) -> ObjectShape:

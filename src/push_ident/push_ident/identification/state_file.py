@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from push_ident.errors import InputError, ModelFileError
 from push_ident.files import write_whole
+from push_ident.identification.known_effects import KnownEffect
 from push_ident.identification.model_file import ModelContent, model_content, posterior_of, prior_of, read_checked
 from push_ident.identification.online import OnlineState
 from push_ident.identification.prior import MapPrior
@@ -58,6 +59,13 @@ class _Past(_Part):
     has_prior: bool = False
 
 
+class _Known(_Part):
+    name: str
+    value: list[float]
+    std: list[float]
+    share: float
+
+
 class _Start(_Part):
     name: str
     x: list[float]
@@ -94,6 +102,8 @@ class _State(_Part):
     record: _Record
     keys: list[tuple[float, float, float]]
     """When and where each known push began [s, m, m]."""
+    known: list[_Known] = []
+    """Of effects from elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +151,7 @@ def save_state(
         status=state.status.name if state.status else None,
         record=_Record(n=record.n, sums=record.sums, latest=[_Score(**asdict(score)) for score in record.latest]),
         keys=list(pushes),
+        known=[_Known(name=own.name, value=own.value.tolist(), std=own.std.tolist(), share=own.share) for own in state.known],
     )
     text = content.model_dump_json(by_alias=True, exclude_defaults=True)
     write_whole(path, text, "the state of the identification", private=True, error=ModelFileError)
@@ -168,6 +179,7 @@ def load_state(path: Path) -> KeptState:
             warm_starts=tuple(_warm_start(start) for start in content.starts if isinstance(start, _Start)),
             posterior=posterior,
             status=SolveStatus[content.status] if content.status else None,
+            known=tuple(KnownEffect(own.name, np.array(own.value), np.array(own.std), own.share) for own in content.known),
         )
     except (InputError, KeyError, ValueError) as error:
         raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to start again.") from None

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32, PolygonStamped
 
 from push_ident.errors import InputError
 from push_ident.geometry.table import Table
-from push_ident.limits import plain_text
+from push_ident.limits import check_coordinates, plain_text
 from push_ident.nodes.convert import TABLE_FRAME, outline_from_msg
+from push_ident.physics.overhang import TableEdge
 
-__all__ = ["TABLE_TOPIC", "table_from_msg", "table_to_msg"]
+__all__ = ["EDGE_TOPIC", "TABLE_TOPIC", "edge_from_msg", "edge_to_msg", "table_from_msg", "table_to_msg"]
 
 TABLE_TOPIC: Final = "workspace/table"
 """Latched: a source that knows the table publishes it once."""
+EDGE_TOPIC: Final = "workspace/edge"
+"""Latched: the edge of the table in the latest goal that gave one, for nodes that know no table."""
 
 
 def table_to_msg(table: Table, stamp: Time) -> PolygonStamped:
@@ -35,3 +39,26 @@ def table_from_msg(msg: PolygonStamped) -> Table:
     if msg.header.frame_id != TABLE_FRAME:
         raise InputError(f"The table is in frame {plain_text(msg.header.frame_id)!r}, expected {TABLE_FRAME!r}; transform it first.")
     return Table(outline_from_msg(msg))
+
+
+def edge_to_msg(edge: TableEdge, stamp: Time) -> PolygonStamped:
+    """First and last point of an edge whose span is finite, with the table on the left, in the frame `table`."""
+    msg = PolygonStamped()
+    msg.header.frame_id, msg.header.stamp = TABLE_FRAME, stamp
+    msg.polygon.points = [Point32(x=float(x), y=float(y), z=0.0) for x, y in edge.ends]
+    return msg
+
+
+def edge_from_msg(msg: PolygonStamped) -> TableEdge:
+    """The edge of a message.
+
+    Raises:
+        InputError: another frame, not two points, or points that are not finite or too near to each other.
+    """
+    if msg.header.frame_id != TABLE_FRAME:
+        raise InputError(f"The edge is in frame {plain_text(msg.header.frame_id)!r}, expected {TABLE_FRAME!r}; transform it first.")
+    if len(msg.polygon.points) != 2:
+        raise InputError(f"The edge has {len(msg.polygon.points)} points, expected two.")
+    first, second = (np.array([point.x, point.y], dtype=np.float64) for point in msg.polygon.points)
+    check_coordinates([first, second], "Edge of the table")
+    return TableEdge.between(first, second)

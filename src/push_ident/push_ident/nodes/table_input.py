@@ -1,4 +1,4 @@
-"""Where the table ends, from a parameter of the node or from the topic `workspace/table`."""
+"""Where the table ends: from a parameter of the node, from the topic `workspace/table`, and from the edges that goals give."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.errors import InputError
+from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.table import Table
 from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert_table import TABLE_TOPIC, table_from_msg
+from push_ident.nodes.convert_table import EDGE_TOPIC, TABLE_TOPIC, edge_from_msg, table_from_msg
 from push_ident.nodes.parameters import Parameter
+from push_ident.physics.overhang import TableEdge
+from push_ident.types import PushRecord
 
 __all__ = ["CORNERS", "TableInput", "table_of_corners"]
 
@@ -52,11 +55,28 @@ class TableInput:
         self._node = node
         self._heard: Table | None = None
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(PolygonStamped, TABLE_TOPIC, self._on_table, latched, callback_group=callback_group)
+        self._edge: TableEdge | None = None
+        for topic, callback in ((TABLE_TOPIC, self._on_table), (EDGE_TOPIC, self._on_edge)):
+            node.create_subscription(PolygonStamped, topic, callback, latched, callback_group=callback_group)
 
     def get(self) -> Table | None:
         """The table; None where nobody has said where it ends."""
         return table_of_corners(self._node.settings[CORNERS.name]) or self._heard
 
+    def beyond(self, record: PushRecord) -> float:
+        """How far an object reached beyond the table during a push [m], or beyond the edge that the latest goal gave, between its ends;
+        negative on the table, and where nobody has said where it ends."""
+        places = transform_points(record.poses.pose, record.shape.outline).reshape(-1, 2)
+        table, edge = self.get(), self._edge
+        over = -np.inf if table is None else table.beyond(places)
+        if edge is not None:
+            along = places @ edge.along
+            beside = places[(along >= edge.span[0]) & (along <= edge.span[1])]
+            over = max(over, float(np.max(edge.beyond(beside), initial=-np.inf)))
+        return float(over)
+
     def _on_table(self, msg: PolygonStamped) -> None:
         self._heard = table_from_msg(msg)
+
+    def _on_edge(self, msg: PolygonStamped) -> None:
+        self._edge = edge_from_msg(msg)

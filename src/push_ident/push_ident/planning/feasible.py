@@ -35,6 +35,10 @@ class Surroundings:
     hold: EdgeHold | None = None
     """An edge of the table near the object."""
 
+    def has_failed(self, push: PushPlan2D) -> bool:
+        """Whether a push with this contact failed before."""
+        return any(bool(np.linalg.norm(push.contact_point - other.contact_point) < _AGAIN) for other in self.failed)
+
 
 def is_possible(
     shape: ObjectShape, settings: PushSettings, plan: PushPlan2D, pose: Float64Array, motion: Float64Array, around: Surroundings
@@ -43,7 +47,7 @@ def is_possible(
 
     `pose`: of the object before it, table frame; `motion`: what the push is expected to do, in the object's frame. Both of shape (3,).
     """
-    if any(np.linalg.norm(plan.contact_point - other.contact_point) < _AGAIN for other in around.failed):
+    if around.has_failed(plan):
         return False
     way = np.linspace(0.0, 1.0, _WAY)[1:, None] * motion
     outline, *later = (transform_points(p, shape.outline) for p in (pose, *compose(pose, way)))

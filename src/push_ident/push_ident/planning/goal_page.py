@@ -92,6 +92,7 @@ def _goal(goal: Mapping[str, Any], number: int) -> dict[str, Any]:
     is_at_edge = goal.get("kind") == "edge"
     return {
         "name": f"Goal {number}" if number else "Goal",
+        "effects": _effects(goal),
         "words": f"{_wanted(goal) if is_at_edge else _target(goal)}; there within {tolerance}",
         "at_edge": is_at_edge,
         "ended": f"{_ended(goal)}{'' if goal['code'] == 'NONE' else ' (' + goal['code'] + ')'}",
@@ -99,6 +100,17 @@ def _goal(goal: Mapping[str, Any], number: int) -> dict[str, Any]:
         "panels": _panels(goal),
         "errors": _errors(goal) if goal["pushes"] else "",
     }
+
+
+def _effects(goal: Mapping[str, Any]) -> str:
+    """What else the pushes were planned with; empty where nothing was diagnosed, or at an edge, where effects are left out."""
+    effects = goal.get("effects", "")
+    if not effects:
+        return ""
+    words = "Planned with what was diagnosed"
+    if goal.get("kind") == "edge":
+        words = "Diagnosed, but left out where pushes at the edge are judged"
+    return f"{words}: {effects}."
 
 
 def _target(goal: Mapping[str, Any]) -> str:

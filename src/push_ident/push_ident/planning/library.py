@@ -24,7 +24,7 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
-__all__ = ["BATCH_STEP", "Library", "Strokes", "moved", "path_of", "placed", "simulated", "strokes"]
+__all__ = ["BATCH_STEP", "DRAW_STEP", "Library", "Strokes", "moved", "path_of", "placed", "simulated", "strokes"]
 
 _CONTACTS: Final = 48
 """Along the outline."""
@@ -37,6 +37,9 @@ _LONGEST: Final = 0.16
 BATCH_STEP: Final = 1.0 / 100.0
 """Of batched simulations [s]: ends of pushes of 6 to 10 cm at 0.1 m/s lie within 0.1 mm of the default step's in the median, 0.2 mm in 95 %
 (`push-ident bench batches`)."""
+DRAW_STEP: Final = 1.0 / 60.0
+"""The same of the models in a library that may be true [s], with ends within 0.2 mm in the median, 0.4 mm in 95 %: they show how far ends
+spread, by millimetres, and the pushes that are judged last are simulated anew with the step above."""
 _SAME_PLACE: Final = np.array([0.02, 0.02, 0.1])
 """Distance [m, m, rad] up to which a library of one pose is taken at another one: the turn changes a force of the table by a tenth of it,
 and the pushes that are chosen are simulated once more where they are made."""
@@ -123,7 +126,8 @@ class Library:
             pushes.append(BatchPush(moved(first, path), first, (settings.clearance + lengths) / speed))
         models = belief.models(n_draws, rng)
         centres = np.array([model.body.centre for model in models])
-        motion = compose(inverse(first), simulated(belief, models, pushes))
+        poses = [simulated(belief, own, pushes, step=step) for own, step in ((models[:1], BATCH_STEP), (models[1:], DRAW_STEP)) if own]
+        motion = compose(inverse(first), np.concatenate(poses))
         known = np.isfinite(motion)
         n, filled = np.maximum(np.sum(known, axis=0), 1), np.where(known, motion, 0.0)
         deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
@@ -137,14 +141,16 @@ class Library:
         return bool(np.all(np.abs(away) <= _SAME_PLACE))
 
 
-def simulated(belief: Belief, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None = None) -> Float64Array:
-    """As `rollouts`, with the step of planning and the law of friction of a belief."""
+def simulated(
+    belief: Belief, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None = None, step: float = BATCH_STEP
+) -> Float64Array:
+    """As `rollouts`, with the law of friction of a belief."""
     law = belief.numerics
     return rollouts(
         belief.shape,
         models,
         pushes,
-        step=BATCH_STEP,
+        step=step,
         edge=edge,
         smoothing_speed=law.smoothing_speed,
         quasi_static=law.quasi_static,

@@ -181,7 +181,7 @@ class Identification(Pushes):
         if service == "/predict_push":
             pose = position_to_msg(stamp_to_msg(1.0), [0.0, 0.0, 0.0])
             return [PredictPush.Request(object_id=OBJECT, pusher_path=self.path(), object_pose=pose)]
-        if service in ("/save_model", "/load_model"):
+        if service in ("/save_model", "/load_model", "/load_diagnosis"):
             kind = self.bench.kind_of(f"push_ident_msgs/srv/{'Save' if 'save' in service else 'Load'}Model")
             return [kind.Request(object_id=OBJECT, path="model.json")]
         return []

@@ -14,6 +14,7 @@ import numpy as np
 
 from push_ident.identification.budget import Meter
 from push_ident.identification.fit import Fit
+from push_ident.identification.known_effects import effects_cost
 from push_ident.identification.levenberg_marquardt import FINE, minimise, minimise_roughly
 from push_ident.identification.map_prior import STARTS, EvidenceFit, fit_by_evidence
 from push_ident.identification.observation import UNCHECKED, NoiseModel
@@ -175,6 +176,9 @@ class _Candidates:
     def _problem(self, unknowns: Unknowns, transform: Float64Array, meter: Meter | None = None) -> FitProblem:
         task = self._task
         past = task.past.cost.transformed(transform) if task.past else None
+        known = effects_cost(unknowns, task.known)
+        if known is not None:
+            past = known if past is None else past + known
         return self._pushes.of(unknowns, meter=meter or task.meter, past=past)
 
     def fit_adopted(self) -> None:

@@ -22,6 +22,7 @@ from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.push_collector import PushCollector
 from push_ident.nodes.run import run_node
+from push_ident.nodes.table_input import CORNERS, TableInput, table_of_corners
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import ObjectShape, PushRecord
@@ -40,6 +41,7 @@ PARAMETERS: Final = (
     Parameter("keep", 40, "Latest pushes of each object that are kept for a diagnosis", 3, 1000, read_only=True),
     Parameter("outline_from_camera", True, "Whether poses and outlines come from a camera: its errors then belong to the base model"),
     Parameter("workspace", [-0.20, 0.20, -0.25, 0.25], "x_min, x_max, y_min, y_max of the tool of a proposed push [m]", -10.0, 10.0),
+    CORNERS,
 )
 
 
@@ -47,7 +49,7 @@ class GapDiagnosisNode(CellNode):
     """Keeps the latest pushes of every object; action `diagnose_gap` diagnoses them, topic `gap_report` has the latest outcome."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("gap_diagnosis_node", PARAMETERS, **kwargs)
+        super().__init__("gap_diagnosis_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)
 
     def make_component(self) -> Component:
         """The pushes that are kept, and the action."""
@@ -63,6 +65,7 @@ class _GapDiagnosis(Component):
         self._shapes: dict[str, ObjectShape] = {}
         self._busy = threading.Lock()
         self._last = ""
+        self._table = TableInput(node)
         self._is_active = False
         self._collector = PushCollector(
             node,
@@ -106,7 +109,10 @@ class _GapDiagnosis(Component):
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         for push in pushes:
             for record in push:
-                if observe_push(record).touched:
+                if self._table.beyond(record) > 0.0:
+                    why = f"{record.object_id} overhung the edge of the table; the push is left out."
+                    self._collector.refuse("pushes", "gap_diagnosis", why)
+                elif observe_push(record).touched:
                     kept = self._records.setdefault(record.object_id, deque(maxlen=self._settings["keep"]))
                     order = kept[-1].order + 1 if kept else 0
                     kept.append(replace(record, order=order))

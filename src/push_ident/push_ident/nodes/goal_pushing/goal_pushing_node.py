@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -20,6 +21,7 @@ from push_ident.limits import plain_text
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import cylinder_radius_from_msg
 from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
+from push_ident.nodes.convert_table import EDGE_TOPIC, edge_to_msg
 from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, WishOfClient
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
@@ -29,8 +31,9 @@ from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
 from push_ident.nodes.run import run_node
 from push_ident.nodes.table_input import TableInput
 from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError
-from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalState, Wish
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, Wish
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.planner import GoalPush
 from push_ident.planning.target import Target
@@ -77,6 +80,7 @@ class _GoalPushing(Component):
         self._last = ""
         self._drawn: tuple[Target, GoalPush | None] | None = None
         self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", _LATCHED)
+        self._edge = node.create_publisher(PolygonStamped, EDGE_TOPIC, _LATCHED)
         housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._objects = TrackedObjects(node, housekeeping)
         self._models = ModelInput(node, heavy)
@@ -117,8 +121,10 @@ class _GoalPushing(Component):
     def _execute(self, goal: ServerGoalHandle) -> PushToGoal.Result:
         wish = WishOfClient(lambda: bool(goal.is_cancel_requested))
         try:
-            session = self._session(goal, wish)
+            request = request_from_msg(goal.request, self._settings.as_dict())
+            session = self._session(goal, request, wish)
             session.check()
+            self._say_edge(request)
         except PushIdentError as error:
             # The goal before goes on.
             code = error.code if isinstance(error, GoalRefusedError) else GoalCode.INVALID_GOAL
@@ -144,7 +150,12 @@ class _GoalPushing(Component):
                 outcome = replace(outcome, text="the node was deactivated; the arm holds. Activate it and send the goal again.")
         return self._answer(goal, outcome)
 
-    def _session(self, goal: ServerGoalHandle, wish: WishOfClient) -> GoalSession:
+    def _say_edge(self, request: GoalRequest) -> None:
+        """Publish the edge that a goal gives: who learns from its pushes must know which of them overhung."""
+        if isinstance(request.goal, EdgeGoal) and request.goal.edge is not None:
+            self._edge.publish(edge_to_msg(request.goal.edge, self._node.get_clock().now().to_msg()))
+
+    def _session(self, goal: ServerGoalHandle, request: GoalRequest, wish: WishOfClient) -> GoalSession:
         values = self._settings.as_dict()
 
         def show(progress: GoalProgress) -> None:
@@ -156,7 +167,6 @@ class _GoalPushing(Component):
                 if self._pushing is wish:
                     self._draw(progress)
 
-        request = request_from_msg(goal.request, values)
         return GoalSession(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
 
     def _run(self, session: GoalSession, wish: WishOfClient) -> GoalOutcome:
@@ -223,6 +233,7 @@ class _GoalPushing(Component):
         values = {
             "objects": ", ".join(self._objects.ids),
             "pushes learned by object": models,
+            "effects by object": "; ".join(f"{o}: {text}" for o, text in self._models.effects().items()) or "none",
             "goals": self._n_goals,
             "goals reached": self._n_reached,
             "last goal": self._last or "none",

@@ -8,6 +8,7 @@ from typing import Final
 from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from push_ident.identification.known_effects import effects_text
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert_model import posterior_from_msg
 from push_ident.nodes.discovery import ObjectTopics
@@ -25,6 +26,7 @@ class ModelInput:
     def __init__(self, node: CellNode, callback_group: CallbackGroup) -> None:
         self._node, self._group = node, callback_group
         self._models: dict[str, KnownModel] = {}
+        self._effects: dict[str, str] = {}
         self._topics = ObjectTopics(node, self._subscribe, callback_group=callback_group)
 
     def get(self, object_id: str) -> KnownModel | None:
@@ -35,6 +37,10 @@ class ModelInput:
         """Pushes in the model of each object."""
         return {object_id: model.n_pushes for object_id, model in sorted(self._models.items())}
 
+    def effects(self) -> dict[str, str]:
+        """Diagnosed effects in the model of each object that has some, with their values."""
+        return {object_id: text for object_id, text in sorted(self._effects.items()) if text}
+
     def _subscribe(self, object_id: str) -> None:
         self._node.create_subscription(
             ModelPosterior, f"objects/{object_id}/model", partial(self._on_model, object_id), _LATCHED, callback_group=self._group
@@ -42,4 +48,5 @@ class ModelInput:
 
     def _on_model(self, object_id: str, msg: ModelPosterior) -> None:
         stamp, posterior = posterior_from_msg(msg)
+        self._effects[object_id] = effects_text(posterior)
         self._models[object_id] = KnownModel(posterior, stamp, int(msg.n_pushes), bool(msg.is_known))

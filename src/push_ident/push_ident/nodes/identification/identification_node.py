@@ -13,8 +13,9 @@ from typing import Any, Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from push_ident.errors import InputError
-from push_ident.geometry.se2 import transform_points
+from push_ident.diagnosis.usable_effects import UsableEffects
+from push_ident.errors import InputError, PushIdentError
+from push_ident.identification.known_effects import effects_text
 from push_ident.identification.model_file import load_model, save_model
 from push_ident.identification.prediction import predict
 from push_ident.identification.prior import Prior
@@ -24,6 +25,7 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import planar_pose_of, position_from_msg
 from push_ident.nodes.convert_model import pusher_path_from_msg
+from push_ident.nodes.identification.effects_input import USE_DIAGNOSIS, EffectsInput
 from push_ident.nodes.identification.latest_jobs import LatestJobs
 from push_ident.nodes.identification.output import ObjectOutput
 from push_ident.nodes.identification.work_queue import Kind, WorkQueue
@@ -71,6 +73,7 @@ PARAMETERS: Final = (
     Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
     Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
     CORNERS,
+    USE_DIAGNOSIS,
     Parameter("suggest_candidates", 24, "Pushes to choose the next one from; 0: suggest none", 0, 500),
     Parameter("state_directory", "", "Where the state of each object is kept through restarts; empty: nowhere", read_only=True),
 )
@@ -144,6 +147,7 @@ class _Identification(Component):
         node.create_service(PredictPush, "predict_push", self._predict_push)
         node.create_service(SaveModel, "save_model", self._save_model)
         node.create_service(LoadModel, "load_model", self._load_model)
+        EffectsInput(node, self._on_effects, self._use_effects)
         self._worker.start()
 
     def pause(self) -> None:
@@ -194,6 +198,19 @@ class _Identification(Component):
             # A frame that the worker had no time for is not lost: the next update includes it.
             self._counts["frames taken together"] += object_id in self._frames
             self._frames.setdefault(object_id, time.monotonic())
+            self._wake.notify()
+
+    def _on_effects(self, object_id: str, found: UsableEffects, stamp: float) -> None:
+        """After the pushes that wait: a diagnosis may be of them."""
+
+        def use() -> None:
+            try:
+                self._use_effects(object_id, found, stamp)
+            except PushIdentError as error:
+                self._collector.refuse("diagnoses", "gap_report", str(error))
+
+        with self._wake:
+            self._queue.put(Kind.EFFECTS, use, instead_of=object_id)
             self._wake.notify()
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
@@ -253,6 +270,23 @@ class _Identification(Component):
             self._publish_model(session, self._answered.get(object_id, 0.0))
             self._advise(object_id)
 
+    def _use_effects(self, object_id: str, found: UsableEffects, stamp: float) -> str:
+        """Fit the pushes of an object with the effects of a diagnosis whose newest push ended at `stamp` [s]; the id of the object."""
+        session = self._chosen(object_id)
+        if not session.n_pushes and np.isfinite(stamp):
+            raise InputError(
+                f"The diagnosis is of pushes of `{session.object_id}` that this node has not learned; write it to a file and load that "
+                "(load_diagnosis) where it is the same object."
+            )
+        with self._solving:
+            session.use_effects(found.effects, n_pushes=found.n_pushes, until=stamp, keep=found.base)
+        self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
+        self._publish_model(session, self._answered.get(session.object_id, 0.0))
+        text = effects_text(session.posterior) or "none"
+        self._node.get_logger().info(f"object {session.object_id}: effects of its diagnosis in the model: {text}")
+        self._advise(session.object_id)
+        return session.object_id
+
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
         self._is_pushing = False
@@ -291,16 +325,9 @@ class _Identification(Component):
 
     def _check_on_table(self, session: ObjectSession, record: PushRecord) -> None:
         """Raise InputError where the object overhung the table: its cells in the air bear no load, which the model does not know of."""
-        if (over := self._beyond_table(record)) > 0.0:
+        if (over := self._table.beyond(record)) > 0.0:
             session.drop_update()
             raise InputError(f"it overhung the edge of the table by {1e3 * over:.0f} mm; such a push is left out.")
-
-    def _beyond_table(self, record: PushRecord) -> float:
-        """How far the object reached beyond the table [m]; negative on it, and where nobody said where it ends."""
-        table = self._table.get()
-        if table is None:
-            return -np.inf
-        return table.beyond(transform_points(record.poses.pose, record.shape.outline).reshape(-1, 2))
 
     def _say_unexplained(self, session: ObjectSession, score: PushScore) -> None:
         """Count and log a push that contradicts the model, or a model that contradicts its pushes."""
@@ -317,7 +344,7 @@ class _Identification(Component):
             return
         record = self._collector.partial(object_id)
         session = self._sessions.get(object_id)
-        if record is None or session is None or self._beyond_table(record) > 0.0:
+        if record is None or session is None or self._table.beyond(record) > 0.0:
             return
         self._updated[object_id] = now
         self._is_pushing = True
@@ -425,6 +452,8 @@ class _Identification(Component):
             "outlines waiting": self._queue.n_waiting(Kind.OUTLINE),
         }
         values |= {"last solve [s]": f"{self._solve_time:.3f}"}
+        used = {object_id: effects_text(session.posterior) for object_id, session in list(self._sessions.items())}
+        values |= {f"{object_id}: diagnosed effects": text for object_id, text in used.items() if text}
         for object_id, session in list(self._sessions.items()):
             record = session.record.summary
             if record.n:

@@ -16,10 +16,12 @@ class Kind(Enum):
     """A push that has ended, or was left out."""
     OUTLINE = "outline"
     """A better outline, with which the pushes so far are fitted again."""
+    EFFECTS = "effects"
+    """Effects of a diagnosis, with which they are fitted again."""
 
 
 class WorkQueue:
-    """Work of both kinds; what is being done counts as waiting until it is done. Its user has a lock for all but `n_waiting`."""
+    """Work of all kinds; what is being done counts as waiting until it is done. Its user has a lock for all but `n_waiting`."""
 
     def __init__(self) -> None:
         self._work: deque[tuple[Kind, str, Callable[[], None]]] = deque()

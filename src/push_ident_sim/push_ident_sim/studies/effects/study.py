@@ -10,7 +10,9 @@ from typing import Final
 import numpy as np
 
 from push_ident.diagnosis.diagnose import diagnose
-from push_ident.physics.effect import OnPusherFriction
+from push_ident.diagnosis.diagnosis_json import to_json
+from push_ident.diagnosis.usable_effects import usable_effects
+from push_ident.errors import InputError
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
 from push_ident_sim.injected import INJECTED, InjectedEffects
@@ -64,9 +66,11 @@ def _injected(name: str, rng: np.random.Generator) -> InjectedEffects:
 
 
 def _found(records: list[PushRecord]) -> tuple[str, ...]:
-    """Names of the effects that a diagnosis finds, but for the friction of the pusher: it is an unknown of every identification."""
-    names = [effect.name for effect in diagnose(records).effects]
-    return tuple(name for name in names if not isinstance(EFFECTS[name].acts, OnPusherFriction))
+    """Names of the effects that a diagnosis finds and that join a model by its own rule, as in the nodes."""
+    try:
+        return tuple(effect.name for effect in usable_effects(to_json(diagnose(records))).effects)
+    except InputError:
+        return ()
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
@@ -146,7 +150,7 @@ def _tables(summary: Json) -> str:
         ]
         for name, own in summary["won_back"].items()
     ]
-    titles = ["", "named rightly", *(f"{what}: lost, of it won back" for what in _MEASURES.values())]
+    titles = ["", "named rightly, and certain enough", *(f"{what}: lost, of it won back" for what in _MEASURES.values())]
     return markdown_table(head, rows) + "\n\n" + markdown_table(titles, won)
 
 
@@ -186,7 +190,8 @@ STUDY = Experiment(
         "with one effect of typical size (a slope of 0.02 rad, friction that differs by 15 % along the grain, a lag of 20 ms, a tool "
         "that is 2 mm beside its place), in any direction of the table. Six random pushes come first. The undiagnosed model is "
         "identified from them and from up to four more without any effect. For the diagnosed one, a diagnosis of the six names "
-        "effects, which are then fitted with the maps and act in all that is planned; the true model knows maps and effect. At most "
+        "effects; those that are certain enough by its own rule, as for the nodes, are then fitted with the maps and act in all that is "
+        "planned. The true model knows maps and effect. At most "
         "20 pushes a goal, all tolerances together. Lost is what the undiagnosed model needs or errs more than the true one; in "
         "brackets the interval of 95 % from a bootstrap over the objects. After a lag the tool comes to rest where it was sent, so "
         "that ends of pushes lose nothing by it but what it does to the maps."

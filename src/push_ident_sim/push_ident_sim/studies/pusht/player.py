@@ -17,6 +17,7 @@ from push_ident.identification.prior import Prior
 from push_ident.identification.result import prior_posterior
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
+from push_ident.planning.feasible import Surroundings
 from push_ident.planning.goal import Goal
 from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
@@ -56,8 +57,6 @@ _TOLERANCES: Final = ((0.0025, 0.03), (0.0015, 0.02), (0.0008, 0.012))
 """Of position [m] and yaw [rad], one after the other until the game is won: 2.6 mm or 3.6 degrees alone leave 5 % of the goal bare."""
 _AT_START: Final = 2
 """Ticks that the disc waits at a start: bodies that were put into one another come apart."""
-_STUCK: Final = 6
-"""Pushes in a row that could not be planned, after which a start is given up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +153,7 @@ def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Playe
     """One start, until it is won or over."""
     _begin(game, seed)
     played, level, failed = Played(poses=[game.pose.round(5).tolist()]), 0, list[PushPlan2D]()
-    while not game.is_over and len(failed) < _STUCK:
+    while not game.is_over:
         found = planner.plan(known.belief, game.pose, np.diag(_EXACT**2) * 0.1, Goal(GOAL, *_TOLERANCES[level]), failed=failed)
         plan = found.plan
         if found.status is PlanStatus.ARRIVED and level + 1 < len(_TOLERANCES):
@@ -162,9 +161,10 @@ def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Playe
             continue
         if plan is None:
             # Where no push leads on, one to the middle may: an object in a corner has few places to be pushed at.
-            plan = next(recentring_pushes(BLOCK, game.pose, SETTINGS), None)
+            plan = _to_the_middle(game, failed)
         if plan is None:
-            played.end = found.status.name
+            # The disc has no way to any contact that is left.
+            played.end = "NO_WAY" if failed else found.status.name
             break
         if push(game, plan) is None:
             failed.append(plan)
@@ -175,6 +175,10 @@ def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Playe
     played.is_won, played.coverage, played.ticks = game.is_won, game.coverage, game.ticks
     if game.is_won:
         played.end = "WON"
-    elif len(failed) >= _STUCK:
-        played.end = "NO_WAY"
     return played
+
+
+def _to_the_middle(game: Game, failed: Sequence[PushPlan2D]) -> PushPlan2D | None:
+    """A push to the middle that did not fail yet; None where there is none."""
+    around = Surroundings(failed=failed)
+    return next((push for push in recentring_pushes(BLOCK, game.pose, SETTINGS) if not around.has_failed(push)), None)

@@ -144,8 +144,9 @@ STUDY = Experiment(
         "identified from twelve random pushes of other starts: its outline is known, its maps, the friction of the disc and the law "
         "of the table's friction are not. Two laws are fitted to eight of the pushes, dry friction and one that grows with speed; "
         "that which predicts the other four better is taken. Then pushes are planned as for any object and turned into actions, which "
-        "lead the disc, whose controller is known, around the block and along straight lines. Identified anew for each group of "
-        "starts; uniform: nothing is known, dry friction."
+        "lead the disc, whose controller is known, around the block and along straight lines. Where it has no way to a push, such as "
+        "between block and wall, another contact is planned, until all were tried. Identified anew for each group of starts; uniform: "
+        "nothing is known, dry friction."
     ),
     objects=("T",),
     variants=(IDENTIFIED, UNIFORM),

@@ -1,0 +1,139 @@
+"""Effects of a diagnosis that are certain enough to be part of the model of an object, from its JSON.
+
+The rule is that of the verdict: a name is left open where another cause has a probability above `SelectionPolicy.max_probability_of_error`,
+since a wrong name would then cost more than none. Exact twins count as one: with each of them the same pushes have the same outcome.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from push_ident.diagnosis.policy import SelectionPolicy
+from push_ident.errors import InputError
+from push_ident.identification.known_effects import KnownEffect
+from push_ident.identification.model_file import read_checked
+from push_ident.limits import LIMITS, plain_text
+from push_ident.physics.effect import OnPusherFriction
+from push_ident.physics.effects import EFFECTS
+
+__all__ = ["UsableEffects", "usable_effects", "usable_effects_of_file", "usable_effects_of_text"]
+
+_NAMING: Final = ("named", "one_of", "several")
+"""Verdicts that name what acts; `diagnosis.result.Verdict`, which takes all of a diagnosis to import."""
+_NOTHING: Final = "no_gap"
+_REMEDY: Final = "`push-ident diagnose BAG --json FILE` writes one"
+
+
+class _Effect(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    name: str
+    parameters: dict[str, float]
+    std: dict[str, float]
+
+
+class _Gap(BaseModel):
+    before_per_push_m: list[float | None]
+
+
+class _Content(BaseModel):
+    """What counts here of a diagnosis as JSON."""
+
+    verdict: str
+    effects: list[_Effect]
+    probabilities: dict[str, float] | None
+    gap: _Gap
+
+
+@dataclass(frozen=True, slots=True)
+class UsableEffects:
+    """What a diagnosis says of a model."""
+
+    effects: tuple[KnownEffect, ...]
+    """Those that act; none where nothing is missing from the base model, or only what is an unknown of every model."""
+    base: frozenset[str]
+    """Effects of its base model, of which it says nothing."""
+    n_pushes: int
+    """That were diagnosed."""
+
+
+def usable_effects_of_file(path: Path) -> UsableEffects:
+    """As `usable_effects`. Raises ModelFileError where the file is missing, too large or no diagnosis."""
+    return _usable(read_checked(path, _Content, "a diagnosis", _REMEDY))
+
+
+def usable_effects_of_text(text: str, what: str) -> UsableEffects:
+    """As `usable_effects`, of JSON; `what` names where it comes from."""
+    LIMITS.TEXT_FILE.check(len(text), what)
+    try:
+        return _usable(_Content.model_validate_json(text))
+    except ValidationError as error:
+        raise InputError(f"{what} is not a diagnosis: {_first(error)}; {_REMEDY}.") from None
+
+
+def usable_effects(content: Mapping[str, Any]) -> UsableEffects:
+    """The effects of a diagnosis as JSON (`diagnosis_json.to_json`).
+
+    Raises:
+        InputError: no diagnosis, one that leaves open what acts, or effects that are none.
+    """
+    try:
+        return _usable(_Content.model_validate(content))
+    except ValidationError as error:
+        raise InputError(f"This is not a diagnosis: {_first(error)}; {_REMEDY}.") from None
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
+
+
+def _usable(content: _Content) -> UsableEffects:
+    verdict, probabilities = content.verdict, content.probabilities
+    if probabilities is None or verdict not in (*_NAMING, _NOTHING):
+        raise InputError(f"The verdict of the diagnosis is `{plain_text(verdict)}`: it names nothing to be used; the model stays as it is.")
+    named = content.effects if verdict in _NAMING else []
+    effects = [_known(effect) for effect in named]
+    for effect in effects:
+        _check_certain(effect.name, probabilities)
+    return UsableEffects(
+        tuple(effect for effect in effects if not _is_in_every_model(effect.name)),
+        frozenset(name for name in EFFECTS if name not in probabilities),
+        max(1, len(content.gap.before_per_push_m)),
+    )
+
+
+def _known(effect: _Effect) -> KnownEffect:
+    if effect.name not in EFFECTS:
+        raise InputError(f"The diagnosis names `{plain_text(effect.name)}`, which is no effect of this version: {', '.join(EFFECTS)}.")
+    names = [parameter.name for parameter in EFFECTS[effect.name].parameters]
+    if set(effect.parameters) != set(names) or set(effect.std) != set(names):
+        raise InputError(
+            f"The diagnosis gives {effect.name} the parameters {plain_text(', '.join(effect.parameters))}, expected {', '.join(names)}, "
+            "each with its standard deviation."
+        )
+    value, std = (np.array([numbers[name] for name in names]) for numbers in (effect.parameters, effect.std))
+    return KnownEffect(effect.name, value, std)
+
+
+def _check_certain(name: str, probabilities: Mapping[str, float]) -> None:
+    """Raise InputError where another cause is too probable."""
+    certain = sum(probabilities.get(own, 0.0) for own in (name, *EFFECTS[name].exact_twins))
+    needed = 1.0 - SelectionPolicy().max_probability_of_error
+    if not certain >= needed:
+        raise InputError(
+            f"The diagnosis names {name} with a probability of {certain:.2f}, expected {needed:.2f} at least: the model stays as it is. "
+            "Make the push that the diagnosis proposes, and diagnose again."
+        )
+
+
+def _is_in_every_model(name: str) -> bool:
+    """Whether every identification has it as an unknown, or poses do not show it: then it changes no plan."""
+    effect = EFFECTS[name]
+    return isinstance(effect.acts, OnPusherFriction) or effect.needs_forces
