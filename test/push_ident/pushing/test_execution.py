@@ -16,10 +16,11 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.executed_push import ExecutedPush, Purpose
-from push_ident.pushing.execution import ExecutionSettings, Mode, PushExecution, PushOutcome, PushRequest
+from push_ident.pushing.execution import PushExecution
 from push_ident.pushing.motion import ArmMotion, MotionSettings
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushSettings
+from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.pushing.watch import WatchLimits
 from push_ident.types import Float64Array, ObjectShape

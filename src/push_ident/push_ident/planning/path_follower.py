@@ -19,7 +19,7 @@ from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import Float64Array
 
 __all__ = ["Correction", "FollowStatus", "PathFollower", "guesses_around"]
 
@@ -94,7 +94,6 @@ class PathFollower:
     """Corrects the motion of a tool that pushes one object along a path.
 
     Args:
-        shape: of the object.
         settings: limits of the tool.
         weights: of the models that may be true; the push changes them while it is made.
         path: to be followed, table frame of the camera.
@@ -106,7 +105,6 @@ class PathFollower:
 
     def __init__(
         self,
-        shape: ObjectShape,
         settings: PushSettings,
         weights: ModelWeights,
         path: PathGoal,
@@ -118,8 +116,8 @@ class PathFollower:
     ) -> None:
         self._away = inverse(np.zeros(3) if camera is None else camera)
         self._path = path.seen_from(self._away)
-        self._pushes = CurvedPushes(shape, settings, self._path, corridor)
-        self._shape, self._settings, self._weights, self._period, self._n_asked = shape, settings, weights, period, n_asked
+        self._pushes = CurvedPushes(settings, self._path, corridor)
+        self._settings, self._weights, self._period, self._n_asked = settings, weights, period, n_asked
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
         self._errors: list[float] = []
         """In tolerances, of the latest frames."""
@@ -143,8 +141,8 @@ class PathFollower:
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
         self._weights.restart()
         self._errors = []
-        model, radius = self._weights.best(1)[0], self._settings.pusher_radius
-        self._tracker = ContactTracker(self._shape, model, radius, compose(self._away, pose), covariance)
+        model, radius = self._weights.best(1), self._settings.pusher_radius
+        self._tracker = ContactTracker(model, radius, compose(self._away, pose), covariance)
 
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array) -> Correction:
         """The motion from a frame on, taken at `time` [s], later than the last one; pose, shape (3,), and covariance, shape (3, 3)."""
@@ -162,10 +160,10 @@ class PathFollower:
         else:
             self._weights.restart()
         asked = self._weights.best(self._n_asked)
-        tracker.model = asked[0]
+        tracker.model = asked.picked([0])
         models, onward = touching(asked, face), self._horizon.later(self._unknowns, elapsed)
         # Whether to slide is found by the most probable model alone.
-        swung, _ = self._pushes.improve(models[:1], self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
+        swung, _ = self._pushes.improve(models.picked([0]), self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
         guesses = np.concatenate([onward[None], np.zeros((1, N_SEGMENTS, 2)), swung])
         best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS)
         self._unknowns = best[0]
