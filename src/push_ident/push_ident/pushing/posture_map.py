@@ -29,6 +29,8 @@ _MARGIN: Final = 0.01
 """Of the grid around the corridor [m]: what rounds the corners of a path may lead so far out of it."""
 _DRIFT: Final = 3.0
 """Towards the neutral posture per metre, as on straight pushes [1/m]."""
+_SPARE: Final = 0.9
+"""Share of the acceleration limits that is used [1]: between nodes, and between samples of a motion, it is a little more than there."""
 _TOLERANCE: Final = 1e-8
 """Of a node [m, rad]: cubics amplify what is left."""
 
@@ -72,41 +74,22 @@ class PostureMap:
         by_y = np.column_stack([spline.ev(x, y, dy=1) for spline in self._splines])
         return position, by_x * motion.velocity[:, :1] + by_y * motion.velocity[:, 1:]
 
-    def check(
+    def allowed(
         self, speed: float, acceleration: float, velocity_limit: Float64Array, acceleration_limit: Float64Array, link_height: float
-    ) -> None:
-        """Raise PlanningError LIMIT where the tool cannot have a speed [m/s] and an acceleration [m/s^2] in the corridor, or a link is low.
+    ) -> tuple[float, float]:
+        """Largest speed [m/s] and acceleration [m/s^2] that the tool may have anywhere in the corridor, in any direction.
 
         Args:
-            speed: of the tool, the largest.
-            acceleration: of it, the largest.
+            speed: of the tool, that is wanted at most.
+            acceleration: of it, that is wanted at most.
             velocity_limit: of each joint [rad/s].
             acceleration_limit: of each joint [rad/s^2].
             link_height: least height of a moving joint [m].
+
+        Raises:
+            PlanningError: LIMIT where a joint would be lower.
         """
         inside = self._distance() <= 0.0
-        slope = np.stack([np.hypot(s(self._x, self._y, dx=1), s(self._x, self._y, dy=1)) for s in self._splines], axis=-1)
-        bend = np.stack(
-            [
-                np.sqrt(s(self._x, self._y, dx=2) ** 2 + 2.0 * s(self._x, self._y, dx=1, dy=1) ** 2 + s(self._x, self._y, dy=2) ** 2)
-                for s in self._splines
-            ],
-            axis=-1,
-        )
-        names = self._kinematics.joint_names
-        for what, needed, limit, unit in (
-            ("turn at", speed * slope, velocity_limit, "rad/s"),
-            ("accelerate at", acceleration * slope + speed**2 * bend, acceleration_limit, "rad/s^2"),
-        ):
-            share = np.where(inside[..., None], needed / limit, 0.0)
-            i, j, joint = np.unravel_index(int(np.argmax(share)), share.shape)
-            if share[i, j, joint] > 1.0:
-                raise PlanningError(
-                    PushCode.LIMIT,
-                    f"{names[joint]} would {what} {needed[i, j, joint]:.3f} {unit} with the tool at ({self._x[i]:.3f}, "
-                    f"{self._y[j]:.3f}) m and {speed:.3f} m/s, limit {limit[joint]:.3f} {unit}; "
-                    "give a narrower corridor, or lower max_push_speed.",
-                )
         low = np.where(inside, self._low_links, np.inf)
         if float(low.min()) < link_height:
             i, j = np.unravel_index(int(np.argmin(low)), low.shape)
@@ -115,6 +98,13 @@ class PostureMap:
                 f"a joint would be {low.min():.3f} m above the table with the tool at ({self._x[i]:.3f}, {self._y[j]:.3f}) m, limit "
                 f"{link_height:.3f} m; give a narrower corridor.",
             )
+        at = self._x, self._y
+        slope = np.stack([np.hypot(s(*at, dx=1), s(*at, dy=1))[inside] for s in self._splines], axis=-1)
+        bends = [np.sqrt(s(*at, dx=2) ** 2 + 2.0 * s(*at, dx=1, dy=1) ** 2 + s(*at, dy=2) ** 2)[inside] for s in self._splines]
+        speed = min(speed, float(np.min(velocity_limit / np.maximum(slope, 1e-9))))
+        # At speed, joints accelerate where the posture bends over the table.
+        room = np.maximum(_SPARE * acceleration_limit - speed**2 * np.stack(bends, axis=-1), 0.0)
+        return speed, min(acceleration, float(np.min(room / np.maximum(slope, 1e-9))))
 
     def _distance(self) -> Float64Array:
         """Of the nodes out of the corridor [m], shape (n_x, n_y)."""

@@ -186,7 +186,7 @@ class Steering:
             return ToolPath(correction.stamp + self._offset + correction.time, correction.position), begin
         k = min(int(np.searchsorted(plan.tool.time, begin)), len(plan.tool.time) - 1)
         at, velocity = float(plan.tool.time[k]), plan.tool.velocity[k]
-        braking = max(float(np.linalg.norm(velocity)) / plan.limits[0], 0.01)
+        braking = max(float(np.linalg.norm(velocity)) / plan.acceleration, 0.01)
         return ToolPath(np.array([at, at + braking]), plan.tool.position[k] + np.outer([0.0, 0.5 * braking], velocity)), begin
 
     def _count(self, fault: CorrectionFault, detail: str) -> InputError:
@@ -224,8 +224,8 @@ class Steering:
             raise self._count(CorrectionFault.CORRIDOR, f"by {1e3 * excess:.1f} mm")
         if (excess := self._settings.excess(points)) > _INSIDE:
             raise self._count(CorrectionFault.WORKSPACE, f"by {1e3 * excess:.1f} mm")
-        if path.speed > _FASTER * self._settings.max_speed:
-            raise self._count(CorrectionFault.SPEED, f"{path.speed:.3f} m/s, limit {self._settings.max_speed:.3f} m/s")
+        if path.speed > _FASTER * plan.speed:
+            raise self._count(CorrectionFault.SPEED, f"{path.speed:.3f} m/s, limit {plan.speed:.3f} m/s")
         for outline in self._obstacles():
             gap = float(np.min(signed_distance(points, outline))) - self._settings.pusher_radius
             if gap < 0.0:
