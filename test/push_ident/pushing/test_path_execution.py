@@ -62,6 +62,7 @@ class Corrector:
         time = np.linspace(0.0, 0.5, 6)
         travel = float((cell.tip[:2] - TOUCH) @ -OUTWARD)
         stop = travel > self.length
+        self.last = now if stop else self.last
         try:
             self.bench.execution.correct(ToolCorrection(push_id, stamp, stop, time, tip + np.outer(time, way)))
         except InputError:
