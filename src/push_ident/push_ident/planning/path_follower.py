@@ -25,6 +25,8 @@ __all__ = ["Correction", "FollowStatus", "PathFollower", "guesses_around"]
 
 _TRAVEL: Final = 0.08
 """How far ahead along the path a correction looks [m]: an object that is beside the path must turn, move over, and turn back."""
+_SETTLED: Final = 0.02
+"""Between the points of the motion that is settled [s]: earlier corrections may have bent it."""
 _ITERATIONS: Final = 1
 """Of Gauss-Newton in a correction: the next frame goes on from there."""
 _OF_SWINGS: Final = 2
@@ -74,7 +76,7 @@ class Correction:
 
     status: FollowStatus
     time: Float64Array
-    """[s], shape (n,): the first is the frame's, up to the second nothing was changed."""
+    """[s], shape (n,): the first is the frame's; for the period after it nothing was changed."""
     tool: Float64Array
     """Axis of the tool then, table frame of the arm [m], shape (n, 2)."""
     done: float
@@ -100,7 +102,7 @@ class PathFollower:
         corridor: that the tool must not leave, table frame of the arm.
         camera: the table frame of the arm in that of the camera, shape (3,).
         n_asked: how many models a correction is made for: those that explain the push best.
-        period: of the camera [s].
+        period: from a frame to the motion that it corrects, at least that of the camera [s].
     """
 
     def __init__(
@@ -122,7 +124,8 @@ class PathFollower:
         self._errors: list[float] = []
         """In tolerances, of the latest frames."""
         self._n_errors = max(_IN_A_ROW, round(_STAYED / (path.speed * period)))
-        self._horizon = Horizon.of(path.speed, _TRAVEL, np.array([-period, 0.0]))
+        lead = np.linspace(-period, 0.0, max(2, int(np.ceil(period / _SETTLED)) + 1))
+        self._horizon = Horizon.of(path.speed, _TRAVEL, lead)
 
     def begin(
         self, time: Float64Array, tool: Float64Array, pose: Float64Array, covariance: Float64Array, done: float, expected_error: float
@@ -147,7 +150,7 @@ class PathFollower:
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array) -> Correction:
         """The motion from a frame on, taken at `time` [s], later than the last one; pose, shape (3,), and covariance, shape (3, 3)."""
         tracker = self._tracker
-        lead = np.array([time, time + self._period])
+        lead = time + self._period + self._horizon.lead
         settled = self._where(lead)
         since = np.append(np.append(self._now, self._time[(self._time > self._now) & (self._time < time)]), time)
         tracker.advance(since, self._where(since))

@@ -23,6 +23,8 @@ __all__ = ["PathSession"]
 
 _AHEAD: Final = 0.05
 """How far along the path the object may come between two poses [m]."""
+_LEAST: Final = 0.004
+"""Nearer to the end of the path than this no push is planned [m], as by both planners."""
 _STUCK: Final = 0.005
 """A steered push that brings the object less far along the path is no use there [m]."""
 
@@ -71,7 +73,7 @@ class PathSession(GoalSession):
             raise Ended(error.code, str(error)) from None
 
     def _is_there(self, seen: TrackedObject) -> bool:
-        return self._arrived
+        return self._arrived or self._path.length - self._done < _LEAST
 
     def _compare(self, seen: TrackedObject) -> None:
         _, error = self._path.error(seen.pose, self._done, _AHEAD)

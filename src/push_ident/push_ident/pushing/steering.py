@@ -134,6 +134,8 @@ class Steering:
             InputError: it is refused; why.
         """
         with self._lock:
+            if correction.stop and self._is_stopping and correction.push_id == self._push_id:
+                return  # said again, lest it was lost
             self._check(correction)
             self._pending, self._latest = correction, correction.stamp
             self._heard = np.inf if correction.stop else self._heard_at

@@ -46,7 +46,7 @@ PARAMETERS: Final = (
     Parameter("path_corridor", 0.06, "How far from its path a tool may be corrected; the arm must reach all of it [m]", 0.005, 0.2),
     Parameter(
         "path_lead",
-        0.06,
+        0.1,
         "From a frame to the motion that it corrects: a frame, its processing, a correction [s]",
         0.01,
         0.5,
