@@ -234,8 +234,8 @@ class BatchClock:
         n = len(tool)
         path = np.zeros((n, self.clock.n_steps + 1, 3))
         path[..., :2] = (1.0 - self.share) * tool[:, self.before] + self.share * tool[:, self.before + 1]
-        own = (np.tile(array, (n, 1)) for array in (self.clock.lengths, self.frames.step, self.frames.fraction))
-        dt, step, fraction = own
+        dt, fraction = (np.tile(array, (n, 1)).astype(np.float64) for array in (self.clock.lengths, self.frames.fraction))
+        step = np.tile(self.frames.step, (n, 1))
         return _Pushes(np.full(n, self.clock.n_steps), path, dt, owned(pose), owned(velocity), step, fraction)
 
 

@@ -273,7 +273,7 @@ class CurvedPushes:
         error[..., 0] = along_across[..., 0] / (_ALONG * self._path.position)
         error[..., 1] = along_across[..., 1] / self._path.position
         error[..., 2] = wrap_angle(away[..., 2]) / self._path.yaw
-        failed = ~np.isfinite(error).all(axis=(-1, -2))
+        failed = np.asarray(~np.isfinite(error).all(axis=(-1, -2)))
         if failed.any():
             error = np.where(failed[..., None, None], _FAILED, error)
             poses = np.where(failed[..., None, None], own.wanted, poses)

@@ -104,7 +104,7 @@ def rounded(path: ToolPath, begin: float, position: Float64Array, velocity: Floa
     """
     window = max(path.speed, float(np.linalg.norm(velocity))) / acceleration
     end = max(float(path.time[-1]) + 0.5 * window, begin) + 5.0 / _RATE
-    time = begin + _PERIOD * np.arange(int(np.ceil((end - begin) / _PERIOD)) + 1)
+    time = np.asarray(begin + _PERIOD * np.arange(int(np.ceil((end - begin) / _PERIOD)) + 1), dtype=np.float64)
     mean = path.at(time[:, None] + window * _WINDOW).mean(axis=1)
     ends = path.at(time[:, None] + window * np.array([-0.5, 0.5]))
     wanted = (ends[:, 1] - ends[:, 0]) / max(window, _PERIOD)
@@ -118,4 +118,4 @@ def rounded(path: ToolPath, begin: float, position: Float64Array, velocity: Floa
         # As a cubic between both samples moves.
         p[i + 1] = p[i] + 0.5 * _PERIOD * (v[i] + v[i + 1])
     v[-1] = 0.0
-    return ToolMotion(time, p, v)
+    return ToolMotion(np.asarray(time, dtype=np.float64), p, v)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,11 @@ def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequ
     position, turn = msg.goal.pose.position, msg.goal.pose.orientation
     if not all(map(math.isfinite, (position.x, position.y, turn.x, turn.y, turn.z, turn.w))):
         raise InputError("The goal has coordinates that are not finite; give x and y in metres and a quaternion about z.")
-    makers = {PushToGoal.Goal.KIND_POSE: _pose_goal, PushToGoal.Goal.KIND_EDGE: _edge_goal, PushToGoal.Goal.KIND_PATH: _path_goal}
+    makers: dict[int, Callable[[PushToGoal.Goal, dict[str, Any]], Goal | EdgeGoal | PathGoal]] = {
+        PushToGoal.Goal.KIND_POSE: _pose_goal,
+        PushToGoal.Goal.KIND_EDGE: _edge_goal,
+        PushToGoal.Goal.KIND_PATH: _path_goal,
+    }
     if msg.kind not in makers:
         raise InputError(f"The kind of the goal is {msg.kind}, expected KIND_POSE (0), KIND_EDGE (1) or KIND_PATH (2).")
     goal = makers[msg.kind](msg, defaults)
