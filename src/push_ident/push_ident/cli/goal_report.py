@@ -32,13 +32,14 @@ class PushLine:
         done: share of a path that is behind then [1]; NaN without one.
     """
 
-    def __init__(self, feedback: PushToGoal.Feedback) -> None:
+    def __init__(self, feedback: PushToGoal.Feedback, *, follows: bool = False) -> None:
+        """`follows`: the goal is a path."""
         self.number = int(feedback.pushes)
         self.seen = planar(feedback.pose)
         self.expected: Float64Array | None = planar(feedback.expected_pose) if feedback.is_predicted else None
         self.chance, self.risk = float(feedback.expected_chance), float(feedback.risk)
         self._is_at_edge = len(feedback.edge) == 2
-        self.done = float(feedback.done)
+        self.done = float(feedback.done) if follows else float("nan")
         self.position_error, self.yaw_error = float(feedback.position_error), float(feedback.yaw_error)
 
     def __str__(self) -> str:
@@ -103,7 +104,7 @@ class GoalReport:
         if self.goal.kind == self.goal.KIND_PATH:
             self.target = planar(feedback.target)
         if feedback.pushes > (self.lines[-1].number if self.lines else 0):
-            self.lines.append(PushLine(feedback))
+            self.lines.append(PushLine(feedback, follows=self.goal.kind == self.goal.KIND_PATH))
             console.print(str(self.lines[-1]), highlight=False, soft_wrap=True)
 
     @property
