@@ -71,6 +71,8 @@ class CurvedPush:
     """Where it may be corrected to: along the rest of the path."""
     expected_error: float = np.nan
     """Root of the mean square error until then [tolerances]."""
+    held_error: float = np.nan
+    """The same under the most probable model alone: what this contact does to an object that is as it is believed [tolerances]."""
     expected_done: float = np.nan
     """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
 
@@ -150,8 +152,9 @@ class CurvedPathPlanner:
             if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
                 expected = now + float(judged.progress[:, k, 0, cut].mean())
                 error = float(np.sqrt(np.mean(judged.error[:, k, 0, : cut + 1] ** 2)))
+                held = float(np.sqrt(np.mean(judged.error[0, k, 0, : cut + 1] ** 2)))
                 corridor = self._corridor(tool, path, now)
-                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, expected)
+                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, held, expected)
         return CurvedPush(PathStatus.UNREACHABLE, now)
 
     def _ranked(

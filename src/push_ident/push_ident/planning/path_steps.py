@@ -1,7 +1,8 @@
 """The next push along a path: with the tool steered as long as one contact holds the object on it, else a straight one.
 
 A face holds an object on a path only where the force that the path needs lies within its cone of friction. Whether one does, the planner of
-steered pushes says by the error that it expects of the best contact; where none is bearable, straight pushes go on, each from another side.
+steered pushes says by the error of the best contact under the most probable model; how far other models differ does not count, since that is what
+corrections are for. Where none is bearable, straight pushes go on, each from another side.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from push_ident.types import Float64Array, ObjectShape
 __all__ = ["PathStep", "PathSteps"]
 
 _BEARABLE: Final = 1.0
-"""Root of the mean square error of a steered push up to which nothing else is looked for [tolerances]."""
+"""Root of the mean square error of a steered push, under the most probable model, up to which nothing else is looked for [tolerances]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +83,9 @@ class PathSteps:
         if curved.status is PathStatus.ARRIVED:
             return PathStep(curved.status, curved.done)
         is_curved = curved.status is PathStatus.PUSH
-        if not is_curved or curved.expected_error > _BEARABLE:
+        if not is_curved or curved.held_error > _BEARABLE:
             straight = self._planner(path.speed).plan(belief, pose, path, done, obstacles, failed)
-            if not is_curved or straight.expected_error < curved.expected_error:
+            if not is_curved or straight.expected_error < curved.held_error:
                 return PathStep(straight.status, straight.done, straight=straight if straight.status is PathStatus.PUSH else None)
         corridor = curved.corridor
         assert corridor is not None, "a push has one"
