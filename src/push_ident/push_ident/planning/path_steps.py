@@ -1,8 +1,8 @@
 """The next push along a path: with the tool steered as long as one contact holds the object on it, else a straight one.
 
 A face holds an object on a path only where the force that the path needs lies within its cone of friction. Whether one does, the planner of
-steered pushes says by the error of the best contact under the most probable model; how far other models differ does not count, since that is
-what corrections are for. Where none is bearable, straight pushes go on, each from another side.
+steered pushes says by the error of the best contact under the most probable model. How far other models differ does not count: that is what
+corrections are for. Where none is bearable, straight pushes go on, each from another side.
 """
 
 from __future__ import annotations
