@@ -9,7 +9,7 @@ import pytest
 
 from helpers.commands import run_here
 from helpers.objects import hammer
-from push_ident.cli.goal_messages import EdgeLine, edge_message, goal_message
+from push_ident.cli.goal_messages import EdgeLine, edge_message, goal_message, path_message
 from push_ident.cli.goal_report import GoalReport, PathReport, PushLine, last_feedback
 from push_ident.cli.push_to import GoalText, goals_of
 from push_ident.errors import InputError
@@ -87,6 +87,7 @@ def test_goals_are_one_pose_or_lie_in_a_row_along_a_path(tmp_path: Path) -> None
     file = tmp_path / "path.csv"
     file.write_text("0, 0, 0.5\n0.1, 0, 0.5\n", encoding="utf-8")
     np.testing.assert_allclose(goals_of(None, None, None, file, 40.0), [[0.1 * k / 3, 0.0, 0.5] for k in (1, 2, 3)])
+    assert len(goals_of(None, None, None, file, None)) == 26, "followed, not pushed to"
     for options, word in (((0.1, 0.2, None, None), "missing"), ((0.1, None, None, file), "beside"), ((0.1, 0.2, np.nan, None), "finite")):
         with pytest.raises(InputError, match=word):
             goals_of(*options, 40.0)
@@ -116,6 +117,21 @@ def test_goal_at_an_edge_becomes_that_of_the_action_and_its_report_has_what_the_
     assert (content["kind"], content["overhang_m"], content["margin_m"]) == ("edge", 0.031, 0.022)
     assert content["goal"][0] == 0.12 and content["edge"] == [[0.15, -0.3], [0.15, 0.3]] and content["pushes"][0]["risk"] == 0.004
     assert "0.4 % of not being held" in str(report.lines[0])
+
+
+def test_path_becomes_a_goal_of_the_action_and_its_report_says_how_closely_it_was_followed() -> None:
+    poses = np.array([[0.0, 0.0, 0.5], [0.1, 0.0, 0.7]])
+    msg = path_message(poses, 0.08, tolerance_mm=3.0, tolerance_deg=2.0)
+    assert (msg.kind, msg.speed, msg.position_tolerance) == (msg.KIND_PATH, 0.08, pytest.approx(0.003)) and len(msg.path.poses) == 2
+    report, seen = GoalReport(msg), feedback(1, predicted=False)
+    seen.done = 0.45
+    report.take(seen)
+    assert str(report.lines[0]) == "push 1: 12.3 mm and 5.7° from the path, 45 % of it behind"
+    report.result = PushToGoal.Result(done=1.0, rms_position=0.002, rms_yaw=float("nan"), corrections=70, pushes=1)
+    content = report.content()
+    assert (content["kind"], content["done"], content["rms_position_m"], content["n_corrections"]) == ("path", 1.0, 0.002, 70)
+    np.testing.assert_allclose(content["path"], poses)
+    assert content["rms_yaw_rad"] is None and content["reached"]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, PolygonStamped
+from geometry_msgs.msg import Point, PolygonStamped, PoseStamped
+from nav_msgs.msg import Path as PathMsg
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from visualization_msgs.msg import MarkerArray
@@ -28,6 +29,7 @@ from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
 from push_ident.nodes.convert_table import EDGE_TOPIC, edge_from_msg
+from push_ident.nodes.goal_pushing.convert_goal import planar_pose_msg
 from push_ident.planning.goal_code import GoalCode
 from push_ident.planning.goal_ports import GoalState
 from push_ident.types import ObjectShape
@@ -184,6 +186,18 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
     assert again.error_code == GoalCode.NONE and again.pushes == 0
 
 
+def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCell) -> None:
+    first, along = np.array([0.0, 0.02, 0.3]), np.array([np.cos(0.3), np.sin(0.3), 0.0])
+    path = PathMsg(poses=[PoseStamped(pose=planar_pose_msg(first + travel * along)) for travel in (0.0, 0.08)])
+    sent = send(cell, kind=PushToGoal.Goal.KIND_PATH, path=path, position_tolerance=0.004, yaw_tolerance=0.05)
+    result = sent.end(90.0)
+    assert result.error_code == GoalCode.NONE, result.error_text
+    assert result.done == 1.0 and result.corrections > 10 and result.rms_position < 0.006 and result.rms_yaw < 0.02
+    assert (cell.box[:2] - first[:2]) @ along[:2] == pytest.approx(0.08, abs=0.008)
+    (record,) = cell.records
+    assert record.error_code == 0 and record.distance == pytest.approx(0.08, abs=0.01) and record.direction == pytest.approx(0.3, abs=0.1)
+
+
 EDGE = [Point(x=0.12, y=-0.3), Point(x=0.12, y=0.3)]
 WRONG = {
     "not finite": ({"pose": (np.nan, 0.0, 0.0)}, GoalCode.INVALID_GOAL, "finite"),
@@ -197,6 +211,7 @@ WRONG = {
     "edge that nobody knows": ({"kind": 1}, GoalCode.EDGE_UNKNOWN, "table_corners"),
     "edge out of reach": ({"kind": 1, "edge": [Point(x=0.5, y=-0.5), Point(x=0.5, y=0.5)]}, GoalCode.OUTSIDE_WORKSPACE, "another edge"),
     "edge that cannot hold": ({"kind": 1, "edge": EDGE, "overhang": 0.09}, GoalCode.NOT_HELD, "less overhang"),
+    "no path": ({"kind": 2}, GoalCode.INVALID_GOAL, "two poses"),
     "outside": ({"pose": (0.19, 0.0, 0.0)}, GoalCode.OUTSIDE_WORKSPACE, "further inside"),
 }
 

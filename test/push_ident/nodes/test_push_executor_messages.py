@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from push_ident.nodes.push_executor.parameters import PARAMETERS, execution_settings
 from push_ident.pushing.executed_push import Purpose
-from push_ident.pushing.execution import ExecutionSettings, Mode
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.ports import Phase
 from push_ident.pushing.push import PushCode, PushSettings
+from push_ident.pushing.push_request import ExecutionSettings, Mode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 

@@ -123,7 +123,7 @@ def test_nothing_to_simulate_and_different_pushers_are_refused() -> None:
     model = models()[0]
     whole = [BatchModel(body_of_cells(model.shape, model.mass, model.friction), 0.2)]
     one = pushes_of(np.random.default_rng(0), 1)
-    with pytest.raises(InputError, match="one of each"):
+    with pytest.raises(InputError, match="no pushes"):
         rollouts(model.shape, whole, [], step=1 / 80)
     other = BatchPush(PusherPath(one[0].pusher.time, one[0].pusher.position, 0.01), *one[0][1:])
     with pytest.raises(InputError, match="differ in their pusher"):

@@ -2,176 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 
-from push_ident.errors import PlanningError
+from helpers.memory_cell import PARKED, SETTINGS, Bench, Cell, code_of
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.geometry.outline import cells_in_outline, signed_distance
-from push_ident.geometry.se2 import transform_points
-from push_ident.pushing.executed_push import ExecutedPush, Purpose
-from push_ident.pushing.execution import ExecutionSettings, Mode, PushExecution, PushOutcome, PushRequest
-from push_ident.pushing.motion import ArmMotion, MotionSettings
-from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase, TrackedObject
-from push_ident.pushing.push import PushCode, PushSettings
-from push_ident.pushing.trajectory import JointTrajectory
-from push_ident.pushing.watch import WatchLimits
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.pushing.executed_push import Purpose
+from push_ident.pushing.ports import Phase
+from push_ident.pushing.push import PushCode
+from push_ident.pushing.push_request import Mode, PushOutcome, PushRequest
+from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME, robot_description
-from push_ident_sim.cell.trajectory import JointTrajectory as Followed
-
-RADIUS = 0.018
-BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
-PARKED = (0.5, *HOME[1:])
-SETTINGS = ExecutionSettings(
-    push=PushSettings(workspace=(-0.1, 0.2, -0.25, 0.25), pusher_radius=RADIUS),
-    motion=MotionSettings(home=PARKED, free_speed=0.5, settle=0.2, rest=0.4),
-    limits=WatchLimits(force_limit=30.0),
-    lost_timeout=0.4,
-)
-CONTACT = PushRequest(Mode.CONTACT, "box", contact_point=(0.0, -0.01), direction=math.pi / 2, distance=0.05, speed=0.1)
-
-
-class Cell:
-    """An arm that follows every trajectory exactly, and a box that the tool carries along while it overlaps: all ports in one.
-
-    `events` are called at each step of 10 ms with the cell; they play the faults.
-    """
-
-    state: ArmState | None = None
-
-    def __init__(self, kinematics: ArmKinematics) -> None:
-        self.planner = kinematics
-        self.time = 100.0
-        self.q = np.array(PARKED)
-        self.box = np.array([0.0, 0.02, 0.3])
-        self.tip = kinematics.forward(self.q)[:3, 3]
-        self.followed = Followed.hold(self.q)
-        self.commands: list[ArmMotion] = []
-        self.pieces: list[JointTrajectory] = []
-        self.holds: list[Float64Array] = []
-        self.events: list[Callable[[Cell], None]] = []
-        self.is_silent = self.is_hidden = self.is_box_fixed = False
-        self.offset = np.zeros(7)
-        self.force, self.felt = 1.0, 100.0
-        self.hand_text = self.fault = ""
-        self.rivals_found: tuple[str, ...] = ()
-        self.pose_received = 100.0
-        self.pose = self.box.copy()
-        self.pose_std = np.zeros(3)
-        self.rng = np.random.default_rng(0)
-        self.step()
-
-    # ---- the world
-
-    def step(self) -> None:
-        self.time += 0.01
-        for event in self.events:
-            event(self)
-        if self.pieces:
-            self.q = self.followed.sample(self.time)[0]
-        before, self.tip = self.tip, self.planner.forward(self.q)[:3, 3]
-        touches = self.tip[2] < 0.05 and signed_distance(self.tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS
-        if touches and not self.is_box_fixed:
-            self.box[:2] += self.tip[:2] - before[:2]
-        if not self.is_silent:
-            q = self.q + self.offset
-            self.state = ArmState(self.time, q, self.planner.forward(q), self.time)
-        if not self.is_hidden:
-            self.pose, self.pose_received = self.box + self.pose_std * self.rng.normal(size=3), self.time
-
-    # ---- clock
-
-    def now(self) -> float:
-        return self.time
-
-    def monotonic(self) -> float:
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        end = self.time + seconds - 1e-9
-        while self.time < end:
-            self.step()
-
-    # ---- arm
-
-    def fresh_state(self, timeout: float, *, is_late: bool = False) -> ArmState:
-        if self.state is None or self.time - self.state.received > timeout - 0.03:
-            raise PlanningError(PushCode.ARM_SILENT, "no joint states.")
-        return self.state
-
-    def next_state(self, timeout: float) -> ArmState:
-        self.step()
-        return self.fresh_state(timeout)
-
-    def rivals(self) -> tuple[str, ...]:
-        return self.rivals_found
-
-    def stamp_now(self) -> float:
-        return self.time
-
-    def in_use(self) -> nullcontext[None]:
-        return nullcontext()
-
-    def open(self, motion: ArmMotion) -> Cell:
-        self.commands.append(motion)
-        return self
-
-    def move(self, piece: JointTrajectory, start: float | None) -> None:
-        state = self.followed.sample(self.time) if self.pieces else (self.q, np.zeros(7))
-        self.followed = Followed(piece.time, piece.position, piece.velocity).from_state(self.time, *state)
-        self.pieces.append(piece)
-
-    def hold(self, piece: JointTrajectory) -> None:
-        self.holds.append(piece.position[-1])
-        self.move(piece, None)
-
-    # ---- hand, force, recorder
-
-    def why_no_fist(self) -> str:
-        return self.hand_text
-
-    def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
-        self.sleep(0.5)
-        self.hand_text = ""
-        return ""
-
-    @property
-    def silence(self) -> float:
-        return self.time - self.felt if self.felt < math.inf else 0.0
-
-    def take_peak(self) -> float:
-        return self.force
-
-    # ---- objects
-
-    def get(self, object_id: str, max_age: float) -> TrackedObject:
-        if object_id not in ("", "box"):
-            raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}`.")
-        if self.time - self.pose_received > max_age:
-            raise PlanningError(PushCode.UNKNOWN_OBJECT, "the pose is too old.")
-        shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
-        return TrackedObject("box", shape, self.pose_received, self.pose, np.diag(self.pose_std**2))
-
-    def outlines_of_others(self, object_id: str) -> list[Float64Array]:
-        return []
-
-
-class Client:
-    def __init__(self) -> None:
-        self.is_cancel_requested = False
-        self.phases: list[Phase] = []
-        self.progress: list[float] = []
-
-    def feedback(self, phase: Phase, progress: float) -> None:
-        self.phases.append(phase)
-        self.progress.append(progress)
 
 
 @pytest.fixture(scope="module")
@@ -179,40 +23,9 @@ def kinematics() -> ArmKinematics:
     return ArmKinematics(robot_description(), neutral=HOME)
 
 
-class Bench:
-    """An execution on a cell, with what it reported."""
-
-    def __init__(self, kinematics: ArmKinematics) -> None:
-        self.cell = cell = Cell(kinematics)
-        cell.felt = math.inf  # the force is measured all the time
-        self.pushes: list[ExecutedPush] = []
-        self.warnings: list[str] = []
-        self.client = Client()
-        ports = ExecutionPorts(cell, cell, cell, cell, cell, cell)
-        self.execution = PushExecution(ports, on_push=self.pushes.append, on_warning=self.warnings.append)
-
-    def push(self, request: PushRequest = CONTACT, settings: ExecutionSettings = SETTINGS) -> PushOutcome:
-        return self.execution.execute(request, settings, self.client)
-
-    def when_pushing(self, action: Callable[[Cell], None]) -> None:
-        """Do something at every step while the tool is lowered, from the first such step on."""
-        began = []
-
-        def event(cell: Cell) -> None:
-            if self.execution.is_pushing or began:
-                began.append(True)
-                action(cell)
-
-        self.cell.events.append(event)
-
-
 @pytest.fixture
 def bench(kinematics: ArmKinematics) -> Bench:
     return Bench(kinematics)
-
-
-def code_of(outcome: PushOutcome) -> int:
-    return PushCode.NONE if outcome.error is None else outcome.error.code
 
 
 def test_push_carries_the_box_along_and_reports_each_phase(bench: Bench) -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["EdgeLine", "edge_message", "goal_message", "planar", "pose_message"]
+__all__ = ["EdgeLine", "edge_message", "goal_message", "path_message", "planar", "pose_message"]
 
 
 class EdgeLine:
@@ -50,6 +50,17 @@ def goal_message(
     )
     goal.goal.header.frame_id = "table"
     goal.goal.pose = pose_message(pose)
+    return goal
+
+
+def path_message(poses: Float64Array, speed: float, **fields: Any) -> PushToGoal.Goal:
+    """The goal of the action along a path of poses, shape (n, 3), at a speed [m/s], 0 for that of the node; fields as of `goal_message`."""
+    from geometry_msgs.msg import PoseStamped
+
+    goal = goal_message(poses[-1], **fields)
+    goal.kind, goal.speed = goal.KIND_PATH, float(speed)
+    goal.path.header.frame_id = "table"
+    goal.path.poses = [PoseStamped(pose=pose_message(pose)) for pose in poses]
     return goal
 
 

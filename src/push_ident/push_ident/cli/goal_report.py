@@ -29,17 +29,23 @@ class PushLine:
         risk: predicted probability that the object is held by less than it must, at an edge [1].
         position_error: distance from the goal after it [m].
         yaw_error: angle to the goal after it [rad].
+        done: share of a path that is behind then [1]; NaN without one.
     """
 
-    def __init__(self, feedback: PushToGoal.Feedback) -> None:
+    def __init__(self, feedback: PushToGoal.Feedback, *, follows: bool = False) -> None:
+        """`follows`: the goal is a path."""
         self.number = int(feedback.pushes)
         self.seen = planar(feedback.pose)
         self.expected: Float64Array | None = planar(feedback.expected_pose) if feedback.is_predicted else None
         self.chance, self.risk = float(feedback.expected_chance), float(feedback.risk)
         self._is_at_edge = len(feedback.edge) == 2
+        self.done = float(feedback.done) if follows else float("nan")
         self.position_error, self.yaw_error = float(feedback.position_error), float(feedback.yaw_error)
 
     def __str__(self) -> str:
+        if np.isfinite(self.done):
+            errors = f"{1e3 * self.position_error:.1f} mm and {np.degrees(self.yaw_error):.1f}° from the path"
+            return f"push {self.number}: {errors}, {100 * self.done:.0f} % of it behind"
         now = "no pre-grasp pose is chosen yet"
         if np.isfinite(self.position_error):
             now = f"{1e3 * self.position_error:.1f} mm and {np.degrees(self.yaw_error):.1f}° from the goal"
@@ -97,8 +103,10 @@ class GoalReport:
             self.target = planar(feedback.target)
             self.edge = np.array([[point.x, point.y] for point in feedback.edge])
             self.overhang, self.margin = float(feedback.overhang), float(feedback.margin)
+        if self.goal.kind == self.goal.KIND_PATH:
+            self.target = planar(feedback.target)
         if feedback.pushes > (self.lines[-1].number if self.lines else 0):
-            self.lines.append(PushLine(feedback))
+            self.lines.append(PushLine(feedback, follows=self.goal.kind == self.goal.KIND_PATH))
             console.print(str(self.lines[-1]), highlight=False, soft_wrap=True)
 
     @property
@@ -115,7 +123,7 @@ class GoalReport:
             "code": names.get(int(result.error_code), str(result.error_code)),
             "text": printable(result.error_text),
             "object_id": printable(self.goal.object_id),
-            **self._at_edge(),
+            **self._by_kind(),
             "goal": self.target.tolist() if np.isfinite(self.target).all() else None,
             "tolerance_m": float(self.goal.position_tolerance),
             "tolerance_rad": float(self.goal.yaw_tolerance),
@@ -130,7 +138,13 @@ class GoalReport:
             "pushes": [line.content() for line in self.lines],
         }
 
-    def _at_edge(self) -> dict[str, Any]:
+    def _by_kind(self) -> dict[str, Any]:
+        if self.goal.kind == self.goal.KIND_PATH:
+            path, result = [planar(pose.pose).tolist() for pose in self.goal.path.poses], self.result
+            errors = {"rms_position_m": float(result.rms_position), "rms_yaw_rad": float(result.rms_yaw)}
+            known = {name: value if np.isfinite(value) else None for name, value in errors.items()}
+            done = {"done": float(result.done) if np.isfinite(result.done) else 0.0, "n_corrections": int(result.corrections)}
+            return {"kind": "path", "path": path, "speed_mps": float(self.goal.speed), **done, **known}
         if self.goal.kind != self.goal.KIND_EDGE:
             return {"kind": "pose"}
         return {
@@ -190,6 +204,7 @@ def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: 
     last = PushToGoal.Feedback(
         pushes=result.pushes if is_seen else latest.pushes, position_error=result.position_error, yaw_error=result.yaw_error
     )
+    last.done = result.done
     last.is_predicted, last.expected_chance, last.expected_pose = latest.is_predicted, latest.expected_chance, latest.expected_pose
     last.pose, last.target, last.edge = pose_message(pose), result.target, latest.edge
     last.overhang, last.margin, last.risk = result.overhang, result.margin, latest.risk
@@ -205,4 +220,5 @@ def broken_off(latest: PushToGoal.Feedback | None = None) -> PushToGoal.Result:
     if latest is not None:
         result.position_error, result.yaw_error = latest.position_error, latest.yaw_error
         result.pushes, result.elapsed = latest.pushes, latest.elapsed
+        result.done = latest.done
     return result

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from push_ident.cli.goal_messages import edge_message, goal_message, planar
+from push_ident.cli.goal_messages import edge_message, goal_message, path_message, planar
 from push_ident.cli.goal_report import GoalReport, PathReport, broken_off, last_feedback
 from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
 from push_ident.cli.push_to_options import (
@@ -26,6 +26,7 @@ from push_ident.cli.push_to_options import (
     PathOption,
     PlaceOption,
     SpacingOption,
+    SpeedOption,
     TimeLimitOption,
     ToleranceAngleOption,
     ToleranceOption,
@@ -50,8 +51,8 @@ _STATES = ("looking", "exploring push", "planning", "pushing", "learning")
 """What is under way, by the state in the feedback of action/PushToGoal."""
 
 
-def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | None, spacing_mm: float) -> Float64Array:
-    """Poses to push to, one after another, shape (n, 3), from the options of the command line.
+def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | None, spacing_mm: float | None) -> Float64Array:
+    """Poses of a path to be followed, or to be pushed to one after another, shape (n, 3), from the options of the command line.
 
     Raises:
         InputError: neither a whole pose nor a path, both, numbers that are not finite, or a file that holds no path.
@@ -62,7 +63,8 @@ def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | N
             raise InputError("--path was given beside --x, --y or --yaw; give a path or one pose.")
         from push_ident.planning.path_goal import read_path
 
-        return read_path(path).waypoints(1e-3 * spacing_mm)
+        followed = read_path(path)
+        return followed.poses if spacing_mm is None else followed.waypoints(1e-3 * spacing_mm)
     if len(pose) < 3:
         raise InputError("A goal is missing; give --x, --y and --yaw, or a file of poses with --path.")
     if not np.isfinite(pose).all():
@@ -116,15 +118,16 @@ def push_to_command(
     y: PlaceOption = None,
     yaw: YawOption = None,
     path: PathOption = None,
-    spacing_mm: SpacingOption = 40.0,
+    spacing_mm: SpacingOption = None,
+    speed_mm: SpeedOption = None,
     edge: EdgeFlag = False,
     edge_line: EdgeLineOption = None,
     overhang_mm: OverhangOption = None,
     held_mm: HeldOption = None,
-    tolerance_mm: ToleranceOption = 20.0,
+    tolerance_mm: ToleranceOption = None,
     tolerance_deg: ToleranceAngleOption = None,
     explore: ExploreOption = 0,
-    max_pushes: MaxPushesOption = 15,
+    max_pushes: MaxPushesOption = None,
     time_limit: TimeLimitOption = 300.0,
     object_id: ObjectOption = "",
     out: OutOption = None,
@@ -137,10 +140,14 @@ def push_to_command(
     options = EdgeOptions(edge=edge, line=edge_line, overhang_mm=overhang_mm, held_mm=held_mm, x=x, y=y, path=path)
     poses = np.full((1, 3), np.nan) if edge else goals_of(x, y, yaw, path, spacing_mm)
     need_ros()
-    limits: dict[str, Any] = {"object_id": object_id, "tolerance_mm": tolerance_mm, "max_pushes": max_pushes, "time_limit": time_limit}
+    follows = path is not None and spacing_mm is None
+    limits: dict[str, Any] = {"object_id": object_id, "time_limit": time_limit}
+    limits |= {"tolerance_mm": tolerance_mm or (3.0 if follows else 20.0), "max_pushes": max_pushes or (60 if follows else 15)}
     if edge:
         limits |= {"tolerance_deg": tolerance_deg or 15.0, "overhang_mm": options.overhang_mm, "held_mm": options.held_mm}
         goals = [edge_message(yaw, options.line, explore=explore, **limits)]
+    elif follows:
+        goals = [path_message(poses, 1e-3 * (speed_mm or 0.0), explore=explore, tolerance_deg=tolerance_deg or 2.0, **limits)]
     else:
         limits["tolerance_deg"] = tolerance_deg or 5.73
         goals = [goal_message(pose, explore=0 if number else explore, **limits) for number, pose in enumerate(poses)]
@@ -150,9 +157,9 @@ def push_to_command(
     finally:
         # Also after Ctrl-C, and where the cell does not answer any more.
         if reports and not np.isnan(reports[0].start[0]):
-            whole = reports[0] if path is None else PathReport(reports, len(poses))
+            whole = PathReport(reports, len(poses)) if path is not None and not follows else reports[0]
             _write(whole.content(), out, json)
-    if path is None:
+    if path is None or follows:
         finish(reports[0])
     else:
         _finish_path(PathReport(reports, len(poses)))
@@ -212,6 +219,13 @@ def finish(report: GoalReport) -> None:
     if not report.is_reached:
         warn(f"push-ident: {report.content()['code']}: {printable(result.error_text)}")
         raise typer.Exit(1)
+    if report.goal.kind == report.goal.KIND_PATH:
+        console.print(
+            f"at the end of the path after {result.pushes} pushes with {result.corrections} corrections and {result.elapsed:.0f} s: "
+            f"{1e3 * result.rms_position:.1f} mm and {np.degrees(result.rms_yaw):.1f}° from it (root mean square)",
+            highlight=False,
+        )
+        return
     if report.edge is None:
         console.print(f"at the goal after {result.pushes} pushes and {result.elapsed:.0f} s: {where}", highlight=False)
         return

@@ -23,6 +23,7 @@ __all__ = [
     "PathOption",
     "PlaceOption",
     "SpacingOption",
+    "SpeedOption",
     "TimeLimitOption",
     "ToleranceAngleOption",
     "ToleranceOption",
@@ -38,9 +39,17 @@ YawOption = Annotated[
 ]
 PathOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Goals in a row along a path: a line for each pose, x, y, yaw [m, rad].", show_default=False),
+    typer.Option(metavar="FILE", help="Along a path: a line for each pose, x, y, yaw [m, rad].", show_default=False),
 ]
-SpacingOption = Annotated[float, typer.Option("--spacing-mm", min=1.0, callback=above_zero, help="Between the goals along a path [mm].")]
+SpacingOption = Annotated[
+    float | None,
+    typer.Option(
+        "--spacing-mm", min=1.0, callback=above_zero, help="Push to poses on the path this far apart instead [mm].", show_default=False
+    ),
+]
+SpeedOption = Annotated[
+    float | None, typer.Option("--speed-mm", min=1.0, callback=above_zero, help="Along a path [mm/s].", show_default="50")
+]
 EdgeFlag = Annotated[bool, typer.Option("--edge", help="Out over an edge of the table, held on it, instead of to a pose.")]
 EdgeLineOption = Annotated[
     str | None,
@@ -64,16 +73,26 @@ HeldOption = Annotated[
     ),
 ]
 ToleranceOption = Annotated[
-    float, typer.Option("--tolerance-mm", min=0.1, callback=above_zero, help="Largest distance from the goal [mm].")
+    float | None,
+    typer.Option(
+        "--tolerance-mm", min=0.1, callback=above_zero, help="Largest distance from the goal [mm].", show_default="20; along a path 3"
+    ),
 ]
 ToleranceAngleOption = Annotated[
     float | None,
     typer.Option(
-        "--tolerance-deg", min=0.1, callback=above_zero, help="Largest angle to the goal [degrees].", show_default="5.73; at an edge 15"
+        "--tolerance-deg",
+        min=0.1,
+        callback=above_zero,
+        help="Largest angle to the goal [degrees].",
+        show_default="5.73; at an edge 15, along a path 2",
     ),
 ]
 ExploreOption = Annotated[int, typer.Option(min=0, help="Random pushes first; 0: use what is known of the object.")]
-MaxPushesOption = Annotated[int, typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.")]
+MaxPushesOption = Annotated[
+    int | None,
+    typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.", show_default="15; along a path 60"),
+]
 TimeLimitOption = Annotated[float, typer.Option("--time-limit", min=1.0, callback=above_zero, help="Longest time for a goal [s].")]
 ObjectOption = Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)]
 

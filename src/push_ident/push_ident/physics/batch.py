@@ -3,7 +3,8 @@
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
 between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives. Effects of a model act on its
 motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs; then no effects act but that of a
-surface beside its outline. A push may begin in contact, with the object in motion: what is asked while the tool moves.
+surface beside its outline. A push may begin in contact, with the object in motion: what is asked while the tool moves. Who asks the same
+models again and again makes them ready once (`ModelBatch`), and the times of their pushes too (`BatchClock`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +31,7 @@ from push_ident.physics.simulation import SimulationSettings
 from push_ident.physics.tape import Frames, Tape, new_tape
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
-__all__ = ["BatchModel", "BatchPush", "rollouts"]
+__all__ = ["BatchClock", "BatchModel", "BatchPush", "ModelBatch", "rollouts"]
 
 _TASKS_A_CALL = 64
 """Simulations that a thread takes at a time, at most: enough that the call costs nothing, few enough that all threads end together."""
@@ -199,42 +202,158 @@ def rollouts(
     _check(shape, models, pushes, edge)
     pusher = pushes[0].pusher
     geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
-    in_arrays, of_pushes, edges = _models(shape, models), _pushes(pushes, step), None if edge is None else _edges(edge, models)
-    poses = np.empty((len(models), len(pushes), len(pushes[0].time), 3))
+    edges = None if edge is None else _edges(edge, models)
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
+    ready = _Ready(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), eps, quasi_static)
+    return _roll(ready, _pushes(pushes, step), len(pushes[0].time), edges, n_threads)
 
-    n_tasks = len(models) * len(pushes)
-    threads = min(n_threads or len(os.sched_getaffinity(0)), -(-n_tasks // _TASKS_A_THREAD))
-    ranges = _ranges(shape, models, of_pushes, min(_TASKS_A_CALL, -(-n_tasks // threads)))
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BatchClock:
+    """Times that pushes of a batch have in common, made ready once."""
+
+    clock: StepClock
+    """Of the simulation."""
+    frames: Frames
+    """When poses are reported."""
+    before: np.ndarray
+    """Number of the knot before each end of a step, shape (n_steps + 1,)."""
+    share: Float64Array
+    """How far each end is from it to the next knot [1], shape (n_steps + 1, 1)."""
+
+    @classmethod
+    def of(cls, knots: Float64Array, frames: Float64Array, step: float) -> BatchClock:
+        """For tools that are at points of their paths at `knots` [s], ascending, and poses reported at `frames` [s]; longest step [s]."""
+        clock = StepClock.through(knots, max(float(frames[-1]), float(knots[-1])), step)
+        before = np.clip(np.searchsorted(knots, clock.ends, side="right") - 1, 0, len(knots) - 2)
+        share = np.clip((clock.ends - knots[before]) / np.diff(knots)[before], 0.0, 1.0)
+        return cls(clock, clock.frames(frames)[0], before, share[:, None])
+
+    def pushes(self, tool: Float64Array, pose: Float64Array, velocity: Float64Array) -> _Pushes:
+        """Pushes as the kernel takes them; arguments as those of `ModelBatch.roll`."""
+        n = len(tool)
+        path = np.zeros((n, self.clock.n_steps + 1, 3))
+        path[..., :2] = (1.0 - self.share) * tool[:, self.before] + self.share * tool[:, self.before + 1]
+        dt, fraction = (np.tile(array, (n, 1)).astype(np.float64) for array in (self.clock.lengths, self.frames.fraction))
+        step = np.tile(self.frames.step, (n, 1))
+        return _Pushes(np.full(n, self.clock.n_steps), path, dt, owned(pose), owned(velocity), step, fraction)
+
+
+class ModelBatch:
+    """Models of one object that is pushed by a cylinder, made ready for many calls.
+
+    Args:
+        shape: of the object.
+        models: that may be true.
+        pusher_radius: [m].
+
+    Raises:
+        InputError: no model, or a body that cannot be simulated.
+    """
+
+    def __init__(self, shape: ObjectShape, models: Sequence[BatchModel], pusher_radius: float) -> None:
+        _check_models(shape, models)
+        self.shape = shape
+        self.models = tuple(models)
+        geometry = _Shape(owned(shape.outline), np.zeros((1, 2)), float(pusher_radius))
+        smoothing = SimulationSettings().smoothing_speed
+        self._ready = _Ready(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), smoothing, False)
+
+    def __len__(self) -> int:
+        return len(self.models)
+
+    def picked(self, numbers: Sequence[int]) -> ModelBatch:
+        """Some of them, in the order of their `numbers`."""
+        ready, found = self._ready, object.__new__(ModelBatch)
+        found.shape, found.models = self.shape, tuple(self.models[k] for k in numbers)
+        own = _Models(*(array[list(numbers)] for array in ready.models))
+        found._ready = ready._replace(models=own, actives=[ready.actives[k] for k in numbers])
+        return found
+
+    def displaced(self, displacement: Float64Array) -> ModelBatch:
+        """The same with `BatchModel.displacement` of each, shape (n_models, 3)."""
+        found = object.__new__(ModelBatch)
+        found.shape, found.models = self.shape, self.models
+        found._ready = self._ready._replace(models=self._ready.models._replace(displacement=owned(displacement)))
+        return found
+
+    def roll(self, clock: BatchClock, tool: Float64Array, pose: Float64Array, velocity: Float64Array) -> Float64Array:
+        """Poses of every model under every push, shape (n_models, n_pushes, n_frames, 3); NaN where a simulation failed.
+
+        Args:
+            clock: of all pushes.
+            tool: axis of the tool at its knots, table frame [m], shape (n_pushes, n_knots, 2).
+            pose: of the object at the start, shape (n_pushes, 3).
+            velocity: of the object frame then [m/s, m/s, rad/s], shape (n_pushes, 3).
+        """
+        return _roll(self._ready, clock.pushes(tool, pose, velocity), len(clock.frames.step), None, None)
+
+
+class _Ready(NamedTuple):
+    """What does not depend on the pushes."""
+
+    n_cells: int
+    geometry: _Shape
+    models: _Models
+    actives: list[tuple[EffectValues, ActiveEffects] | None]
+    """Effects of each model on its motion; None where it has none."""
+    eps: float
+    quasi_static: bool
+
+
+def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None, n_threads: int | None) -> Float64Array:
+    n_models, n_pushes = len(ready.actives), len(pushes.pose)
+    poses = np.empty((n_models, n_pushes, n_frames, 3))
+    n_tasks = n_models * n_pushes
+    threads = min(n_threads or _n_cores(), -(-n_tasks // _TASKS_A_THREAD))
+    ranges = _ranges(ready, pushes, min(_TASKS_A_CALL, -(-n_tasks // threads)))
 
     def roll(own: _Range) -> None:
         scratch, tape = None, new_tape(0)
         if own.active is not None:
-            scratch, tape = new_effect_scratch(len(shape.cells), own.active), _tape(len(shape.cells), own.active)
+            scratch, tape = new_effect_scratch(ready.n_cells, own.active), _tape(ready.n_cells, own.active)
         _roll_range(
-            own.first, own.last, geometry, in_arrays, own.pushes, edges, own.active, eps, quasi_static, scratch, tape, poses
+            own.first, own.last, ready.geometry, ready.models, own.pushes, edges, own.active, ready.eps, ready.quasi_static,
+            scratch, tape, poses,
         )  # fmt: skip
 
     if threads == 1:
         for own in ranges:
             roll(own)
     else:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(roll, ranges))
+        list(_pool(threads, os.getpid()).map(roll, ranges))
     return poses
+
+
+@cache
+def _n_cores() -> int:
+    return len(os.sched_getaffinity(0))
+
+
+@cache
+def _pool(n_threads: int, process: int) -> ThreadPoolExecutor:
+    """Threads that stay: to start them takes as long as some simulations. A forked process needs its own."""
+    return ThreadPoolExecutor(n_threads, thread_name_prefix="rollouts")
 
 
 def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None) -> None:
     """Raise InputError for what `rollouts` does not simulate."""
-    if not models or not pushes:
-        raise InputError(f"There are {len(models)} models and {len(pushes)} pushes, expected one of each at least.")
+    if not pushes:
+        raise InputError("There are no pushes, expected one at least.")
+    _check_models(shape, models)
     for model in models:
-        check_body(shape, model.body, model.pusher_friction)
         if edge is not None and len(model.effects) > 0:
             raise InputError(f"At an edge of the table there is no law for {', '.join(model.effects.names)}; leave the effects out there.")
     by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
     if len(by_pusher) > 1:
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
+
+
+def _check_models(shape: ObjectShape, models: Sequence[BatchModel]) -> None:
+    if not models:
+        raise InputError("There are no models, expected one at least.")
+    for model in models:
+        check_body(shape, model.body, model.pusher_friction)
 
 
 def _tape(n_cells: int, active: ActiveEffects) -> Tape:
@@ -243,17 +362,28 @@ def _tape(n_cells: int, active: ActiveEffects) -> Tape:
     return new_tape(0, n_loaded, active.n_memory, len(active.values), n_sums, skewed=active.skews)
 
 
-def _ranges(shape: ObjectShape, models: Sequence[BatchModel], pushes: _Pushes, at_once: int) -> Iterator[_Range]:
-    """All tasks, at most `at_once` together; where a model has effects, those of each model by themselves."""
-    n = len(pushes.pose)
+def _actives(shape: ObjectShape, models: Sequence[BatchModel]) -> list[tuple[EffectValues, ActiveEffects] | None]:
+    """Effects of each model on its motion; None for all where no model has any, since models without effects share a faster kernel."""
     if all(len(model.effects) == 0 for model in models):
-        n_tasks = len(models) * n
-        yield from (_Range(first, min(first + at_once, n_tasks), pushes, None) for first in range(0, n_tasks, at_once))
-        return
-    for m, model in enumerate(models):
+        return [None] * len(models)
+    found: list[tuple[EffectValues, ActiveEffects] | None] = []
+    for model in models:
         acting, arms = model.effects.of_motion, owned((shape.cells.centres - model.body.centre).T)
         no_derivative = np.zeros((len(acting), 0, 3))
-        active = active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)
+        found.append((acting, active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)))
+    return found
+
+
+def _ranges(ready: _Ready, pushes: _Pushes, at_once: int) -> Iterator[_Range]:
+    """All tasks, at most `at_once` together; where a model has effects, those of each model by themselves."""
+    n = len(pushes.pose)
+    if all(own is None for own in ready.actives):
+        n_tasks = len(ready.actives) * n
+        yield from (_Range(first, min(first + at_once, n_tasks), pushes, None) for first in range(0, n_tasks, at_once))
+        return
+    for m, own in enumerate(ready.actives):
+        assert own is not None, "all have effects, or none"
+        acting, active = own
         driven = pushes._replace(path=_driven(acting, pushes)) if acting.move_pusher else pushes
         for first in range(m * n, (m + 1) * n, at_once):
             yield _Range(first, min(first + at_once, (m + 1) * n), driven, active)

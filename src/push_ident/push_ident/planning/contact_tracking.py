@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
-from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.batch import BatchClock, ModelBatch
 from push_ident.planning.curved import Face, face_of
-from push_ident.types import Float64Array, ObjectShape, PusherPath
+from push_ident.types import Float64Array
 
 __all__ = ["ContactTracker"]
 
@@ -37,15 +37,14 @@ class ContactTracker:
     """Where an object is that a tool pushes.
 
     Args:
-        shape: of the object.
-        model: the most probable one.
+        model: the most probable one, alone.
         radius: of the tool [m].
         pose: of the object at rest, table frame of the arm, shape (3,).
         covariance: of it, shape (3, 3).
     """
 
-    def __init__(self, shape: ObjectShape, model: BatchModel, radius: float, pose: Float64Array, covariance: Float64Array) -> None:
-        self._shape, self._radius = shape, radius
+    def __init__(self, model: ModelBatch, radius: float, pose: Float64Array, covariance: Float64Array) -> None:
+        self._radius = radius
         self.model = model
         """That says what the tool's motion does."""
         self.pose: Float64Array = np.array(pose, dtype=np.float64)
@@ -63,8 +62,7 @@ class ContactTracker:
         """The tool has moved: `time` [s], shape (n,), ascending; `tool`, its axis [m], shape (n, 2)."""
         end = float(time[-1])
         ends = np.array([end - min(_STEP, 0.5 * (end - time[0])), end])
-        push = BatchPush(PusherPath(time, tool, self._radius), self.pose, ends, self.velocity)
-        poses = rollouts(self._shape, [self.model], [push], step=_STEP, n_threads=1)[0, 0]
+        poses = self.model.roll(BatchClock.of(time, ends, _STEP), tool[None], self.pose[None], self.velocity[None])[0, 0]
         if not np.all(np.isfinite(poses)):
             self.velocity = np.zeros(3)
             return
@@ -94,8 +92,8 @@ class ContactTracker:
         return self._touch(tool)
 
     def _touch(self, tool: Float64Array) -> Face:
-        face, distance = face_of(self._shape.outline, transform_points(inverse(self.pose), tool[None])[0])
-        self.gap = distance - self._radius - self.model.surface
+        face, distance = face_of(self.model.shape.outline, transform_points(inverse(self.pose), tool[None])[0])
+        self.gap = distance - self._radius - self.model.models[0].surface
         if -_DEEP < self.gap < _TOUCHES:
             self.pose = self.pose + np.append(rotation(float(self.pose[2])) @ face.normal * self.gap, 0.0)
             self.gap = 0.0

@@ -19,11 +19,11 @@ from typing import Final
 import numpy as np
 
 from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
-from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.batch import BatchClock, ModelBatch
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, ObjectShape, PusherPath
+from push_ident.types import Float64Array
 
 __all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of"]
 
@@ -125,8 +125,10 @@ class Horizon:
     """When poses are compared with the path [s], shape (n_frames,)."""
     breaks: Float64Array
     """Beginnings and ends of the segments [s], shape (N_SEGMENTS + 1,)."""
-    step: float
-    """Longest of the simulation [s]."""
+    clock: BatchClock
+    """Steps of the simulation."""
+    at_frames: np.ndarray
+    """Numbers of the knots at the frames, shape (n_frames,)."""
 
     @classmethod
     def of(cls, speed: float, travel: float, lead: Float64Array) -> Horizon:
@@ -135,7 +137,9 @@ class Horizon:
         n = max(_FRAMES, int(np.ceil(end / step)))
         n += -n % _FRAMES
         later = end * np.arange(1, n + 1) / n
-        return cls(speed, lead, np.concatenate([lead, later]), later[n // _FRAMES - 1 :: n // _FRAMES], end * _BREAKS, step)
+        knots, frames = np.concatenate([lead, later]), later[n // _FRAMES - 1 :: n // _FRAMES]
+        at_frames = np.searchsorted(knots, frames - 1e-9)
+        return cls(speed, lead, knots, frames, end * _BREAKS, BatchClock.of(knots, frames, step), at_frames)
 
     def later(self, unknowns: Float64Array, delay: float) -> Float64Array:
         """Unknowns, shape (N_SEGMENTS, 2), of the same motion when a time [s] has passed."""
@@ -166,104 +170,157 @@ class RolledPushes:
         return np.asarray(np.mean(np.sum(self.residual**2, axis=-1), axis=0))
 
 
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    """What all pushes from some starts have in common: made once for many simulations."""
+
+    horizon: Horizon
+    starts: Sequence[PushStart]
+    lead: Float64Array
+    """Of the tool, shape (n_starts, n_lead, 2)."""
+    offset: Float64Array
+    """Axis of the tool at the end of the lead, frame of the path there, shape (n_starts, 1, 1, 2)."""
+    turn: Float64Array
+    """From the directions along and across the path to that frame, shape (n_starts, 1, 1, 2, 2)."""
+    frame: Float64Array
+    """The object on its path at the knots after the lead, shape (n_starts, 1, n_later, 3), and its rotation."""
+    frame_turn: Float64Array
+    spent: Float64Array
+    """Time in each segment at those knots [s], shape (n_later, N_SEGMENTS)."""
+    wanted: Float64Array
+    """The object on its path at the frames, shape (n_starts, 1, n_frames, 3)."""
+    to_path: Float64Array
+    """From the table to the directions along and across the path there, shape (n_starts, 1, n_frames, 2, 2)."""
+    place: Float64Array
+    """Length of path that should be behind then, since the segments began [m], shape (n_starts, 1, n_frames)."""
+    pose: Float64Array
+    """At the start, shape (n_starts, 3), and velocity."""
+    velocity: Float64Array
+    faces: tuple[Float64Array, ...]
+    """Start, tangent, normal, length and openness of each, with axes for variants and frames."""
+
+
 class CurvedPushes:
     """Simulates and improves pushes of one object along one path.
 
     Args:
-        shape: of the object.
         settings: limits of the tool.
         path: to be followed.
         corridor: that the tool must not leave; None: the workspace alone.
     """
 
-    def __init__(self, shape: ObjectShape, settings: PushSettings, path: PathGoal, corridor: Corridor | None = None) -> None:
-        self._shape, self._settings, self._path, self._corridor = shape, settings, path, corridor
+    def __init__(self, settings: PushSettings, path: PathGoal, corridor: Corridor | None = None) -> None:
+        self._settings, self._path, self._corridor = settings, path, corridor
 
     def tool_paths(self, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> Float64Array:
         """Axis of the tool at the knots [m], shape (n_starts, n_variants, n_knots, 2).
 
         `unknowns`: velocities along and across the path beside that of the path, in its speed, shape (n_starts, n_variants, N_SEGMENTS, 2).
         """
-        later = horizon.knots[len(horizon.lead) :]
-        lead = np.array([start.lead for start in starts])
-        place = np.array([start.place for start in starts])
-        now = self._path.at(place)
-        offset = np.array([transform_points(inverse(pose), tool[-1:])[0] for pose, tool in zip(now, lead, strict=True)])
-        spent = np.clip(later[:, None] - horizon.breaks[:-1], 0.0, np.diff(horizon.breaks))
-        turn = rotation(self._path.direction(place) - now[:, 2])[:, None, None]
-        beside = offset[:, None, None, :] + horizon.speed * np.einsum("...ij,...j->...i", turn, spent @ unknowns)
-        frame = self._path.at(place[:, None] + horizon.speed * later)[:, None]
-        moving = frame[..., :2] + np.einsum("...ij,...j->...i", rotation(frame[..., 2]), beside)
-        fixed = np.broadcast_to(lead[:, None], (len(starts), unknowns.shape[1], *lead.shape[1:]))
-        return np.concatenate([fixed, moving], axis=2)
+        return self._tool(self._prepared(horizon, starts), unknowns)
 
-    def roll(self, models: Sequence[BatchModel], horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> RolledPushes:
+    def roll(self, models: ModelBatch, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> RolledPushes:
         """Simulate pushes; `unknowns` as in `tool_paths`."""
-        n_starts, n_variants = unknowns.shape[:2]
-        tool = self.tool_paths(horizon, starts, unknowns)
-        pushes = [
-            BatchPush(PusherPath(horizon.knots, own, self._settings.pusher_radius), start.pose, horizon.frames, start.velocity)
-            for start, variants in zip(starts, tool, strict=True)
-            for own in variants
-        ]
-        poses = rollouts(self._shape, models, pushes, step=horizon.step).reshape(len(models), n_starts, n_variants, -1, 3)
-        begun = np.array([start.place for start in starts])[:, None]
-        place = np.minimum(begun + horizon.speed * horizon.frames, self._path.length)
-        wanted = self._path.at(place)[:, None]
-        away = poses - wanted
-        along_across = np.einsum("...ji,...j->...i", rotation(self._path.direction(place))[:, None], away[..., :2])
-        tolerance = np.array([_ALONG * self._path.position, self._path.position, self._path.yaw])
-        error = np.concatenate([along_across, wrap_angle(away[..., 2:])], axis=-1) / tolerance
-        failed = ~np.isfinite(error).all(axis=(-1, -2))
-        error = np.where(failed[..., None, None], _FAILED, error)
-        each = len(models), n_starts, n_variants
-        beside = np.broadcast_to((_DAMPING * unknowns).reshape(n_starts, n_variants, -1), (*each, 2 * N_SEGMENTS))
-        limits = np.broadcast_to(self._limits(horizon, tool), (*each, 3))
-        contact = self._contact(horizon, starts, tool, np.where(failed[..., None, None], wanted, poses))
-        parts = [error / np.sqrt(len(horizon.frames)), contact]
-        residual = np.concatenate([*(part.reshape(*part.shape[:3], -1) for part in parts), beside, limits], axis=-1)
-        progress = (place - begun)[:, None] + along_across[..., 0]
-        return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), np.where(failed[..., None], 0.0, progress))
+        return self._roll(models, self._prepared(horizon, starts), unknowns)
 
-    def _contact(self, horizon: Horizon, starts: Sequence[PushStart], tool: Float64Array, poses: Float64Array) -> Float64Array:
-        """How far the contact is beyond its face, and the tool away, at the frames: shape (n_models, n_starts, n_variants, n_frames, 2)."""
-        at = np.searchsorted(horizon.knots, horizon.frames - 1e-9)
-        away = tool[:, :, at] - poses[..., :2]
-        own = np.einsum("...ji,...j->...i", rotation(poses[..., 2]), away)
+    def _prepared(self, horizon: Horizon, starts: Sequence[PushStart]) -> _Prepared:
+        path, later = self._path, horizon.knots[len(horizon.lead) :]
+        lead = np.array([start.lead for start in starts])
+        begun = np.array([start.place for start in starts])
+        now = path.at(begun)
+        offset = np.array([transform_points(inverse(pose), tool[-1:])[0] for pose, tool in zip(now, lead, strict=True)])
+        frame = path.at(begun[:, None] + horizon.speed * later)[:, None]
+        place = np.minimum(begun[:, None] + horizon.speed * horizon.frames, path.length)
         faces = [start.face for start in starts]
         start, tangent, normal = (
             np.array([getattr(face, name) for face in faces])[:, None, None] for name in ("start", "tangent", "normal")
         )
-        length = np.array([face.length for face in faces])[:, None, None]
-        margin = np.minimum(_FACE_MARGIN, 0.3 * length)
         opens = np.array([face.is_open for face in faces], dtype=np.float64)[:, None, None]
-        along = np.sum((own - start) * tangent, axis=-1)
+        length = np.array([face.length for face in faces])[:, None, None]
+        return _Prepared(
+            horizon,
+            starts,
+            lead,
+            offset[:, None, None, :],
+            rotation(path.direction(begun) - now[:, 2])[:, None, None],
+            frame,
+            rotation(frame[..., 2]),
+            np.clip(later[:, None] - horizon.breaks[:-1], 0.0, np.diff(horizon.breaks)),
+            path.at(place)[:, None],
+            np.swapaxes(rotation(path.direction(place)), -1, -2)[:, None],
+            (place - begun[:, None])[:, None],
+            np.array([own.pose for own in starts]),
+            np.array([own.velocity for own in starts]),
+            (start, tangent, normal, length, opens),
+        )
+
+    @staticmethod
+    def _tool(own: _Prepared, unknowns: Float64Array) -> Float64Array:
+        beside = own.offset + own.horizon.speed * _turned(own.turn, own.spent @ unknowns)
+        moving = own.frame[..., :2] + _turned(own.frame_turn, beside)
+        fixed = np.broadcast_to(own.lead[:, None], (len(own.lead), unknowns.shape[1], *own.lead.shape[1:]))
+        return np.concatenate([fixed, moving], axis=2)
+
+    def _roll(self, models: ModelBatch, own: _Prepared, unknowns: Float64Array) -> RolledPushes:
+        n_starts, n_variants = unknowns.shape[:2]
+        each, n_frames = (len(models), n_starts, n_variants), len(own.horizon.frames)
+        tool = self._tool(own, unknowns)
+        first, velocity = np.repeat(own.pose, n_variants, axis=0), np.repeat(own.velocity, n_variants, axis=0)
+        poses = models.roll(own.horizon.clock, tool.reshape(-1, *tool.shape[2:]), first, velocity).reshape(*each, n_frames, 3)
+        away = poses - own.wanted
+        along_across = _turned(own.to_path, away[..., :2])
+        error = np.empty_like(poses)
+        error[..., 0] = along_across[..., 0] / (_ALONG * self._path.position)
+        error[..., 1] = along_across[..., 1] / self._path.position
+        error[..., 2] = wrap_angle(away[..., 2]) / self._path.yaw
+        failed = np.asarray(~np.isfinite(error).all(axis=(-1, -2)))
+        if failed.any():
+            error = np.where(failed[..., None, None], _FAILED, error)
+            poses = np.where(failed[..., None, None], own.wanted, poses)
+            along_across = np.where(failed[..., None, None], 0.0, along_across)
+        residual = np.empty((*each, 5 * n_frames + 2 * N_SEGMENTS + 3))
+        residual[..., : 3 * n_frames] = (error / np.sqrt(n_frames)).reshape(*each, -1)
+        residual[..., 3 * n_frames : 5 * n_frames] = self._contact(own, tool, poses).reshape(*each, -1)
+        residual[..., 5 * n_frames : -3] = (_DAMPING * unknowns).reshape(n_starts, n_variants, -1)
+        residual[..., -3:] = self._limits(own.horizon, tool)
+        progress = np.where(failed[..., None], 0.0, own.place + along_across[..., 0])
+        return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), progress)
+
+    def _contact(self, own: _Prepared, tool: Float64Array, poses: Float64Array) -> Float64Array:
+        """How far the contact is beyond its face, and the tool away, at the frames: shape (n_models, n_starts, n_variants, n_frames, 2)."""
+        away = tool[:, :, own.horizon.at_frames] - poses[..., :2]
+        cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        start, tangent, normal, length, opens = own.faces
+        x, y = cos * away[..., 0] + sin * away[..., 1] - start[..., 0], cos * away[..., 1] - sin * away[..., 0] - start[..., 1]
+        margin = np.minimum(_FACE_MARGIN, 0.3 * length)
+        along = x * tangent[..., 0] + y * tangent[..., 1]
         beyond = opens[..., 0] * np.maximum(margin - along, 0.0) + opens[..., 1] * np.maximum(along - length + margin, 0.0)
-        gap = np.maximum(np.sum((own - start) * normal, axis=-1) - self._settings.pusher_radius - _TOUCH_MARGIN, 0.0)
-        share = 1.0 / np.sqrt(len(horizon.frames))
-        return share * np.stack([beyond / _FACE_SCALE, gap / _TOUCH_SCALE], axis=-1)
+        gap = np.maximum(x * normal[..., 0] + y * normal[..., 1] - self._settings.pusher_radius - _TOUCH_MARGIN, 0.0)
+        share = 1.0 / np.sqrt(poses.shape[-2])
+        return np.stack([share / _FACE_SCALE * beyond, share / _TOUCH_SCALE * gap], axis=-1)
 
     def _limits(self, horizon: Horizon, tool: Float64Array) -> Float64Array:
         """Corridor, workspace and speed, each as far as it is violated most: shape (n_starts, n_variants, 3)."""
         x_min, x_max, y_min, y_max = self._settings.workspace
-        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
-        outside = np.max(np.maximum(low - tool, tool - high), axis=(-1, -2))
-        at_frames = tool[:, :, np.searchsorted(horizon.knots, horizon.frames - 1e-9)]
-        corridor = np.zeros(tool.shape[:2]) if self._corridor is None else np.max(self._corridor.excess(at_frames), axis=-1)
-        speed = np.max(np.linalg.norm(np.diff(tool, axis=2), axis=-1) / np.diff(horizon.knots), axis=-1)
+        outside = np.max(np.maximum(np.array([x_min, y_min]) - tool, tool - np.array([x_max, y_max])), axis=(-1, -2))
+        corridor = np.zeros(tool.shape[:2])
+        if self._corridor is not None:
+            corridor = np.max(self._corridor.excess(tool[:, :, horizon.at_frames]), axis=-1)
+        step = np.diff(tool, axis=2)
+        speed = np.max(np.hypot(step[..., 0], step[..., 1]) / np.diff(horizon.knots), axis=-1)
         too_fast = np.maximum(speed / self._settings.max_speed - 1.0, 0.0) * 10.0
         return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE, too_fast], axis=-1)
 
     def improve(
-        self, models: Sequence[BatchModel], horizon: Horizon, starts: Sequence[PushStart], first: Float64Array, n_iterations: int
+        self, models: ModelBatch, horizon: Horizon, starts: Sequence[PushStart], first: Float64Array, n_iterations: int
     ) -> tuple[Float64Array, RolledPushes]:
         """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
 
         `first`: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
         """
-        n_starts = len(first)
+        n_starts, own = len(first), self._prepared(horizon, starts)
         number, n_unknowns = np.arange(n_starts), 2 * N_SEGMENTS
-        rolled = self.roll(models, horizon, starts, first)
+        rolled = self._roll(models, own, first)
         chosen = np.argmin(rolled.cost, axis=1)
         best, cost = first[number, chosen], rolled.cost[number, chosen]
         kept = _picked(rolled, number, chosen)
@@ -271,17 +328,23 @@ class CurvedPushes:
             changes = _DIFFERENCE * np.eye(n_unknowns).reshape(n_unknowns, N_SEGMENTS, 2)
             # Towards zero, so that an unknown stays in its range.
             sign = np.where(best > 0, -1.0, 1.0)
-            varied = self.roll(models, horizon, starts, best[:, None] + changes * sign[:, None])
+            varied = self._roll(models, own, best[:, None] + changes * sign[:, None])
             by_unknown = (varied.residual - kept.residual) / (_DIFFERENCE * sign.reshape(n_starts, n_unknowns, 1))
             step = _gauss_newton(by_unknown, kept.residual[:, :, 0]).reshape(best.shape)
             tried = np.stack([np.clip(best + share * step, -_LARGEST, _LARGEST) for share in _SHARES], axis=1)
-            found = self.roll(models, horizon, starts, tried)
+            found = self._roll(models, own, tried)
             chosen = np.argmin(found.cost, axis=1)
             better = found.cost[number, chosen] < cost
             kept = _merged(better, _picked(found, number, chosen), kept)
             best = np.where(better[:, None, None], tried[number, chosen], best)
             cost = np.where(better, found.cost[number, chosen], cost)
         return best, kept
+
+
+def _turned(matrix: Float64Array, vectors: Float64Array) -> Float64Array:
+    """Matrices, shape (..., 2, 2), times vectors, shape (..., 2)."""
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([matrix[..., 0, 0] * x + matrix[..., 0, 1] * y, matrix[..., 1, 0] * x + matrix[..., 1, 1] * y], axis=-1)
 
 
 def _gauss_newton(by_unknown: Float64Array, residual: Float64Array) -> Float64Array:

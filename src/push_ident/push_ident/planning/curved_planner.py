@@ -14,7 +14,7 @@ import numpy as np
 
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.physics.batch import BatchModel
+from push_ident.physics.batch import ModelBatch
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
 from push_ident.planning.feasible import Surroundings, is_possible
@@ -71,6 +71,8 @@ class CurvedPush:
     """Where it may be corrected to: along the rest of the path."""
     expected_error: float = np.nan
     """Root of the mean square error until then [tolerances]."""
+    held_error: float = np.nan
+    """The same under the most probable model alone: what this contact does to an object that is as it is believed [tolerances]."""
     expected_done: float = np.nan
     """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
 
@@ -108,9 +110,7 @@ class CurvedPathPlanner:
         What it finds of the models is kept for later pushes, as long as the belief stays the same.
         """
         weights = self._weights_of(belief)
-        return PathFollower(
-            self._shape, self._settings, weights, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period
-        )
+        return PathFollower(self._settings, weights, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period)
 
     def plan(
         self,
@@ -133,11 +133,11 @@ class CurvedPathPlanner:
         if len(numbers) == 0:
             return CurvedPush(PathStatus.UNREACHABLE, now)
         horizon = Horizon.of(path.speed, _TRAVEL, np.array([-self._settings.clearance / path.speed, 0.0]))
-        pushes, models = CurvedPushes(self._shape, self._settings, path), self._weights_of(belief).best(self._n_judging)
+        pushes, models = CurvedPushes(self._settings, path), self._weights_of(belief).best(self._n_judging)
         coarse = [self._strokes.picked(int(number)) for number in numbers]
-        order = self._ranked(pushes, models[:1], horizon, coarse, seen, now)[0]
+        order = self._ranked(pushes, models.picked([0]), horizon, coarse, seen, now)[0]
         fine = [coarse[k].changed(along, 0.0) for k in order[:_REFINED] for along in _SHIFTS]
-        order, best = self._ranked(pushes, models[:1], horizon, fine, seen, now)
+        order, best = self._ranked(pushes, models.picked([0]), horizon, fine, seen, now)
         order = order[:_JUDGED]
         starts = [self._start(fine[k], seen, now) for k in order]
         judged = pushes.roll(models, horizon, starts, best[order][:, None])
@@ -152,12 +152,13 @@ class CurvedPathPlanner:
             if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
                 expected = now + float(judged.progress[:, k, 0, cut].mean())
                 error = float(np.sqrt(np.mean(judged.error[:, k, 0, : cut + 1] ** 2)))
+                held = float(np.sqrt(np.mean(judged.error[0, k, 0, : cut + 1] ** 2)))
                 corridor = self._corridor(tool, path, now)
-                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, expected)
+                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, held, expected)
         return CurvedPush(PathStatus.UNREACHABLE, now)
 
     def _ranked(
-        self, pushes: CurvedPushes, models: Sequence[BatchModel], horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float
+        self, pushes: CurvedPushes, models: ModelBatch, horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float
     ) -> tuple[np.ndarray, Float64Array]:
         """Order of contacts by what they are worth, and the improved unknowns of each, shape (n, N_SEGMENTS, 2)."""
         starts, nothing = [self._start(one, seen, now) for one in own], np.zeros((1, N_SEGMENTS, 2))

@@ -60,6 +60,8 @@ def write_goal_page(path: Path, content: Mapping[str, Any]) -> None:
 def _where(goal: Mapping[str, Any], n_goals: int) -> str:
     if goal.get("kind") == "edge":
         return "out over the edge"
+    if goal.get("kind") == "path":
+        return "along a path"
     return "to a goal" if n_goals == 1 else f"to {n_goals} goals"
 
 

@@ -15,6 +15,8 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal
 from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
 from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
@@ -28,9 +30,11 @@ __all__ = [
     "GoalRequest",
     "GoalState",
     "KnownModel",
+    "PathPorts",
     "PushReport",
     "PushUnderWay",
     "SessionLimits",
+    "SteeredUnderWay",
     "UnderWay",
     "Wish",
 ]
@@ -66,7 +70,7 @@ class GoalRequest:
 
     object_id: str
     """Empty: the only object."""
-    goal: Goal | EdgeGoal
+    goal: Goal | EdgeGoal | PathGoal
     time_limit: float = 300.0
     """Wall time [s]."""
     max_pushes: int = 15
@@ -189,6 +193,38 @@ class GoalPorts(Protocol):
         """What the client wants."""
 
 
+class SteeredUnderWay(PushUnderWay, Protocol):
+    """A push along a path that is corrected while it is made."""
+
+    @property
+    def done(self) -> float:
+        """Length of path that is behind, as far as is known [m]."""
+
+    @property
+    def n_corrections(self) -> int:
+        """That were sent."""
+
+
+class PathPorts(GoalPorts, Protocol):
+    """What pushing along a path needs beside that."""
+
+    def begin_step(
+        self,
+        model: KnownModel,
+        seen: TrackedObject,
+        path: PathGoal,
+        done: float,
+        obstacles: list[Float64Array],
+        failed: list[PushPlan2D],
+        *,
+        steers: bool,
+    ) -> UnderWay[PathStep]:
+        """Begin to plan the next push; returns at once. Arguments as of `PathSteps.plan`."""
+
+    def begin_steered(self, seen: TrackedObject, step: PathStep, path: PathGoal) -> SteeredUnderWay:
+        """Ask for a push along a path, and correct it; returns at once."""
+
+
 @dataclass(slots=True)
 class GoalProgress:
     """How far it is."""
@@ -210,6 +246,12 @@ class GoalProgress:
     """Expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known."""
     error: Float64Array = field(default_factory=lambda: np.full(2, np.nan))
     """Distance [m] and angle [rad] to the goal as last observed, shape (2,)."""
+    done: float = float("nan")
+    """Share of the path that is behind [1]; NaN without a path."""
+    rms: Float64Array = field(default_factory=lambda: np.full(2, np.nan))
+    """Root mean square of distance [m] and angle [rad] from the path, as observed during the pushes, shape (2,)."""
+    corrections: int = 0
+    """That were sent for pushes under way."""
     chance: float = 0.0
     """Of being within the tolerances, as last observed [1]."""
     plan: GoalPush | None = None

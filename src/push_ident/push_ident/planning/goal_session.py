@@ -28,12 +28,13 @@ from push_ident.planning.goal_ports import (
     UnderWay,
     Wish,
 )
+from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.planning.target_choice import TargetChoice
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 
-__all__ = ["GoalSession"]
+__all__ = ["Ended", "GoalSession"]
 
 _POLL: Final = 0.01
 """Between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
@@ -48,7 +49,9 @@ _FEEDBACK_PERIOD: Final = 0.1
 T = TypeVar("T")
 
 
-class _Ended(Exception):
+class Ended(Exception):
+    """A session ends: code and text."""
+
     def __init__(self, code: GoalCode, text: str) -> None:
         super().__init__(text)
         self.code, self.text = code, text
@@ -80,6 +83,7 @@ class GoalSession:
     ) -> None:
         self._request, self._ports, self._limits = request, ports, limits or SessionLimits()
         self._on_progress = on_progress
+        assert not isinstance(request.goal, PathGoal), "that is for PathSession"
         self._choice = TargetChoice(request.goal, ports)
         self._seen: TrackedObject | None = None
         self._object_id = request.object_id
@@ -97,9 +101,9 @@ class GoalSession:
         try:
             seen = self._ports.observe(self._object_id, np.inf, -np.inf)
             if seen is None:
-                raise _Ended(GoalCode.UNKNOWN_OBJECT, self._ports.why_unseen(self._object_id))
+                raise Ended(GoalCode.UNKNOWN_OBJECT, self._ports.why_unseen(self._object_id))
             self._check(seen)
-        except _Ended as end:
+        except Ended as end:
             raise GoalRefusedError(end.code, end.text) from None
 
     def run(self) -> GoalOutcome:
@@ -107,7 +111,7 @@ class GoalSession:
         try:
             self._run()
             code, text = GoalCode.NONE, ""
-        except _Ended as end:
+        except Ended as end:
             code, text = end.code, end.text
         self.progress.elapsed = self._ports.now() - self._started
         return GoalOutcome(code, text, self.progress)
@@ -129,15 +133,22 @@ class GoalSession:
                 return
             seen = self._push_to_goal(seen, plan)
 
-    def _check(self, seen: TrackedObject) -> None:
-        """End where the goal cannot be, or nothing is known and nothing may be explored."""
+    def _settings(self) -> PushSettings:
         settings = self._ports.push_settings()
         if settings is None:
-            raise _Ended(GoalCode.ARM_SILENT, "nothing was received on pusher/shape yet; is push_executor_node running?")
+            raise Ended(GoalCode.ARM_SILENT, "nothing was received on pusher/shape yet; is push_executor_node running?")
+        return settings
+
+    def _check(self, seen: TrackedObject) -> None:
+        """End where the goal cannot be, or nothing is known and nothing may be explored."""
+        settings = self._settings()
         if isinstance(self._request.goal, Goal):
             self._check_pose(self._request.goal, seen, settings)
         else:
             self._check_edge(seen)
+        self._check_known(seen)
+
+    def _check_known(self, seen: TrackedObject) -> None:
         model = self._ports.model(seen.object_id)
         is_learning = model is not None and self._ports.pushed_at(seen.object_id) > model.stamp
         if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(seen):
@@ -148,7 +159,7 @@ class GoalSession:
         at_goal, now = (settings.excess(transform_points(pose, seen.shape.outline)) for pose in (goal.pose, seen.pose))
         # The planner accepts no push after which the outline reaches further out than before it.
         if at_goal > max(now, 1e-6):
-            raise _Ended(
+            raise Ended(
                 GoalCode.OUTSIDE_WORKSPACE,
                 f"at the goal `{seen.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
                 "choose a goal further inside.",
@@ -157,7 +168,7 @@ class GoalSession:
     def _check_edge(self, seen: TrackedObject) -> None:
         """End where the object can be at no edge, as far as is known now."""
         if not self._choice.edges():
-            raise _Ended(
+            raise Ended(
                 GoalCode.EDGE_UNKNOWN,
                 "the table's edge is not known; give the edge with the goal, or the corners of the table as parameter table_corners.",
             )
@@ -166,14 +177,14 @@ class GoalSession:
         self._choice.forget()
         try:
             self._settle(model, seen)
-        except _Ended as end:
+        except Ended as end:
             # Where the centre of mass is, pushes show.
             if end.code is not GoalCode.NOT_HELD or not self._request.explore:
                 raise
 
     @staticmethod
-    def _nothing_known(seen: TrackedObject) -> _Ended:
-        return _Ended(
+    def _nothing_known(seen: TrackedObject) -> Ended:
+        return Ended(
             GoalCode.NOTHING_KNOWN,
             f"no push of `{seen.object_id}` was learned yet; allow exploring pushes (explore), push it first, or load a model.",
         )
@@ -216,12 +227,12 @@ class GoalSession:
             found = self._wait(work.result)
             assert found is not None, "without a timeout"
             return found
-        except _Ended:
+        except Ended:
             raise
         except GoalRefusedError as error:
-            raise _Ended(error.code, str(error)) from error
+            raise Ended(error.code, str(error)) from error
         except Exception as error:
-            raise _Ended(
+            raise Ended(
                 GoalCode.MODEL,
                 f"no push can be planned with the model of `{seen.object_id}` ({type(error).__name__}: {error}); push it or load another.",
             ) from error
@@ -247,13 +258,13 @@ class GoalSession:
     def _usable(self, plan: GoalPush, seen: TrackedObject) -> GoalPush:
         """A plan that proposes a push, or says that the object is there; ends with the reason of another one."""
         if plan.status is PlanStatus.UNHELD:
-            raise _Ended(GoalCode.NOT_HELD, f"{plan.status.value} (the least chance is {100 * plan.risk:.1f} %).")
+            raise Ended(GoalCode.NOT_HELD, f"{plan.status.value} (the least chance is {100 * plan.risk:.1f} %).")
         if plan.status is PlanStatus.UNREACHABLE:
             tried = f", beside {len(self._failed)} that failed" if self._failed else ""
             risky = "; at the edge, each may risk its fall as well" if self._choice.is_at_edge else ""
-            raise _Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}{risky}.")
+            raise Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}{risky}.")
         if plan.status is PlanStatus.UNSURE:
-            raise _Ended(GoalCode.TOLERANCE, self._unsure(seen))
+            raise Ended(GoalCode.TOLERANCE, self._unsure(seen))
         return plan
 
     def _push_to_goal(self, seen: TrackedObject, plan: GoalPush) -> TrackedObject:
@@ -293,12 +304,12 @@ class GoalSession:
         """Go on after a failed push with another one, or end."""
         text = f"the push failed ({report.code.name}): {report.text}"
         if report.code is PushCode.ARM_SILENT:
-            raise _Ended(GoalCode.ARM_SILENT, f"{text} Is the arm's driver running, and push_executor_node active?")
+            raise Ended(GoalCode.ARM_SILENT, f"{text} Is the arm's driver running, and push_executor_node active?")
         if report.code in _WITHOUT_REMEDY or report.code is PushCode.CANCELED:
-            raise _Ended(GoalCode.PUSH_FAILED, f"{text} Look at the cell, then send the goal again; what was learned is kept.")
+            raise Ended(GoalCode.PUSH_FAILED, f"{text} Look at the cell, then send the goal again; what was learned is kept.")
         self._refusals += 1
         if self._refusals > self._limits.max_refusals:
-            raise _Ended(GoalCode.PUSH_FAILED, f"{self._refusals} pushes in a row failed; the last ({report.code.name}): {report.text}")
+            raise Ended(GoalCode.PUSH_FAILED, f"{self._refusals} pushes in a row failed; the last ({report.code.name}): {report.text}")
         self._say(text)
         if push is not None and report.code in _ANOTHER_CONTACT:
             self._failed.append(push)
@@ -314,14 +325,14 @@ class GoalSession:
             why = self._ports.why_unseen(self._object_id)
             if code is GoalCode.OBJECT_LOST and self._was_over_edge():
                 raise self._fell(f"was lost while it overhung the table's edge: it fell, as far as is known ({why})")
-            raise _Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
+            raise Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
         if self._choice.is_off_table(seen.shape.outline, seen.pose):
             raise self._fell("is seen beside the table: it fell.")
         return self._note_seen(seen)
 
-    def _fell(self, how: str) -> _Ended:
+    def _fell(self, how: str) -> Ended:
         remedy = "Put it back on the table, then send the goal again, with less overhang or more of it held; what was learned is kept."
-        return _Ended(GoalCode.FELL, f"`{self._object_id}` {how} {remedy}")
+        return Ended(GoalCode.FELL, f"`{self._object_id}` {how} {remedy}")
 
     def _note_seen(self, seen: TrackedObject) -> TrackedObject:
         self._object_id = self.progress.object_id = seen.object_id
@@ -362,7 +373,7 @@ class GoalSession:
             return seen
         latest = self._wait(certain, _BLURRED)
         if latest is None:
-            raise _Ended(GoalCode.TOLERANCE, self._unsure(seen))
+            raise Ended(GoalCode.TOLERANCE, self._unsure(seen))
         return self._note_seen(latest)
 
     def _can_tell(self, seen: TrackedObject) -> bool:
@@ -385,12 +396,12 @@ class GoalSession:
 
         model = self._wait(fitting, self._limits.object_patience)
         if model is None and self._ports.model(seen.object_id) is not None:
-            raise _Ended(
+            raise Ended(
                 GoalCode.MODEL,
                 f"the model of `{seen.object_id}` is of an object of another shape; look at identification, or load another.",
             )
         if model is None:
-            raise _Ended(
+            raise Ended(
                 GoalCode.UNKNOWN_OBJECT, f"identification has published no model of `{seen.object_id}`; is identification_node active?"
             )
         if not model.is_known and not self._request.explore:
@@ -404,7 +415,7 @@ class GoalSession:
         try:
             report = self._wait(push.report, finish=True)
             assert report is not None, "without a timeout"
-        except _Ended:
+        except Ended:
             deadline = self._ports.now() + _HOLD
             push.cancel()
             # Until the goal has reached the executor there is nothing to cancel there: it is asked again.
@@ -437,24 +448,24 @@ class GoalSession:
     def _check_wanted(self, finish: bool) -> None:
         wish = self._ports.wish()
         if wish is Wish.HOLD:
-            raise _Ended(GoalCode.CANCELED, "canceled on request; the arm holds. What was learned is kept.")
+            raise Ended(GoalCode.CANCELED, "canceled on request; the arm holds. What was learned is kept.")
         if wish is Wish.FINISH and not finish:
             raise self._preempted()
         self.progress.elapsed = self._ports.now() - self._started
         if self.progress.elapsed > self._request.time_limit:
-            raise _Ended(
+            raise Ended(
                 GoalCode.TIME_LIMIT,
                 f"not at the goal after {self._request.time_limit:g} s ({self._distance()}); the arm holds. Send the goal again: what was "
                 "learned is kept.",
             )
 
     @staticmethod
-    def _preempted() -> _Ended:
-        return _Ended(GoalCode.PREEMPTED, "a newer goal took its place; what was learned is kept.")
+    def _preempted() -> Ended:
+        return Ended(GoalCode.PREEMPTED, "a newer goal took its place; what was learned is kept.")
 
     def _check_pushes(self) -> None:
         if self.progress.pushes >= self._request.max_pushes:
-            raise _Ended(
+            raise Ended(
                 GoalCode.MAX_PUSHES,
                 f"not at the goal after {self.progress.pushes} pushes ({self._distance()}); send the goal again, what was learned is kept, "
                 "or allow more tolerance.",

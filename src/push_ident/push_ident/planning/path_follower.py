@@ -19,12 +19,14 @@ from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import Float64Array
 
 __all__ = ["Correction", "FollowStatus", "PathFollower", "guesses_around"]
 
 _TRAVEL: Final = 0.08
 """How far ahead along the path a correction looks [m]: an object that is beside the path must turn, move over, and turn back."""
+_SETTLED: Final = 0.02
+"""Between the points of the motion that is settled [s]: earlier corrections may have bent it."""
 _ITERATIONS: Final = 1
 """Of Gauss-Newton in a correction: the next frame goes on from there."""
 _OF_SWINGS: Final = 2
@@ -74,7 +76,7 @@ class Correction:
 
     status: FollowStatus
     time: Float64Array
-    """[s], shape (n,): the first is the frame's, up to the second nothing was changed."""
+    """[s], shape (n,): the first is the frame's; for the period after it nothing was changed."""
     tool: Float64Array
     """Axis of the tool then, table frame of the arm [m], shape (n, 2)."""
     done: float
@@ -94,19 +96,17 @@ class PathFollower:
     """Corrects the motion of a tool that pushes one object along a path.
 
     Args:
-        shape: of the object.
         settings: limits of the tool.
         weights: of the models that may be true; the push changes them while it is made.
         path: to be followed, table frame of the camera.
         corridor: that the tool must not leave, table frame of the arm.
         camera: the table frame of the arm in that of the camera, shape (3,).
         n_asked: how many models a correction is made for: those that explain the push best.
-        period: of the camera [s].
+        period: from a frame to the motion that it corrects, at least that of the camera [s].
     """
 
     def __init__(
         self,
-        shape: ObjectShape,
         settings: PushSettings,
         weights: ModelWeights,
         path: PathGoal,
@@ -118,13 +118,14 @@ class PathFollower:
     ) -> None:
         self._away = inverse(np.zeros(3) if camera is None else camera)
         self._path = path.seen_from(self._away)
-        self._pushes = CurvedPushes(shape, settings, self._path, corridor)
-        self._shape, self._settings, self._weights, self._period, self._n_asked = shape, settings, weights, period, n_asked
+        self._pushes = CurvedPushes(settings, self._path, corridor)
+        self._settings, self._weights, self._period, self._n_asked = settings, weights, period, n_asked
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
         self._errors: list[float] = []
         """In tolerances, of the latest frames."""
         self._n_errors = max(_IN_A_ROW, round(_STAYED / (path.speed * period)))
-        self._horizon = Horizon.of(path.speed, _TRAVEL, np.array([-period, 0.0]))
+        lead = np.linspace(-period, 0.0, max(2, int(np.ceil(period / _SETTLED)) + 1))
+        self._horizon = Horizon.of(path.speed, _TRAVEL, lead)
 
     def begin(
         self, time: Float64Array, tool: Float64Array, pose: Float64Array, covariance: Float64Array, done: float, expected_error: float
@@ -143,13 +144,13 @@ class PathFollower:
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
         self._weights.restart()
         self._errors = []
-        model, radius = self._weights.best(1)[0], self._settings.pusher_radius
-        self._tracker = ContactTracker(self._shape, model, radius, compose(self._away, pose), covariance)
+        model, radius = self._weights.best(1), self._settings.pusher_radius
+        self._tracker = ContactTracker(model, radius, compose(self._away, pose), covariance)
 
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array) -> Correction:
         """The motion from a frame on, taken at `time` [s], later than the last one; pose, shape (3,), and covariance, shape (3, 3)."""
         tracker = self._tracker
-        lead = np.array([time, time + self._period])
+        lead = time + self._period + self._horizon.lead
         settled = self._where(lead)
         since = np.append(np.append(self._now, self._time[(self._time > self._now) & (self._time < time)]), time)
         tracker.advance(since, self._where(since))
@@ -162,10 +163,10 @@ class PathFollower:
         else:
             self._weights.restart()
         asked = self._weights.best(self._n_asked)
-        tracker.model = asked[0]
+        tracker.model = asked.picked([0])
         models, onward = touching(asked, face), self._horizon.later(self._unknowns, elapsed)
         # Whether to slide is found by the most probable model alone.
-        swung, _ = self._pushes.improve(models[:1], self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
+        swung, _ = self._pushes.improve(models.picked([0]), self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
         guesses = np.concatenate([onward[None], np.zeros((1, N_SEGMENTS, 2)), swung])
         best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS)
         self._unknowns = best[0]

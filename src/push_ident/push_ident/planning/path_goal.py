@@ -48,6 +48,8 @@ class PathGoal:
     """Angle to the path that counts as one tolerance [rad]."""
     along: Float64Array = field(init=False)
     """Length of path to each pose [m], shape (n,), with a turn counted at a lever of 5 cm."""
+    headings: Float64Array = field(init=False)
+    """Lengths of path [m] and the directions there [rad], shape (2, n); empty where it turns on the spot."""
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, dtype=np.float64)
@@ -63,7 +65,8 @@ class PathGoal:
         if along[-1] < _SPACING:
             raise InputError(f"The path is {1e3 * along[-1]:.1f} mm long, expected {1e3 * _SPACING:.0f} mm or more.")
         even = np.linspace(0.0, along[-1], round(along[-1] / _SPACING) + 1)
-        for name, values in (("poses", np.column_stack([np.interp(even, along, c) for c in poses.T])), ("along", even)):
+        sampled = np.column_stack([np.interp(even, along, c) for c in poses.T])
+        for name, values in (("poses", sampled), ("along", even), ("headings", _headings(sampled, even))):
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 
@@ -84,12 +87,9 @@ class PathGoal:
 
     def direction(self, places: ArrayLike) -> Float64Array:
         """Of the path in the table frame [rad], at lengths of path of any shape; where it turns on the spot, from before to after."""
-        step = np.diff(self.poses[:, :2], axis=0)
-        moves = np.flatnonzero(np.linalg.norm(step, axis=1) > _STILL)
-        if len(moves) == 0:
+        if self.headings.shape[1] == 0:
             return np.zeros(np.shape(places))
-        middle = 0.5 * (self.along[moves] + self.along[moves + 1])
-        return np.asarray(np.interp(np.asarray(places, dtype=np.float64), middle, np.unwrap(np.arctan2(step[moves, 1], step[moves, 0]))))
+        return np.asarray(np.interp(np.asarray(places, dtype=np.float64), *self.headings))
 
     def waypoints(self, spacing: float) -> Float64Array:
         """Poses that are evenly spread, at most `spacing` [m] of path apart, the end among them, the start not: shape (n, 3).
@@ -150,6 +150,13 @@ class PathGoal:
             best = np.where(better[:, None], moved, best)
             place = np.where(better, along[nearest] + share * (along[other] - along[nearest]), place)
         return place, np.column_stack([np.linalg.norm(best[:, :2], axis=1), np.abs(best[:, 2])])
+
+
+def _headings(poses: Float64Array, along: Float64Array) -> Float64Array:
+    step = np.diff(poses[:, :2], axis=0)
+    moves = np.flatnonzero(np.linalg.norm(step, axis=1) > _STILL)
+    middle = 0.5 * (along[moves] + along[moves + 1])
+    return np.stack([middle, np.unwrap(np.arctan2(step[moves, 1], step[moves, 0]))])
 
 
 def check_path(path: PathGoal, shape: ObjectShape, settings: PushSettings) -> None:

@@ -62,6 +62,8 @@ class PathPush:
     plan: PushPlan2D | None = None
     expected_done: float = np.nan
     """Length of path that is expected to be behind after the push [m]."""
+    expected_error: float = np.nan
+    """Root of the mean square error until then [tolerances]."""
 
 
 class PathPlanner:
@@ -115,26 +117,31 @@ class PathPlanner:
         seen = compose(away, pose)
         library = self._library_of(belief, seen)
         around = Surroundings([transform_points(away, outline) for outline in obstacles], failed)
-        for number, k, reached in self._ranked(library, pose, path, now):
+        for number, k, reached, error in self._ranked(library, pose, path, now):
             plan = placed(library.strokes, number, seen, float(library.lengths[k]), self._settings.speed_range[0])
             if is_possible(self._shape, self._settings, plan, seen, library.motion[0, number, k], around):
-                return PathPush(PathStatus.PUSH, now, plan, reached)
+                return PathPush(PathStatus.PUSH, now, plan, reached, error)
         return PathPush(PathStatus.UNREACHABLE, now)
 
-    def _ranked(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> list[tuple[int, int, float]]:
-        """Strokes, lengths and where on the path they are expected to end, the best first: by the mean model, then by all."""
-        cost, _ = self._cost(library.motion[:1], pose, path, now)
+    def _ranked(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> list[tuple[int, int, float, float]]:
+        """Strokes, lengths, where on the path they are expected to end and the error until then, the best first: by the mean model, then by
+        all."""
+        cost, _, _ = self._cost(library.motion[:1], pose, path, now)
         n_lengths = len(library.lengths)
         first = np.argsort(cost[0].ravel())[:_SCREENED]
         first = first[np.isfinite(cost[0].ravel()[first])]
         own = np.unique(first // n_lengths)
-        cost, place = self._cost(library.motion[:, own], pose, path, now)
-        mean, where = cost.mean(axis=0), place.mean(axis=0)
-        order = np.argsort(mean.ravel())
-        return [(int(own[j // n_lengths]), int(j % n_lengths), float(where.ravel()[j])) for j in order if np.isfinite(mean.ravel()[j])]
+        cost, place, square = self._cost(library.motion[:, own], pose, path, now)
+        mean, where, error = cost.mean(axis=0).ravel(), place.mean(axis=0).ravel(), np.sqrt(square.mean(axis=0)).ravel()
+        order = np.argsort(mean)
+        known = (j for j in order if np.isfinite(mean[j]))
+        return [(int(own[j // n_lengths]), int(j % n_lengths), float(where[j]), float(error[j])) for j in known]
 
-    def _cost(self, motion: Float64Array, pose: Float64Array, path: PathGoal, now: float) -> tuple[Float64Array, Float64Array]:
-        """J of each motion, and the length of path that is behind after it [m]: both of shape (n_models, n_strokes, n_lengths)."""
+    def _cost(
+        self, motion: Float64Array, pose: Float64Array, path: PathGoal, now: float
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """J of each motion, the length of path that is behind after it [m], and the mean square error until then [tolerances^2]: each of
+        shape (n_models, n_strokes, n_lengths)."""
         poses = compose(pose, motion)
         place, error = path.error(poses, now, _AHEAD)
         square = np.sum((error / [path.position, path.yaw]) ** 2, axis=-1)
@@ -142,9 +149,9 @@ class PathPlanner:
         if self._greedy:
             aim = path.poses[int(np.searchsorted(path.along, min(now + _WAYPOINT, path.length)))]
             off = np.concatenate([poses[..., :2] - aim[:2], wrap_angle(poses[..., 2:] - aim[2])], axis=-1) / path.tolerance
-            return np.where(np.isfinite(off[..., 0]), np.sum(off**2, axis=-1), np.inf), place
+            return np.where(np.isfinite(off[..., 0]), np.sum(off**2, axis=-1), np.inf), place, square
         progress = place - now
         steps = np.diff(place, axis=2, prepend=now)
         way = np.cumsum(np.maximum(steps, 0.0) * square, axis=2)
         cost = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
-        return np.where(progress >= min(_LEAST, path.length - now), cost, np.inf), place
+        return np.where(progress >= min(_LEAST, path.length - now), cost, np.inf), place, way / np.maximum(progress, 1e-9)

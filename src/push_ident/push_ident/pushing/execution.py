@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from enum import IntEnum
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,16 +13,18 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.executed_push import ExecutedPush, Purpose
-from push_ident.pushing.motion import ArmMotion, ArmPlan, MotionSettings, plan_push, plan_retreat
+from push_ident.pushing.motion import ArmMotion, ArmPlan, PathPlan, plan_path_push, plan_push, plan_retreat
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
-from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.push import PushCode, PushPlan2D
+from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
 from push_ident.pushing.resting import displacement
-from push_ident.pushing.sampling import is_near_edge, push_from_goal, recentring_pushes, sample_push
-from push_ident.pushing.watch import ArmWatch, WatchLimits
+from push_ident.pushing.sampling import is_near_edge, push_along_path, push_from_goal, recentring_pushes, sample_push
+from push_ident.pushing.steering import Steering, ToolCorrection
+from push_ident.pushing.watch import ArmWatch
 from push_ident.types import Float64Array
 
-__all__ = ["ExecutionSettings", "Mode", "PushExecution", "PushOutcome", "PushRequest", "phase_of"]
+__all__ = ["PushExecution", "phase_of"]
 
 _POLL: Final = 0.01
 """[s] between two looks for the pose of an object."""
@@ -35,71 +36,6 @@ _STANDSTILL: Final = 0.15
 """[s] until an arm that was held stands."""
 _DRIFT: Final = 0.002
 """How much further out an object may move that was outside the workspace at the start [m]."""
-
-
-class Mode(IntEnum):
-    """How a push is chosen; the numbers are those of the goal of action/ExecutePush."""
-
-    CONTACT = 0
-    RANDOM = 1
-    RECENTRE = 2
-
-
-@dataclass(frozen=True, slots=True)
-class PushRequest:
-    """A push as a client requests it; see action/ExecutePush."""
-
-    mode: int
-    object_id: str = ""
-    frame_id: str = ""
-    """Of contact point and direction: the table frame (also if empty), or the frame of the object."""
-    contact_point: tuple[float, float] = (0.0, 0.0)
-    """[m]"""
-    direction: float = 0.0
-    """[rad]"""
-    distance: float = 0.0
-    """[m]; 0: the default."""
-    speed: float = 0.0
-    """[m/s]; 0: the default."""
-    seed: int = 0
-    """Of a random push."""
-    dry_run: bool = False
-    """Plan only."""
-
-
-@dataclass(frozen=True, slots=True)
-class ExecutionSettings:
-    """Numbers of the execution. Fields, and those of the parts, are parameters of the executor."""
-
-    push: PushSettings
-    motion: MotionSettings
-    limits: WatchLimits = field(default_factory=WatchLimits)
-    recentre: bool = True
-    """Whether an object near the edge is first pushed towards the middle, where the request allows it."""
-    push_distance: float = 0.06
-    """Where a request gives none [m]."""
-    push_speed: float = 0.15
-    """Where a request gives none [m/s]."""
-    pose_timeout: float = 1.0
-    """Oldest object pose, by time of receipt, that a push may start from [s]."""
-    lost_timeout: float = 1.0
-    """An object whose last pose was received longer ago during a push is lost [s]."""
-    min_object_shift: float = 0.002
-    """Smaller shifts of the object count as no contact [m]."""
-    min_object_turn: float = 0.0175
-    """Smaller turns of the object count as no contact [rad]."""
-
-
-@dataclass(slots=True)
-class PushOutcome:
-    """What became of a request."""
-
-    plan: ArmPlan | None = None
-    push_id: int = 0
-    """0: nothing moved."""
-    recentre_push_id: int = 0
-    """Of the recentring push before it; 0: none."""
-    error: PlanningError | None = None
 
 
 PlanFrom = Callable[[np.ndarray], ArmPlan]
@@ -121,6 +57,8 @@ class PushExecution:
         self._watch = ArmWatch(ports)
         self._one_at_a_time = threading.Lock()
         self._stopped = threading.Event()
+        self.steering: Steering | None = None
+        """Of the push along a path that is under way."""
         self.is_pushing = False
         """Whether the tool is lowered for a push now."""
         self.n_pushes = 0
@@ -172,6 +110,12 @@ class PushExecution:
             self._one_at_a_time.release()
         return outcome
 
+    def correct(self, correction: ToolCorrection) -> None:
+        """Take a correction of the push under way; in another thread. Raises InputError where it is refused."""
+        if (steering := self.steering) is None:
+            raise InputError("There is no push along a path now; corrections are for the push that its feedback names.")
+        steering.offer(correction)
+
     def check_open(self) -> None:
         """Raise PlanningError CANCELED once `stop` was called."""
         if self._stopped.is_set():
@@ -221,6 +165,7 @@ class _Execution:
         def plan_from(q: np.ndarray) -> ArmPlan:
             return self._plan(target, q)
 
+        self.outcome.object_id = target.object_id
         plan = self.outcome.plan = plan_from(self._posture())
         if request.dry_run:
             return
@@ -230,6 +175,7 @@ class _Execution:
             self._make(push, plan_from, lambda elapsed: phase_of(push.plan, elapsed))
         finally:
             self.outcome.plan, self.outcome.push_id = push.plan, push.push_id
+            self._end_steering()
 
     # ---- recentring
 
@@ -278,6 +224,8 @@ class _Execution:
     def _plan(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
         if self.request.mode == Mode.RECENTRE:
             return self._plan_recentring(target, q_now)
+        if self.request.mode == Mode.PATH:
+            return self._plan_path(target, q_now)
         if self.request.mode == Mode.CONTACT:
             return plan_push(self.ports.arm.planner, q_now, self._requested_push(target), self.settings.motion)
         settings, obstacles = self.settings.push, self.ports.objects.outlines_of_others(target.object_id)
@@ -287,6 +235,14 @@ class _Execution:
         if plan is None:
             raise PlanningError(PushCode.UNREACHABLE, f"none of {_PLANS} random pushes fits the arm; the last: {refusal}")
         return plan
+
+    def _plan_path(self, target: TrackedObject, q_now: np.ndarray) -> PathPlan:
+        own, settings = self.request.path, self.settings
+        if own is None:
+            raise PlanningError(PushCode.INVALID_GOAL, "MODE_PATH without a path; give tool_path and corridor.")
+        obstacles = self.ports.objects.outlines_of_others(target.object_id)
+        push = push_along_path(target.shape, target.pose, own.path, settings.push, obstacles)
+        return plan_path_push(self.ports.arm.planner, q_now, push, own.path, own.corridor, settings.motion, settings.push)
 
     def _plan_recentring(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
         obstacles = self.ports.objects.outlines_of_others(target.object_id)
@@ -346,7 +302,7 @@ class _Execution:
         except PlanningError as failure:
             push.error = failure
         push.ended = self.ports.clock.now()
-        if was_pushing and push.error is not None and push.error.code == PushCode.OBJECT_LOST:
+        if was_pushing and push.error is not None and push.error.code in (PushCode.OBJECT_LOST, PushCode.CORRECTION):
             push.error = PlanningError(push.error.code, f"{push.error} {self._retreat(push)}")
         self._report(push)
         if push.error is not None:
@@ -363,46 +319,93 @@ class _Execution:
         def on_start(motion: ArmMotion, pacing: PathPacing) -> None:
             assert isinstance(motion, ArmPlan)
             push.push_id, push.plan, push.started, push.pacing = self.owner.begin(), motion, pacing.started, pacing
+            if isinstance(motion, PathPlan):
+                self._begin_steering(push.push_id, motion)
 
-        def on_look(elapsed: float, state: ArmState) -> None:
+        def on_look(elapsed: float, time: float, state: ArmState) -> ArmMotion | None:
             nonlocal reported
             self.owner.is_pushing = push.plan.lowered <= elapsed <= push.plan.rested
             push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
             if self.owner.is_pushing:
                 push.observe(state)
                 self._check_object(push)
-            elif elapsed > push.plan.rested and not self._why_no_contact(push):
-                # A push is whole when the object was seen at rest after it; the way home is no part of it.
-                push.ended = self.ports.clock.now()
-                self._report(push)
+            elif elapsed > push.plan.rested:
+                self._observe_rest(push)
             phase = phase_at(elapsed)
             if phase != reported[0] or elapsed - reported[1] > _FEEDBACK_PERIOD:
                 reported = (phase, elapsed)
+                if push.pacing is not None and np.isfinite(start := push.pacing.time_of(push.plan.departure)):
+                    self.client.began(push.push_id, start)
                 self.client.feedback(phase, elapsed / push.plan.duration)
+            return self._steer(push, elapsed, time)
 
         limits = self.settings.limits
         self.watch.run(push.plan, limits, replan=plan_from, check_wanted=self._check_wanted, on_start=on_start, on_look=on_look)
+        if isinstance(push.plan, PathPlan):
+            self.owner.is_pushing = False
+            self._go_home(push, lambda: self._observe_rest(push))
 
     def _retreat(self, push: ExecutedPush) -> str:
         """Leave after a push that was broken off, if a checked path leads home; the outcome as a sentence."""
-        motion_settings, heading = self.settings.motion, push.plan.push.heading
-
-        def plan_from(q: np.ndarray) -> ArmMotion:
-            return plan_retreat(self.ports.arm.planner, q, heading, motion_settings)
-
         self.ports.clock.sleep(_STANDSTILL)
         try:
-            self.watch.run(
-                plan_from(self._posture()),
-                self.settings.limits,
-                replan=plan_from,
-                check_wanted=self._check_wanted,
-                on_start=lambda motion, pacing: None,
-                on_look=lambda elapsed, state: self.client.feedback(Phase.RETREAT, 1.0),
-            )
+            self._go_home(push, lambda: None)
         except PlanningError as error:
             return f"The arm holds: {error}"
         return "The arm went home."
+
+    def _go_home(self, push: ExecutedPush, on_look: Callable[[], None]) -> None:
+        settings, heading = self.settings.motion, push.plan.push.heading
+        if isinstance(push.plan, PathPlan):
+            heading = push.plan.tool.heading
+
+        def plan_from(q: np.ndarray) -> ArmMotion:
+            return plan_retreat(self.ports.arm.planner, q, heading, settings)
+
+        def look(elapsed: float, time: float, state: ArmState) -> None:
+            on_look()
+            self.client.feedback(Phase.RETREAT, 1.0)
+
+        self.watch.run(
+            plan_from(self._posture()),
+            self.settings.limits,
+            replan=plan_from,
+            check_wanted=self._check_wanted,
+            on_start=lambda motion, pacing: None,
+            on_look=look,
+        )
+
+    def _observe_rest(self, push: ExecutedPush) -> None:
+        """A push is whole when the object was seen at rest after it; the way home is no part of it."""
+        push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
+        if not push.is_reported and not self._why_no_contact(push):
+            push.ended = self.ports.clock.now()
+            self._report(push)
+
+    # ---- corrections
+
+    def _begin_steering(self, push_id: int, plan: PathPlan) -> None:
+        own, settings = self.request.path, self.settings
+        assert own is not None, "it was planned"
+        object_id = self.outcome.object_id
+        timeout = settings.limits.patience(own.correction_timeout) if own.correction_timeout else 0.0
+        steering = Steering(own, settings.push, lambda: self.ports.objects.outlines_of_others(object_id), timeout)
+        steering.begin(push_id, plan)
+        self.owner.steering = steering
+
+    def _steer(self, push: ExecutedPush, elapsed: float, time: float) -> ArmMotion | None:
+        """The motion from now on, where a correction changes it."""
+        if (steering := self.owner.steering) is None:
+            return None
+        changed = steering.look(elapsed, time, self.ports.clock.monotonic())
+        if changed is not None:
+            push.plan = changed
+        return changed
+
+    def _end_steering(self) -> None:
+        steering, self.owner.steering = self.owner.steering, None
+        if steering is not None:
+            self.outcome.n_corrections, self.outcome.n_refused = steering.n_made, steering.refused.total()
 
     # ---- checks
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
-from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.posture_map import PostureMap
+from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.tool_path import ToolMotion, ToolPath, rounded
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
 from push_ident.types import Float64Array
 
-__all__ = ["ArmMotion", "ArmPlan", "MotionSettings", "plan_push", "plan_retreat"]
+__all__ = ["ArmMotion", "ArmPlan", "MotionSettings", "PathPlan", "plan_path_push", "plan_push", "plan_retreat"]
 
 _STEP = 0.004
 """Distance between the points of a straight line at which the inverse kinematics is solved [m]."""
@@ -25,6 +28,8 @@ _AT_HOME = 1e-3
 """The arm is at home when every joint is within this [rad]."""
 _HEIGHT_NOISE = 5e-4
 """Tolerance of the height of a level path [m]."""
+_LEAST_ACCELERATION = 0.5
+"""Of a tool that shall be corrected [m/s^2]: at 0.1 m/s it turns aside within 0.2 s and a centimetre."""
 _LINE_TOLERANCE = 5e-4
 """Largest distance of the tool from its straight line between two solved points [m]."""
 
@@ -140,18 +145,9 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     """
     q_now = kinematics.check_configuration(q_now)
     _check_positions(kinematics, q_now[None, :])
-    home = kinematics.check_configuration(settings.home)
     max_velocity = _max_velocity(kinematics, settings)
-
-    approach = _up(kinematics, q_now, settings)
-    q = approach[-1].position[-1] if approach else q_now
-    if np.max(np.abs(q - home)) > _AT_HOME:
-        approach.append(_free_move(kinematics, q, home, settings))
-        q = home
     start, end = push.tool_start(settings.clearance), push.tool_end
-    above = _reach(kinematics, _point(start, settings.safe_height), kinematics.neutral)
-    approach.append(_free_move(kinematics, q, above, settings))
-    approach.append(_straight(kinematics, above, _point(start, settings.push_height), settings))
+    approach = _approach(kinematics, q_now, start, settings)
     settle = stand_still(approach[-1].position[-1], settings.settle)
 
     # A spinning tool would drag the object along its face, so the spin is held during the push.
@@ -186,6 +182,116 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
     _check_line(plan, settings)
     return plan
+
+
+@dataclass(frozen=True, slots=True)
+class PathPlan(ArmPlan):
+    """Motion of the arm for a push along a path that may be corrected, up to the rest after it; the retreat begins where that ends."""
+
+    postures: PostureMap
+    """For every place of the corridor."""
+    tool: ToolMotion
+    """Of the push itself; times from the departure on."""
+    rest: float
+    """Pause after the push [s]."""
+    speed: float
+    """Largest of the tool in the corridor [m/s]."""
+    acceleration: float
+    """And its largest acceleration [m/s^2]."""
+
+    def corrected(self, path: ToolPath, begin: float) -> PathPlan:
+        """The same up to a time, and along another path from then on.
+
+        Args:
+            path: to be made; times from the departure on [s].
+            begin: when the motion begins to change, from the departure on [s].
+
+        Raises:
+            PlanningError: LIMIT where a joint would have to accelerate too much.
+        """
+        k = min(int(np.searchsorted(self.tool.time, begin)), len(self.tool.time) - 1)
+        later = rounded(path, float(self.tool.time[k]), self.tool.position[k], self.tool.velocity[k], self.acceleration)
+        tool = ToolMotion(*(np.concatenate([getattr(self.tool, n)[:k], getattr(later, n)]) for n in ("time", "position", "velocity")))
+        first = int(np.searchsorted(self.trajectory.time, self.departure + self.tool.time[k] - 1e-6))
+        changed = JointTrajectory(later.time - later.time[0], *self.postures.joints(later))
+        tail = join([changed, stand_still(changed.position[-1], self.rest)])
+        _check_acceleration(self.joint_names, changed, self.acceleration_limit, self.acceleration)
+        before, at = self.trajectory, float(self.trajectory.time[first])
+        own = zip((before.time, before.position, before.velocity), (tail.time + at, tail.position, tail.velocity), strict=True)
+        places = np.vstack([later.position, np.tile(later.position[-1], (len(tail.time) - len(later.time), 1))])
+        tip = np.column_stack([places, np.full(len(places), self.tip[first, 2])])
+        stop = self.departure + float(tool.time[-1])
+        return replace(
+            self,
+            trajectory=JointTrajectory(*(np.concatenate([old[:first], new]) for old, new in own)),
+            tip=np.vstack([self.tip[:first], tip]),
+            push=replace(self.push, distance=_travel(tool, self.push)),
+            tool=tool,
+            stop=stop,
+            rested=stop + self.rest,
+        )
+
+
+def plan_path_push(
+    kinematics: ArmKinematics,
+    q_now: ArrayLike,
+    push: PushPlan2D,
+    path: ToolPath,
+    corridor: Corridor,
+    settings: MotionSettings,
+    limits: PushSettings,
+) -> PathPlan:
+    """Plan up, home, above the start of the path, down, the push along it, with postures for all of its corridor, and the rest after it.
+
+    `push` is its straight beginning; for the rest see `plan_push`, whose exceptions it raises. LIMIT and UNREACHABLE are raised for any
+    place of the corridor within the workspace that the tool cannot be in, or not move in at the largest speed of a push.
+    """
+    q_now = kinematics.check_configuration(q_now)
+    _check_positions(kinematics, q_now[None, :])
+    max_velocity, acceleration_limit = _max_velocity(kinematics, settings), _acceleration_limit(kinematics, settings)
+    approach = _approach(kinematics, q_now, path.position[0], settings)
+    settle = stand_still(approach[-1].position[-1], settings.settle)
+    postures = PostureMap(kinematics, settle.position[-1], corridor, limits.workspace)
+    speed, acceleration = postures.allowed(limits.max_speed, settings.acceleration, max_velocity, acceleration_limit, settings.link_height)
+    if path.speed > speed or acceleration < _LEAST_ACCELERATION:
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"in this corridor the joints allow the tool {speed:.3f} m/s and {acceleration:.2f} m/s^2, needed are {path.speed:.3f} and "
+            f"{_LEAST_ACCELERATION:.2f}; go slower, or give a narrower corridor.",
+        )
+    tool = rounded(path, 0.0, path.position[0], np.zeros(2), acceleration)
+    pushing = JointTrajectory(tool.time, *postures.joints(tool))
+    rest = stand_still(pushing.position[-1], settings.rest)
+    lowered = sum(part.duration for part in approach)
+    departure = lowered + settle.duration
+    stop = departure + pushing.duration
+    trajectory = join([*approach, settle, pushing, rest])
+    plan = PathPlan(
+        kinematics.joint_names,
+        trajectory,
+        _checked_tip(kinematics, trajectory, max_velocity, settings),
+        acceleration_limit,
+        replace(push, distance=_travel(tool, push)),
+        lowered,
+        departure,
+        departure + float(path.time[1]),
+        stop,
+        stop + rest.duration,
+        postures,
+        tool,
+        settings.rest,
+        speed,
+        acceleration,
+    )
+    _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
+    return plan
+
+
+def _travel(tool: ToolMotion, push: PushPlan2D) -> float:
+    """Length of the motion after the contact [m]."""
+    behind = (tool.position - push.tool_at_contact) @ push.heading >= 0.0
+    touched = int(np.argmax(behind)) if behind.any() else len(behind) - 1
+    return float(np.sum(np.linalg.norm(np.diff(tool.position[touched:], axis=0), axis=1)))
 
 
 def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike, settings: MotionSettings) -> ArmMotion:
@@ -225,6 +331,19 @@ def _max_acceleration(kinematics: ArmKinematics, settings: MotionSettings) -> Fl
 
 def _point(xy: Float64Array, height: float) -> Float64Array:
     return np.array([xy[0], xy[1], height])
+
+
+def _approach(kinematics: ArmKinematics, q_now: Float64Array, start: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
+    """Up, home, above `start` (2,), and down to the height of the push."""
+    parts, home = _up(kinematics, q_now, settings), kinematics.check_configuration(settings.home)
+    q = parts[-1].position[-1] if parts else q_now
+    if np.max(np.abs(q - home)) > _AT_HOME:
+        parts.append(_free_move(kinematics, q, home, settings))
+        q = home
+    above = _reach(kinematics, _point(start, settings.safe_height), kinematics.neutral)
+    parts.append(_free_move(kinematics, q, above, settings))
+    parts.append(_straight(kinematics, above, _point(start, settings.push_height), settings))
+    return parts
 
 
 def _up(kinematics: ArmKinematics, q: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
@@ -334,14 +453,7 @@ def _checked_tip(
             f"{kinematics.joint_names[joint]} would turn at {abs(trajectory.velocity[row, joint]):.3f} rad/s, limit "
             f"{max_velocity[joint]:.3f} rad/s; push slower.",
         )
-    acceleration, limit = np.abs(trajectory.acceleration), _acceleration_limit(kinematics, settings)
-    row, joint = np.unravel_index(int(np.argmax(acceleration / limit)), acceleration.shape)
-    if acceleration[row, joint] > limit[joint] * (1.0 + 1e-3):
-        raise PlanningError(
-            PushCode.LIMIT,
-            f"{kinematics.joint_names[joint]} would accelerate at {acceleration[row, joint]:.2f} rad/s^2, limit {limit[joint]:.2f} rad/s^2 "
-            f"(joint_acceleration_limits); lower `acceleration` of the tool, {settings.acceleration:.2f} m/s^2, or push slower.",
-        )
+    _check_acceleration(kinematics.joint_names, trajectory, _acceleration_limit(kinematics, settings), settings.acceleration)
     tip = np.empty((len(trajectory.time), 3))
     for i, q in enumerate(trajectory.position):
         tip[i] = kinematics.forward(q)[:3, 3]
@@ -352,6 +464,17 @@ def _checked_tip(
                 f"{name} would be {height:.3f} m above the table, limit {settings.link_height:.3f} m; move the arm closer to home.",
             )
     return tip
+
+
+def _check_acceleration(joint_names: tuple[str, ...], trajectory: JointTrajectory, limit: Float64Array, of_tool: float) -> None:
+    acceleration = np.abs(trajectory.acceleration)
+    row, joint = np.unravel_index(int(np.argmax(acceleration / limit)), acceleration.shape)
+    if acceleration[row, joint] > limit[joint] * (1.0 + 1e-3):
+        raise PlanningError(
+            PushCode.LIMIT,
+            f"{joint_names[joint]} would accelerate at {acceleration[row, joint]:.2f} rad/s^2, limit {limit[joint]:.2f} rad/s^2 "
+            f"(joint_acceleration_limits); lower `acceleration` of the tool, {of_tool:.2f} m/s^2, or push slower.",
+        )
 
 
 def _check_height(tip: Float64Array, settings: MotionSettings, start: float = np.inf) -> None:

@@ -86,6 +86,11 @@ class PathPacing:
         """Whether the latest piece leads to the end of the plan."""
         return self._s[-1] >= self.duration
 
+    def change(self, trajectory: JointTrajectory) -> None:
+        """Another plan, the same up to where the arm will be when the next piece begins to act, at least."""
+        self._plan, self.duration = trajectory, trajectory.duration
+        self._times, self._bend = trajectory.time.tolist(), trajectory.acceleration
+
     # ---- what the arm gets
 
     def piece(self, now: float, splice: float = SPLICE) -> JointTrajectory:

@@ -207,6 +207,10 @@ class Client(Protocol):
         """Report the phase, and the share of the motion that is done."""
         ...
 
+    def began(self, push_id: int, start: float) -> None:
+        """A push has begun; `start`: when its tool departs [s], clock of the cell. Called again where that changes."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class ExecutionPorts:

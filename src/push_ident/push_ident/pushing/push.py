@@ -33,6 +33,7 @@ class PushCode(IntEnum):
     FORCE = -11
     HAND = -12
     RECORDING = -13
+    CORRECTION = -14
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,10 @@ from push_ident.errors import PlanningError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.tool_path import ToolPath
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["check_push", "is_near_edge", "push_from_goal", "recentring_pushes", "sample_push"]
+__all__ = ["check_push", "is_near_edge", "push_along_path", "push_from_goal", "recentring_pushes", "sample_push"]
 
 _MAX_DRAWS = 1000
 """Random pushes that are tried."""
@@ -26,6 +27,8 @@ _MAX_DEVIATION = np.radians(60.0)
 """Largest angle between a push back to the middle and the direction to the middle [rad]."""
 _EARLY_TOUCH = 1e-4
 """Overlap with the outline that still counts as the planned contact [m]."""
+_TOUCH = 5e-3
+"""Of a tool at the planned contact [m]: the error of a pose that was observed some frames after that which was planned from."""
 
 
 def push_from_goal(
@@ -63,6 +66,45 @@ def push_from_goal(
     push = PushPlan2D(contact, contact + settings.pusher_radius * normal, float(direction), float(distance), float(speed))
     check_push(push, outline, settings, obstacles)
     return push
+
+
+def push_along_path(
+    shape: ObjectShape, pose_object_in_table: ArrayLike, path: ToolPath, settings: PushSettings, obstacles: Sequence[Float64Array] = ()
+) -> PushPlan2D:
+    """The straight beginning of a push along a path of the tool, which is in contact at the second point.
+
+    `obstacles` as in `check_push`. Raises PlanningError: INVALID_GOAL where the tool would not touch the object there, or goes too fast;
+    LIMIT and UNREACHABLE as `check_push`.
+    """
+    outline = transform_points(pose_object_in_table, shape.outline)
+    first, second = path.position[:2]
+    ahead = second - first
+    direction = float(np.arctan2(ahead[1], ahead[0]))
+    gap = float(signed_distance(second[None], outline)[0]) - settings.pusher_radius
+    if abs(gap) > _TOUCH:
+        raise PlanningError(
+            PushCode.INVALID_GOAL,
+            f"the tool would be {1e3 * gap:.1f} mm from the object at the second point of tool_path, expected {1e3 * _TOUCH:.0f} at most; "
+            "plan from the latest pose.",
+        )
+    if path.speed > settings.max_speed:
+        raise PlanningError(PushCode.INVALID_GOAL, f"tool_path has {path.speed:.3f} m/s, expected {settings.max_speed:.3f} at most.")
+    if (excess := settings.excess(path.position)) > 0.0:
+        raise PlanningError(PushCode.LIMIT, f"tool_path leaves the workspace {settings.workspace} m by {1e3 * excess:.1f} mm.")
+    # Until it touches, the tool keeps clear of the object, as far as its pose is known; of others all the way.
+    ways = [(_line(first, second), outline, _TOUCH), *((path.dense(), other, _EARLY_TOUCH) for other in obstacles)]
+    for way, other, deepest in ways:
+        gaps = signed_distance(way, other) - settings.pusher_radius
+        if gaps[0] < settings.lowering_gap or float(np.min(gaps)) < -deepest:
+            k = 0 if gaps[0] < settings.lowering_gap else int(np.argmin(gaps))
+            raise PlanningError(
+                PushCode.UNREACHABLE,
+                f"on tool_path the pusher would be {1e3 * gaps[k]:.1f} mm from an object at ({way[k][0]:.3f}, {way[k][1]:.3f}) m; choose "
+                "another contact.",
+            )
+    contact, _ = _nearest_on_outline(second, outline, ahead)
+    length = float(np.sum(np.linalg.norm(np.diff(path.position[1:], axis=0), axis=1)))
+    return PushPlan2D(contact, np.array(second), direction, length, path.speed)
 
 
 def sample_push(

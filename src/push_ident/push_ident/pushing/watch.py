@@ -122,7 +122,7 @@ class ArmWatch:
         replan: Callable[[np.ndarray], ArmMotion],
         check_wanted: Callable[[], None],
         on_start: Callable[[ArmMotion, PathPacing], None],
-        on_look: Callable[[float, ArmState], None],
+        on_look: Callable[[float, float, ArmState], ArmMotion | None],
     ) -> None:
         """Make one motion.
 
@@ -132,7 +132,8 @@ class ArmWatch:
             replan: plans it once more from the posture [rad], if the arm was moved since.
             check_wanted: raises PlanningError when the motion should end.
             on_start: called with the motion that begins, and with what tells when the arm reaches which part of it.
-            on_look: called at each check with the time of the plan [s] that the arm has reached, and the arm's state; may raise
+            on_look: called at each check with the time of the plan [s] that the arm has reached, the time of the cell then [s],
+                and the arm's state. May give another motion, which is the same up to where the next piece begins to act; may raise
                 PlanningError, which ends the motion.
 
         Raises:
@@ -161,7 +162,7 @@ class ArmWatch:
         clock: _MotionClock,
         limits: WatchLimits,
         check_wanted: Callable[[], None],
-        on_look: Callable[[float, ArmState], None],
+        on_look: Callable[[float, float, ArmState], ArmMotion | None],
     ) -> None:
         """The only place from which the arm is moved: one thread, and nothing follows the hold."""
         is_measured = self._force.silence <= limits.patience(limits.wrench_timeout)
@@ -182,7 +183,9 @@ class ArmWatch:
                 self._check_force(is_measured, limits)
                 self._check_equipment()
                 elapsed = pacing.path_time(clock.of(state))
-                on_look(elapsed, state)
+                if (changed := on_look(elapsed, clock.of(state), state)) is not None:
+                    motion = changed
+                    pacing.change(motion.trajectory)
                 arrived = np.max(np.abs(state.q - motion.trajectory.position[-1])) <= limits.start_tolerance
                 if elapsed >= motion.duration and arrived:
                     return

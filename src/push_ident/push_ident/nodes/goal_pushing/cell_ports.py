@@ -5,27 +5,39 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Point
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.frames import TABLE_FRAME
+from push_ident.nodes.convert_tool_path import path_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.model_input import ModelInput
+from push_ident.nodes.goal_pushing.parameters import SteeringValues
+from push_ident.nodes.goal_pushing.path_planners import PathPlanners
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, WorkUnderWay
+from push_ident.nodes.goal_pushing.steered_push import SteeredPush
 from push_ident.nodes.table_input import TableInput
 from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal, edges_of
 from push_ident.planning.goal_ports import KnownModel, Wish
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
 from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.steering import PathRequest, ToolCorrection
+from push_ident.pushing.tool_path import ToolPath
 from push_ident.types import Float64Array
 from push_ident_msgs.action import ExecutePush
 
-__all__ = ["CellPorts", "CellView", "WishOfClient"]
+__all__ = ["CellPorts", "CellView", "Steering", "WishOfClient"]
 
 _EVER = 1e9
 """An age that no pose has [s]."""
@@ -58,6 +70,18 @@ class WishOfClient:
         return Wish.FINISH if self._finish.is_set() else Wish.GO_ON
 
 
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """How pushes along paths are corrected."""
+
+    values: Callable[[], SteeringValues]
+    """The numbers of it."""
+    send: Callable[[ToolCorrection], None]
+    """Publishes a correction."""
+    guard: Callable[[str], Any]
+    """`Guard.watch`."""
+
+
 class CellView:
     """What all goals share: objects, models, table, executor, planners."""
 
@@ -69,15 +93,12 @@ class CellView:
         executor: ExecutorLink,
         planners: PlannerThread,
         settings: Callable[[], PushSettings | None],
+        steering: Steering,
     ) -> None:
-        self.objects, self.models, self.table, self.executor, self.planners, self.settings = (
-            objects,
-            models,
-            table,
-            executor,
-            planners,
-            settings,
-        )
+        self.objects, self.models, self.table, self.executor = objects, models, table, executor
+        self.planners, self.settings, self.steering, self.path_planners = planners, settings, steering, PathPlanners()
+        self.steered: SteeredPush | None = None
+        """The latest push along a path."""
 
 
 class CellPorts:
@@ -162,3 +183,37 @@ class CellPorts:
             goal.contact_point = Point(x=float(push.contact_point[0]), y=float(push.contact_point[1]), z=0.0)
             goal.direction, goal.distance, goal.speed = float(push.direction), float(push.distance), float(push.speed)
         return self._view.executor.begin(goal, self._executor_timeout)
+
+    def begin_step(
+        self,
+        model: KnownModel,
+        seen: TrackedObject,
+        path: PathGoal,
+        done: float,
+        obstacles: list[Float64Array],
+        failed: list[PushPlan2D],
+        *,
+        steers: bool,
+    ) -> WorkUnderWay[PathStep]:
+        """As `PathPorts`."""
+        width = self._view.steering.values().half_width
+        planners = self._view.path_planners
+        return planners.begin(model.posterior, self._settings(), width, seen, (path, done), (obstacles, failed), steers)
+
+    def begin_steered(self, seen: TrackedObject, step: PathStep, path: PathGoal) -> SteeredPush:
+        """As `PathPorts`."""
+        plan, steering = step.steered, self._view.steering
+        assert plan is not None and step.follower is not None, "a push whose tool is steered"
+        assert plan.time is not None and plan.tool is not None and plan.corridor is not None, "it has a path"
+        values = steering.values()
+        request = PathRequest(ToolPath(plan.time, plan.tool), plan.corridor, values.timeout)
+        self._view.steered = SteeredPush(
+            self._view.executor.begin(path_goal(seen.object_id, request), self._executor_timeout),
+            step.follower(values.lead),
+            plan,
+            seen,
+            observe=partial(self._view.objects.get, max_age=np.inf),
+            send=steering.send,
+            guard=steering.guard,
+        )
+        return self._view.steered

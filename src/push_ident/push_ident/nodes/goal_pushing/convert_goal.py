@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest
+from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.target import Target
 from push_ident.types import Float64Array
 from push_ident_msgs.action import PushToGoal
@@ -37,9 +38,14 @@ def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequ
     position, turn = msg.goal.pose.position, msg.goal.pose.orientation
     if not all(map(math.isfinite, (position.x, position.y, turn.x, turn.y, turn.z, turn.w))):
         raise InputError("The goal has coordinates that are not finite; give x and y in metres and a quaternion about z.")
-    if msg.kind not in (PushToGoal.Goal.KIND_POSE, PushToGoal.Goal.KIND_EDGE):
-        raise InputError(f"The kind of the goal is {msg.kind}, expected KIND_POSE (0) or KIND_EDGE (1).")
-    goal = _pose_goal(msg, defaults) if msg.kind == PushToGoal.Goal.KIND_POSE else _edge_goal(msg, defaults)
+    makers: dict[int, Callable[[PushToGoal.Goal, dict[str, Any]], Goal | EdgeGoal | PathGoal]] = {
+        PushToGoal.Goal.KIND_POSE: _pose_goal,
+        PushToGoal.Goal.KIND_EDGE: _edge_goal,
+        PushToGoal.Goal.KIND_PATH: _path_goal,
+    }
+    if msg.kind not in makers:
+        raise InputError(f"The kind of the goal is {msg.kind}, expected KIND_POSE (0), KIND_EDGE (1) or KIND_PATH (2).")
+    goal = makers[msg.kind](msg, defaults)
     return GoalRequest(
         object_id=msg.object_id,
         goal=goal,
@@ -66,6 +72,20 @@ def _edge_goal(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> EdgeGoal:
         float(msg.position_tolerance) or defaults["position_tolerance"],
         float(msg.yaw_tolerance) or defaults["edge_yaw_tolerance"],
         defaults["edge_risk"],
+    )
+
+
+def _path_goal(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> PathGoal:
+    frame = msg.path.header.frame_id
+    if frame not in ("", TABLE_FRAME):
+        raise InputError(f"The path is in frame {plain_text(frame)!r}, expected {TABLE_FRAME!r}; transform it first.")
+    LIMITS.POINTS.check(len(msg.path.poses), "path")
+    poses = [planar_pose_of(pose.pose) for pose in msg.path.poses]
+    return PathGoal(
+        np.array(poses).reshape(-1, 3),
+        float(msg.speed) or defaults["path_speed"],
+        float(msg.position_tolerance) or defaults["path_position_tolerance"],
+        float(msg.yaw_tolerance) or defaults["path_yaw_tolerance"],
     )
 
 
@@ -100,6 +120,7 @@ def feedback_to_msg(progress: GoalProgress) -> PushToGoal.Feedback:
     msg = PushToGoal.Feedback(state=int(progress.state), pushes=int(progress.observed), elapsed=float(progress.elapsed))
     msg.position_error, msg.yaw_error = (float(value) for value in progress.error)
     msg.pose, msg.target, msg.edge = planar_pose_msg(progress.pose), _target_msg(progress), edge_points(progress.target)
+    msg.done = float(progress.done)
     msg.overhang, msg.margin = float(progress.overhang), float(progress.margin)
     plan = progress.plan
     if plan is not None:
@@ -113,6 +134,8 @@ def result_to_msg(outcome: GoalOutcome) -> PushToGoal.Result:
     progress = outcome.progress
     msg = PushToGoal.Result(error_code=int(outcome.code), error_text=plain_text(outcome.text))
     msg.position_error, msg.yaw_error = (float(value) for value in progress.error)
+    msg.done, msg.corrections = float(progress.done), int(progress.corrections)
+    msg.rms_position, msg.rms_yaw = (float(value) for value in progress.rms)
     msg.target, msg.overhang, msg.margin = _target_msg(progress), float(progress.overhang), float(progress.margin)
     msg.chance, msg.pushes, msg.elapsed = float(progress.chance), int(progress.pushes), float(progress.elapsed)
     return msg

@@ -16,7 +16,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert import push_interval_from_msg
+from push_ident.nodes.convert import push_interval_from_msg, stamp_from_msg
 from push_ident.planning.goal_ports import PushReport
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
@@ -134,12 +134,19 @@ class RequestedPush:
         self._link, self._goal, self._timeout = link, goal, timeout
         self._lock = threading.Lock()
         self._report: PushReport | None = None
+        self.begun = (0, 0.0)
+        """Number of the push, and when its tool departs [s], clock of the poses; 0: not known yet."""
         self._push_id = 0
         self._handle: Any = None
         self._is_canceled = self._is_cancel_sent = self._is_sent = False
         self._began = self._heard = self._served = time.monotonic()
         self._looked = -np.inf
         self._asked = -np.inf
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether there is a report; any thread may ask."""
+        return self._report is not None
 
     def report(self) -> PushReport | None:
         """As `PushUnderWay`."""
@@ -209,6 +216,7 @@ class RequestedPush:
 
     def _on_feedback(self, message: Any) -> None:
         self._heard = time.monotonic()
+        self.begun = int(message.feedback.push_id), stamp_from_msg(message.feedback.start)
 
     def _on_result(self, future: Any) -> None:
         result = future.result().result

@@ -1,4 +1,4 @@
-"""Node `goal_pushing`: pushes an object to a goal pose, or out over an edge of the table, one push after another, and learns from each."""
+"""Node `goal_pushing`: pushes an object to a goal pose, along a path or out over an edge of the table, and learns from each push."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import time
 from dataclasses import replace
 from typing import Any, Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import MarkerArray
 
@@ -22,11 +23,12 @@ from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import cylinder_radius_from_msg
 from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
 from push_ident.nodes.convert_table import EDGE_TOPIC, edge_to_msg
-from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, WishOfClient
+from push_ident.nodes.convert_tool_path import correction_to_msg
+from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, Steering, WishOfClient
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
 from push_ident.nodes.goal_pushing.model_input import ModelInput
-from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits
+from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits, steering_values
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
 from push_ident.nodes.run import run_node
 from push_ident.nodes.table_input import TableInput
@@ -35,10 +37,13 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, Wish
 from push_ident.planning.goal_session import GoalSession
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_session import PathSession
 from push_ident.planning.planner import GoalPush
 from push_ident.planning.target import Target
 from push_ident.pushing.push import PushSettings
 from push_ident_msgs.action import PushToGoal
+from push_ident_msgs.msg import PushCorrection
 
 __all__ = ["PARAMETERS", "GoalPushingNode", "main"]
 
@@ -87,7 +92,13 @@ class _GoalPushing(Component):
         node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED, callback_group=housekeeping)
         self._executor = ExecutorLink(node)
         table = TableInput(node, housekeeping)
-        self._view = CellView(self._objects, self._models, table, self._executor, PlannerThread(), self._push_settings)
+        corrections = node.create_publisher(PushCorrection, "push_correction", qos_profile_sensor_data)
+        steering = Steering(
+            lambda: steering_values(self._settings.as_dict()),
+            lambda correction: corrections.publish(correction_to_msg(correction)),
+            node.guard.watch,
+        )
+        self._view = CellView(self._objects, self._models, table, self._executor, PlannerThread(), self._push_settings, steering)
         node.create_action_server(PushToGoal, "push_to_goal", self._execute, failed=_failed, callback_group=ReentrantCallbackGroup())
 
     def resume(self) -> None:
@@ -167,7 +178,8 @@ class _GoalPushing(Component):
                 if self._pushing is wish:
                     self._draw(progress)
 
-        return GoalSession(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
+        kind = PathSession if isinstance(request.goal, PathGoal) else GoalSession
+        return kind(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
 
     def _run(self, session: GoalSession, wish: WishOfClient) -> GoalOutcome:
         """Push, once the push of the goal before has ended."""
@@ -236,9 +248,17 @@ class _GoalPushing(Component):
             "effects by object": "; ".join(f"{o}: {text}" for o, text in self._models.effects().items()) or "none",
             "goals": self._n_goals,
             "goals reached": self._n_reached,
+            "corrections of the last push, median and 99 % [ms]": self._correction_times(),
             "last goal": self._last or "none",
         }
         return Health(DiagnosticStatus.WARN if reasons else DiagnosticStatus.OK, "; ".join(reasons) or self._state, values)
+
+    def _correction_times(self) -> str:
+        steered = self._view.steered
+        if steered is None or not steered.seconds:
+            return "none"
+        median, most = np.quantile(steered.seconds, [0.5, 0.99])
+        return f"{1e3 * median:.1f}, {1e3 * most:.1f}"
 
 
 def _failed(why: str) -> PushToGoal.Result:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 from push_ident.nodes.parameters import Parameter
@@ -10,7 +11,7 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings
 
-__all__ = ["PARAMETERS", "check_values", "push_settings", "session_limits"]
+__all__ = ["PARAMETERS", "SteeringValues", "check_values", "push_settings", "session_limits", "steering_values"]
 
 _EDGE: Final = EdgeGoal(None)
 
@@ -39,6 +40,18 @@ PARAMETERS: Final = (
     Parameter("pose_timeout", 1.0, "Oldest pose, by time of receipt, that a push is planned from [s]", 0.05, 60.0),
     Parameter("object_patience", 10.0, "How long is waited for the object to come into view [s]", 0.5, 600.0),
     Parameter("learn_timeout", 30.0, "How long is waited until identification has learned a push [s]", 0.0, 600.0),
+    Parameter("path_position_tolerance", 0.003, "Distance from a path that counts as one tolerance, where a goal gives 0 [m]", 0.0001, 1.0),
+    Parameter("path_yaw_tolerance", 0.035, "Angle to a path that counts as one tolerance, where a goal gives 0 [rad]", 0.001, 3.15),
+    Parameter("path_speed", 0.05, "Of an object along a path, where a goal gives 0 [m/s]", 0.001, 0.25),
+    Parameter("path_corridor", 0.06, "How far from its path a tool may be corrected; the arm must reach all of it [m]", 0.005, 0.2),
+    Parameter(
+        "path_lead",
+        0.1,
+        "From a frame to the motion that it corrects: a frame, its processing, a correction [s]",
+        0.01,
+        0.5,
+    ),
+    Parameter("path_timeout", 0.3, "Without a correction for so long, the tool stops on a path [s]", 0.05, 5.0),
     Parameter("executor_timeout", 60.0, "Longest silence of the executor during a push [s]; planning sends no feedback", 1.0, 600.0),
     Parameter("max_refusals", 8, "Pushes in a row that may be refused or miss before a goal is given up", 1, 100),
 )
@@ -71,3 +84,20 @@ def session_limits(values: dict[str, Any]) -> SessionLimits:
         learn_timeout=values["learn_timeout"],
         max_refusals=values["max_refusals"],
     )
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringValues:
+    """Numbers of corrected pushes along a path."""
+
+    half_width: float
+    """Of their corridors [m]."""
+    lead: float
+    """From a frame to the motion that it corrects [s]."""
+    timeout: float
+    """Longest time without a correction [s]."""
+
+
+def steering_values(values: dict[str, Any]) -> SteeringValues:
+    """How pushes along a path are corrected."""
+    return SteeringValues(values["path_corridor"], values["path_lead"], values["path_timeout"])

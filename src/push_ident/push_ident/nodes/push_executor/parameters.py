@@ -8,9 +8,9 @@ from typing import Any, Final, TypeVar
 from push_ident.errors import InputError
 from push_ident.nodes.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
-from push_ident.pushing.execution import ExecutionSettings
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
+from push_ident.pushing.push_request import ExecutionSettings
 from push_ident.pushing.watch import WatchLimits
 
 __all__ = ["PARAMETERS", "execution_settings"]

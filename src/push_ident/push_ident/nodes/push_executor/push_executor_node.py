@@ -13,7 +13,7 @@ from geometry_msgs.msg import Point, PoseStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from shape_msgs.msg import SolidPrimitive
 from std_srvs.srv import Trigger
 
@@ -21,6 +21,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
+from push_ident.nodes.convert_tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.push_executor.arm_lease import ArmLease
 from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
@@ -30,11 +31,12 @@ from push_ident.nodes.recording_port import RecordingPort
 from push_ident.nodes.run import run_node
 from push_ident.nodes.tracked_objects import TrackedObjects
 from push_ident.pushing.executed_push import ExecutedPush
-from push_ident.pushing.execution import PushExecution, PushOutcome, PushRequest
+from push_ident.pushing.execution import PushExecution
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase
 from push_ident.pushing.push import PushCode, PushPlan2D
+from push_ident.pushing.push_request import Mode, PushOutcome, PushRequest
 from push_ident_msgs.action import ExecutePush
-from push_ident_msgs.msg import PushRecord
+from push_ident_msgs.msg import PushCorrection, PushRecord
 
 __all__ = ["PARAMETERS", "PushExecutorNode", "main"]
 
@@ -65,13 +67,18 @@ class _GoalClient:
 
     def __init__(self, goal: ServerGoalHandle) -> None:
         self._goal = goal
+        self._push_id, self._start = 0, Time()
 
     @property
     def is_cancel_requested(self) -> bool:
         return bool(self._goal.is_cancel_requested)
 
     def feedback(self, phase: Phase, progress: float) -> None:
-        self._goal.publish_feedback(ExecutePush.Feedback(phase=int(phase), progress=float(min(progress, 1.0))))
+        msg = ExecutePush.Feedback(phase=int(phase), progress=float(min(progress, 1.0)), push_id=self._push_id, start=self._start)
+        self._goal.publish_feedback(msg)
+
+    def began(self, push_id: int, start: float) -> None:
+        self._push_id, self._start = push_id, stamp_to_msg(max(start, 0.0))
 
 
 class PushExecutorNode(CellNode):
@@ -109,6 +116,14 @@ class _PushExecutor(Component):
         self._shape_pub.publish(cylinder_to_msg(values["pusher_radius"], values["pusher_height"]))
 
         self._make_ports(values)
+        # As poses: the newest counts, and one that is lost is followed by the next.
+        node.create_subscription(
+            PushCorrection,
+            "push_correction",
+            lambda msg: self._execution.correct(correction_from_msg(msg)),
+            qos_profile_sensor_data,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+        )
         node.create_service(Trigger, "close_hand", self._on_close_hand, callback_group=MutuallyExclusiveCallbackGroup())
         node.create_action_server(ExecutePush, "execute_push", self._execute, failed=self._failed, callback_group=ReentrantCallbackGroup())
         # Last: what fails after it would keep the lease.
@@ -236,11 +251,13 @@ def _request_from_goal(goal: ExecutePush.Goal) -> PushRequest:
         speed=float(goal.speed),
         seed=int(goal.seed),
         dry_run=bool(goal.dry_run),
+        path=path_request_from_goal(goal) if goal.mode == Mode.PATH else None,
     )
 
 
 def _result_to_msg(outcome: PushOutcome) -> ExecutePush.Result:
     result = ExecutePush.Result(push_id=outcome.push_id, recentre_push_id=outcome.recentre_push_id)
+    result.corrections, result.corrections_refused = outcome.n_corrections, outcome.n_refused
     if outcome.plan is not None:
         push = outcome.plan.push
         result.contact_point = _point(push)

@@ -75,6 +75,8 @@ class Goal:
     future: Any = None
     ended: float = 0.0
     """When the result came [s]."""
+    push_id: int = 0
+    """Of the push, as its feedback says; 0: nothing moved yet."""
 
     @property
     def result(self) -> ExecutePush.Result | None:
@@ -163,6 +165,7 @@ class Monitor:
 
         def on_feedback(msg: Any) -> None:
             sent.phases.append((time.monotonic(), int(msg.feedback.phase)))
+            sent.push_id = int(msg.feedback.push_id) or sent.push_id
 
         asked = self._ask(lambda: self._push.send_goal_async(goal, feedback_callback=on_feedback), patience)
         until(asked.done, patience, "execute_push did not answer")

@@ -16,7 +16,7 @@ from std_msgs.msg import Float32MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushRecord
+from push_ident_msgs.msg import MassFrictionMap, PushCorrection, PushPrediction, PushRecord
 
 __all__ = ["OBJECT", "SEEN", "TOPICS", "Topic", "qos_of"]
 
@@ -44,6 +44,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "pusher/shape": Topic(SolidPrimitive, latched=True),
     "tool/pose": Topic(PoseStamped),
     "push_record": Topic(PushRecord),
+    "push_correction": Topic(PushCorrection, best_effort=True),
     "recording": Topic(DiagnosticStatus, latched=True),
     "/clock": Topic(Clock),
     "/diagnostics": Topic(DiagnosticArray),

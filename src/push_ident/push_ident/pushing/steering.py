@@ -1,0 +1,234 @@
+"""Corrections of a push along a path while it is made: which are refused, what the tool does then, and when it stops for want of them.
+
+A correction that cannot be used changes nothing: the last one that could goes on. It was within the corridor and led to rest at its end, so
+it is safe without further news, and the next frame brings another. Only when none comes for as long as was promised the tool stops.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.outline import signed_distance
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.motion import PathPlan
+from push_ident.pushing.pacing import SPLICE
+from push_ident.pushing.push import PushCode, PushSettings
+from push_ident.pushing.tool_path import ToolPath
+from push_ident.types import Float64Array
+
+__all__ = ["CorrectionFault", "PathRequest", "Steering", "ToolCorrection"]
+
+_AHEAD: Final = SPLICE + 0.01
+"""From now to where a motion may change [s]: the arm has pieces up to the splice, and the next one is sent within 10 ms."""
+_JUMP: Final = 0.01
+"""A path that begins further from where the tool should be then is of something else [m]: twice what a tool at 0.25 m/s does in 20 ms."""
+_INSIDE: Final = 1e-6
+"""Rounding of places [m]."""
+_FASTER: Final = 1.02
+"""Rounding of times, which makes speeds seem larger [1]."""
+_LEAST_TIMEOUT, _LARGEST_TIMEOUT = 0.05, 5.0
+"""Of corrections [s]: a camera of 20 frames a second, and longer than any frame takes."""
+
+
+class CorrectionFault(Enum):
+    """Why a correction is refused."""
+
+    FOREIGN = "is of another push"
+    UNWANTED = "is not taken by this push, which was sent without a timeout of corrections, or has been told to stop"
+    OLDER = "is not newer than the one before"
+    LATE = "comes too late"
+    MALFORMED = "is no path"
+    JUMP = "begins elsewhere than the tool is"
+    CORRIDOR = "leaves the corridor"
+    WORKSPACE = "leaves the workspace"
+    SPEED = "is too fast"
+    OBSTACLE = "comes too near to another object"
+    JOINTS = "is too much for the joints"
+
+
+@dataclass(frozen=True, slots=True)
+class PathRequest:
+    """A push along a path, as a client requests it.
+
+    Raises:
+        InputError: a path out of its corridor, or a timeout that is neither 0 nor between 0.05 and 5 s.
+    """
+
+    path: ToolPath
+    """Lowered at the first point, which has the time 0, and in contact at the second."""
+    corridor: Corridor
+    correction_timeout: float = 0.0
+    """Longest time without a correction [s]; 0: none are taken."""
+
+    def __post_init__(self) -> None:
+        if abs(float(self.path.time[0])) > 1e-6:
+            raise InputError(f"tool_path begins at {self.path.time[0]:.3f} s, expected 0.")
+        if (excess := float(np.max(self.corridor.excess(self.path.dense())))) > _INSIDE:
+            raise InputError(f"tool_path leaves its corridor by {1e3 * excess:.1f} mm; widen the corridor, or lead it along the path.")
+        if not (self.correction_timeout == 0.0 or _LEAST_TIMEOUT <= self.correction_timeout <= _LARGEST_TIMEOUT):
+            raise InputError(
+                f"correction_timeout is {self.correction_timeout} s, expected {_LEAST_TIMEOUT} to {_LARGEST_TIMEOUT} s, or 0 for a push "
+                "that is not corrected."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ToolCorrection:
+    """A correction as it comes, not yet checked."""
+
+    push_id: int
+    stamp: float
+    """When its path begins [s], clock of the cell."""
+    stop: bool
+    """The tool stops; there need be no path."""
+    time: Float64Array
+    """From the stamp on [s], shape (n,)."""
+    position: Float64Array
+    """Axis of the tool [m], shape (n, 2), table frame."""
+
+
+class Steering:
+    """What one push along a path is corrected by. Corrections may come in another thread.
+
+    Args:
+        request: of the client.
+        settings: limits of the tool.
+        obstacles: gives the outlines of the other objects, table frame [m], each of shape (n_vertices, 2).
+        timeout: longest time without a correction, after the contact and by wall time [s].
+    """
+
+    def __init__(
+        self, request: PathRequest, settings: PushSettings, obstacles: Callable[[], Sequence[Float64Array]], timeout: float
+    ) -> None:
+        self._request, self._settings, self._obstacles, self._timeout = request, settings, obstacles, timeout
+        self._lock = threading.Lock()
+        self._pending: ToolCorrection | None = None
+        self._latest = -np.inf
+        self._heard = self._heard_at = np.inf
+        self._push_id = 0
+        self._plan: PathPlan | None = None
+        self._offset = self._now = 0.0
+        self._is_stopping = False
+        self.n_made = 0
+        """Corrections that were made, or gave way to a newer one before."""
+        self.refused: Counter[CorrectionFault] = Counter()
+        """How many were not."""
+
+    def begin(self, push_id: int, plan: PathPlan) -> None:
+        """The push begins."""
+        with self._lock:
+            self._push_id, self._plan = push_id, plan
+
+    def offer(self, correction: ToolCorrection) -> None:
+        """Take a correction, or refuse and count it.
+
+        Raises:
+            InputError: it is refused; why.
+        """
+        with self._lock:
+            if correction.stop and self._is_stopping and correction.push_id == self._push_id:
+                return  # said again, lest it was lost
+            self._check(correction)
+            self._pending, self._latest = correction, correction.stamp
+            self._heard = np.inf if correction.stop else self._heard_at
+            self._is_stopping = self._is_stopping or correction.stop
+            self.n_made += 1
+
+    def look(self, elapsed: float, time: float, wall: float) -> PathPlan | None:
+        """What is to be made from now on, if that changes.
+
+        Args:
+            elapsed: time of the plan that the arm has reached [s].
+            time: the time then, clock of the cell [s].
+            wall: the present, wall time [s].
+
+        Raises:
+            PlanningError: CORRECTION where promised corrections do not come.
+        """
+        with self._lock:
+            plan = self._plan
+            assert plan is not None, "it has begun"
+            self._offset, self._now, self._heard_at = elapsed - plan.departure - time, time, wall
+            if elapsed < plan.contact or not self._timeout:
+                self._heard = wall
+            silence = wall - self._heard
+            if silence > self._timeout and not self._is_stopping and elapsed < plan.stop:
+                raise PlanningError(PushCode.CORRECTION, self._silent(silence))
+            correction, self._pending = self._pending, None
+            if correction is None:
+                return None
+            try:
+                self._plan = plan.corrected(*self._motion(plan, correction))
+            except PlanningError as error:
+                self._count(CorrectionFault.JOINTS, str(error))
+                return None
+            return self._plan
+
+    # ---- parts, called with the lock
+
+    def _silent(self, silence: float) -> str:
+        refused = ", ".join(f"{n} {fault.name}" for fault, n in self.refused.most_common())
+        return (
+            f"no usable correction for {silence:.2f} s, limit {self._timeout:.2f} s ({self.n_made} made; refused: {refused or 'none'}); "
+            "are camera and goal_pushing_node running?"
+        )
+
+    def _motion(self, plan: PathPlan, correction: ToolCorrection) -> tuple[ToolPath, float]:
+        """Path from the departure on, and when it begins to act [s]."""
+        begin = self._now + self._offset + _AHEAD
+        if not correction.stop:
+            return ToolPath(correction.stamp + self._offset + correction.time, correction.position), begin
+        k = min(int(np.searchsorted(plan.tool.time, begin)), len(plan.tool.time) - 1)
+        at, velocity = float(plan.tool.time[k]), plan.tool.velocity[k]
+        braking = max(float(np.linalg.norm(velocity)) / plan.acceleration, 0.01)
+        return ToolPath(np.array([at, at + braking]), plan.tool.position[k] + np.outer([0.0, 0.5 * braking], velocity)), begin
+
+    def _count(self, fault: CorrectionFault, detail: str) -> InputError:
+        self.refused[fault] += 1
+        return InputError(f"the correction {fault.value}: {detail} ({self.refused[fault]} such so far in push {self._push_id}).")
+
+    def _check(self, correction: ToolCorrection) -> None:
+        if correction.push_id != self._push_id or not self._push_id:
+            raise self._count(CorrectionFault.FOREIGN, f"push_id is {correction.push_id}, expected {self._push_id}")
+        if self._is_stopping or not self._timeout:
+            raise self._count(CorrectionFault.UNWANTED, "it changes nothing")
+        if not np.isfinite(correction.stamp) or correction.stamp <= self._latest:
+            raise self._count(CorrectionFault.OLDER, f"its stamp is {correction.stamp:.3f} s, expected more than {self._latest:.3f} s")
+        # Behind by the timeout and ahead of the cell's time by as much: clocks that are not set.
+        if abs(self._now - correction.stamp) > self._timeout:
+            raise self._count(
+                CorrectionFault.LATE,
+                f"its stamp is {self._now - correction.stamp:.3f} s old, limit {self._timeout:.2f} s; are the clocks the same?",
+            )
+        if not correction.stop:
+            self._check_path(correction)
+
+    def _check_path(self, correction: ToolCorrection) -> None:
+        try:
+            path = ToolPath(correction.time, correction.position)
+        except InputError as error:
+            raise self._count(CorrectionFault.MALFORMED, str(error)) from None
+        plan, begin = self._plan, correction.stamp + self._offset
+        assert plan is not None, "it has begun"
+        now = np.array([np.interp(begin, plan.tool.time, column) for column in plan.tool.position.T])
+        if (jump := float(np.linalg.norm(path.position[0] - now))) > _JUMP:
+            raise self._count(CorrectionFault.JUMP, f"{1e3 * jump:.1f} mm away, limit {1e3 * _JUMP:.0f} mm")
+        points = path.dense()
+        if (excess := float(np.max(self._request.corridor.excess(points)))) > _INSIDE:
+            raise self._count(CorrectionFault.CORRIDOR, f"by {1e3 * excess:.1f} mm")
+        if (excess := self._settings.excess(points)) > _INSIDE:
+            raise self._count(CorrectionFault.WORKSPACE, f"by {1e3 * excess:.1f} mm")
+        if path.speed > _FASTER * plan.speed:
+            raise self._count(CorrectionFault.SPEED, f"{path.speed:.3f} m/s, limit {plan.speed:.3f} m/s")
+        for outline in self._obstacles():
+            gap = float(np.min(signed_distance(points, outline))) - self._settings.pusher_radius
+            if gap < 0.0:
+                raise self._count(CorrectionFault.OBSTACLE, f"it would touch it by {-1e3 * gap:.1f} mm")

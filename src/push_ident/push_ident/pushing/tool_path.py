@@ -1,0 +1,121 @@
+"""Where the tool goes over the table at which time, and the motion that an arm can make of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.types import Float64Array
+
+__all__ = ["ToolMotion", "ToolPath", "rounded"]
+
+_PERIOD: Final = 0.01
+"""Between samples of a motion [s], as of joint trajectories."""
+_DENSE: Final = 0.004
+"""Between the points of `ToolPath.dense` [m]."""
+_RATE: Final = 40.0
+"""With which a motion comes back to its path [1/s]: an error falls to a tenth within 0.1 s, and 0.4 in a sample is far from instable."""
+_WINDOW: Final = np.linspace(-0.5, 0.5, 9)
+"""Of the mean that rounds corners [1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToolPath:
+    """Points joined by straight lines.
+
+    Raises:
+        InputError: less than two points, shapes that do not fit, numbers that are not finite, or times that do not increase.
+    """
+
+    time: Float64Array
+    """[s], shape (n,), ascending."""
+    position: Float64Array
+    """Axis of the tool [m], shape (n, 2), table frame."""
+
+    def __post_init__(self) -> None:
+        time, position = np.array(self.time, dtype=np.float64), np.array(self.position, dtype=np.float64)
+        if time.ndim != 1 or len(time) < 2 or position.shape != (len(time), 2):
+            raise InputError(
+                f"A path of the tool has times of shape {time.shape} and points of shape {position.shape}, expected (n,), (n, 2)."
+            )
+        if not (np.isfinite(time).all() and np.isfinite(position).all()):
+            raise InputError("A path of the tool has numbers that are not finite; give seconds and metres.")
+        if np.any(np.diff(time) <= 0):
+            raise InputError(f"The times of a path of the tool do not increase at point {int(np.argmax(np.diff(time) <= 0)) + 2}.")
+        for name, values in (("time", time), ("position", position)):
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+
+    @property
+    def speed(self) -> float:
+        """The largest one [m/s]."""
+        return float(np.max(np.linalg.norm(np.diff(self.position, axis=0), axis=1) / np.diff(self.time)))
+
+    def at(self, time: Float64Array) -> Float64Array:
+        """Points at times [s] of any shape, shape (..., 2); before the first and after the last those."""
+        return np.stack([np.interp(time, self.time, column) for column in self.position.T], axis=-1)
+
+    def later(self, delay: float) -> ToolPath:
+        """The same, `delay` [s] later."""
+        return ToolPath(self.time + delay, self.position)
+
+    def dense(self) -> Float64Array:
+        """Points at most 4 mm apart, shape (n, 2)."""
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.position, axis=0), axis=1))])
+        even = np.linspace(0.0, length[-1], max(2, int(np.ceil(length[-1] / _DENSE)) + 1))
+        # The corners are points too.
+        return np.stack([np.interp(np.sort(np.append(even, length)), length, column) for column in self.position.T], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class ToolMotion:
+    """Samples of a motion, 100 a second; the last one is at rest."""
+
+    time: Float64Array
+    """[s], shape (n,)."""
+    position: Float64Array
+    """[m], shape (n, 2), table frame."""
+    velocity: Float64Array
+    """[m/s], shape (n, 2)."""
+
+    @property
+    def heading(self) -> Float64Array:
+        """Unit vector of the motion before it comes to rest, shape (2,)."""
+        speed = np.linalg.norm(self.velocity, axis=1)
+        moves = np.flatnonzero(speed > 0.2 * max(float(speed.max()), 1e-9))
+        return np.asarray(self.velocity[moves[-1]] / speed[moves[-1]]) if len(moves) else np.array([1.0, 0.0])
+
+
+def rounded(path: ToolPath, begin: float, position: Float64Array, velocity: Float64Array, acceleration: float) -> ToolMotion:
+    """A motion that keeps to a path as closely as its acceleration allows, and ends at rest at the end of it.
+
+    Corners are rounded by the mean over a window in which the largest speed can be reached. From where the tool is, which may be beside the
+    path when that comes late, a controller with the path's own acceleration leads onto it.
+
+    Args:
+        path: to be made.
+        begin: when the motion begins [s].
+        position: of the tool then [m], shape (2,).
+        velocity: and its velocity [m/s], shape (2,).
+        acceleration: largest [m/s^2].
+    """
+    window = max(path.speed, float(np.linalg.norm(velocity))) / acceleration
+    end = max(float(path.time[-1]) + 0.5 * window, begin) + 5.0 / _RATE
+    time = np.asarray(begin + _PERIOD * np.arange(int(np.ceil((end - begin) / _PERIOD)) + 1), dtype=np.float64)
+    mean = path.at(time[:, None] + window * _WINDOW).mean(axis=1)
+    ends = path.at(time[:, None] + window * np.array([-0.5, 0.5]))
+    wanted = (ends[:, 1] - ends[:, 0]) / max(window, _PERIOD)
+    bend = np.gradient(wanted, _PERIOD, axis=0)
+    p, v = np.empty((len(time), 2)), np.empty((len(time), 2))
+    p[0], v[0] = position, velocity
+    for i in range(len(time) - 1):
+        a = bend[i] + _RATE**2 * (mean[i] - p[i]) + 2.0 * _RATE * (wanted[i] - v[i])
+        size = float(np.hypot(a[0], a[1]))
+        v[i + 1] = v[i] + _PERIOD * a * min(1.0, acceleration / max(size, 1e-12))
+        # As a cubic between both samples moves.
+        p[i + 1] = p[i] + 0.5 * _PERIOD * (v[i] + v[i + 1])
+    v[-1] = 0.0
+    return ToolMotion(np.asarray(time, dtype=np.float64), p, v)
