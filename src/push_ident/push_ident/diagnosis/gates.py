@@ -65,8 +65,8 @@ def _missing_frames(records: Sequence[PushRecord], policy: GatePolicy) -> list[G
     if not sparse:
         return []
     found = (
-        f"{100 * float(np.max(shares)):.0f} % of the frames are missing in the worst of {sparse} of {len(records)} pushes that count by their "
-        "poses at rest only"
+        f"{sparse} of {len(records)} pushes count by their poses at rest only: up to {100 * float(np.max(shares)):.0f} % of their frames "
+        "are missing"
     )
     return [Gate(True, found, "Find out why the camera drops frames: motions would say more than ends.")]
 

@@ -207,6 +207,7 @@ def at_rest(record: PushRecord) -> PushRecord:
     kept, poses = np.unique(np.concatenate([before, after])), record.poses
     return replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
 
+
 def noise_at_rest(records: Sequence[PushRecord], noise: NoiseModel | None = None) -> NoiseModel:
     """The noise, with errors at least as correlated as the frames at rest of the records show."""
     noise, correlation = noise or NoiseModel(), noise_correlation(records)
