@@ -250,11 +250,11 @@ def _more_pushes(account: Account, problem: FitProblem) -> int | None:
     was found by simulation is scaled with the mean of that.
     """
     terms: list[tuple[Float64Array, Float64Array, int]] = []
-    for fit, fold in zip(account.gap.fits, account.gap.folds, strict=True):
-        information, directions = np.linalg.eigh(np.linalg.inv(fit.covariance) - np.eye(fit.unknowns.size))
-        for push in fold:
-            if (rows := _end_by_unknowns(fit, problem, push)) is not None:
-                terms.append((np.sum((rows @ directions) ** 2, axis=0), np.maximum(information, 0.0), len(fit.problem.records)))
+    tasks = [(fit, push) for fit, fold in zip(account.gap.fits, account.gap.folds, strict=True) for push in fold]
+    for (fit, _), rows in zip(tasks, map_in_threads(lambda task: _end_by_unknowns(task[0], problem, task[1]), tasks), strict=True):
+        if rows is not None:
+            information, directions = np.linalg.eigh(np.linalg.inv(fit.covariance) - np.eye(fit.unknowns.size))
+            terms.append((np.sum((rows @ directions) ** 2, axis=0), np.maximum(information, 0.0), len(fit.problem.records)))
     noise, both = account["noise"].mean, account["noise"].mean + account["maps"].mean
     if not terms or not np.isfinite(both):
         return None

@@ -49,7 +49,9 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
     unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
     def problem_at(amplitude: float) -> FitProblem:
-        return FitProblem(records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics)
+        return FitProblem(
+            records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics, run_all=map_in_threads
+        )
 
     policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, run_all=map_in_threads)
     return max(fit_amplitudes(problem_at, np.zeros(problem_at(1.0).size), policy), key=lambda fit: fit.log_evidence)
