@@ -36,7 +36,7 @@ from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknown
 from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, simulate_body_with_response
+from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, Timeline, simulate_body_with_response
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["TAILS", "Evaluation", "FitProblem", "Linearisation", "PushTerms", "RunAll", "unknowns_of_push", "without_first_push"]
@@ -149,6 +149,8 @@ class FitProblem:
         self.settings = settings or SimulationSettings()
         self.meter = meter or _unlimited()
         self.run_all = run_all
+        self._timelines: dict[tuple[int, SimulationSettings], tuple[PushRecord, Timeline]] = {}
+        """Steps of each push that was simulated, by the identity of its record, which is kept; problems of the same pushes share them."""
         self.past = past or Quadratic.zero(unknowns.size)
         self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
         """Time steps of each push; None until it is simulated."""
@@ -243,7 +245,9 @@ class FitProblem:
         if choice is None:
             choice = self.steps[push] = self._choose_steps(mechanics, x, push, most=_FIRST_LEVEL)
         self.meter.count(1)
-        motion = mechanics.simulate(self._scenario(x, push), settings=choice.settings, jacobian=jacobian)
+        scenario = self._scenario(x, push)
+        timeline = self._timeline(scenario, push, choice.settings)
+        motion = mechanics.simulate(scenario, settings=choice.settings, jacobian=jacobian, timeline=timeline)
         if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, :PARAM_MASS])) > _UNSTABLE:
             self.steps[push] = StepChoice(self.settings, 0, np.inf)
             return self._simulate_push(mechanics, x, push, jacobian)
@@ -254,6 +258,17 @@ class FitProblem:
         forces = self.forces[push]
         force_time = np.zeros(0) if forces is None else forces.times(self.unknowns.effects_at(self.object_unknowns(x)))
         return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order, force_time)
+
+    def _timeline(self, scenario: PushScenario, push: int, settings: SimulationSettings) -> Timeline | None:
+        """Steps of a push; None where forces are measured, whose times the unknowns may move."""
+        if self.forces[push] is not None:
+            return None
+        record = self.records[push]
+        _, known = self._timelines.get((id(record), settings), (record, None))
+        if known is None:
+            known = Timeline.of(scenario, settings)
+            self._timelines[id(record), settings] = record, known
+        return known
 
     def respond(self, x: Float64Array, push: int) -> tuple[Motion, StepResponse | None]:
         """One push at `x`, shape (size,), and how its poses change under small forces; None where its simulation fails."""
@@ -266,7 +281,8 @@ class FitProblem:
 
     def _end_pose(self, mechanics: Mechanics, x: Float64Array, push: int, settings: SimulationSettings) -> Float64Array:
         """For the choice of steps. Not counted as a simulation of the fit; its time is."""
-        return mechanics.simulate(self._scenario(x, push), settings=settings).pose[-1]
+        scenario = self._scenario(x, push)
+        return mechanics.simulate(scenario, settings=settings, timeline=self._timeline(scenario, push, settings)).pose[-1]
 
     def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0, most: int = MAX_LEVEL) -> StepChoice:
         duration, covariance = self._scenario(x, push).duration, self.observations[push].last_covariance

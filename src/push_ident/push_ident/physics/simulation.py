@@ -29,6 +29,7 @@ from push_ident.types import BoolArray, CellGrid, Float64Array, ObjectModel, Obj
 
 __all__ = [
     "DEFAULT_STEP", "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings", "StepResponse",
+    "Timeline",
     "body_of_cells", "cell_gradient", "compile_kernels", "loss_gradient", "simulate", "simulate_body", "simulate_body_with_pullback",
     "simulate_body_with_response",
 ]  # fmt: skip
@@ -209,10 +210,11 @@ def simulate_body(
     settings: SimulationSettings | None = None,
     effects: EffectsLike | None = None,
     jacobian: bool = False,
+    timeline: Timeline | None = None,
 ) -> Motion:
-    """As `simulate`, for a rigid body."""
+    """As `simulate`, for a rigid body. `timeline`: that of the scenario and the settings, where it is known already."""
     acting = effect_values(effects)
-    run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, jacobian)
+    run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, jacobian, timeline)
     if not jacobian:
         return run.motion
     n_columns = N_BODY_PARAMETERS + len(shape.cells) + len(acting)
@@ -335,9 +337,40 @@ def simulate_body_with_response(
     centre = first[:2] + np.array([[cos[0], -sin[0]], [sin[0], cos[0]]]) @ chain.centre
     start = np.append(centre, first[2])
     pose = start + np.vstack([np.zeros(3), np.cumsum(twist * chain.dt[:, None], axis=0)[:-1]])
-    pusher = _pusher_on_steps(scenario.pusher, _clock(scenario, numerics))[:-1, :2]
+    pusher = Timeline.of(scenario, numerics).path[:-1, :2]
     touches = np.any(run.motion.force != 0.0, axis=1)
     return run.motion, StepResponse(run.motion.force_time, pose, twist, touches, pusher, chain.arms.T, body.limit, run)
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """The steps of a push, whatever the model and the first pose are."""
+
+    clock: StepClock
+    path: Float64Array
+    """Pose of the pusher at the steps' ends, table frame, shape (n_steps + 1, 3)."""
+    times: ReportTimes
+    """When poses are reported, without effects."""
+    impulses: Frames
+    """When impulses are reported."""
+
+    @classmethod
+    def of(cls, scenario: PushScenario, settings: SimulationSettings) -> Timeline:
+        """Steps until the pusher is at rest and the last pose is reported.
+
+        The object is at rest before the first contact, so the clock starts with the pusher.
+        """
+        pusher, end = scenario.pusher, scenario.end
+        if settings.resolve_events:
+            clock = StepClock.through(pusher.time, end, settings.longest_step)
+        else:
+            clock = StepClock.of(float(pusher.time[0]), end, settings.longest_step)
+        path = np.zeros((len(clock.ends), 3))
+        for axis in (0, 1):
+            path[:, axis] = np.interp(clock.ends, pusher.time, pusher.position[:, axis])
+        if pusher.yaw is not None:
+            path[:, 2] = np.interp(clock.ends, pusher.time, pusher.yaw)
+        return cls(clock, path, ReportTimes.of(scenario.time, clock), clock.frames(scenario.force_time)[0])
 
 
 class _Run(NamedTuple):
@@ -360,20 +393,21 @@ def _run(
     settings: SimulationSettings,
     effects: EffectValues,
     derive: bool,
+    timeline: Timeline | None = None,
 ) -> _Run:
     """Simulate, with what the derivative needs where `derive`."""
     check_body(shape, body, pusher_friction)
     mu, mu_by_value = _pusher_friction(float(pusher_friction), settings, effects)
-    clock = _clock(scenario, settings)
-    path = _pusher_on_steps(scenario.pusher, clock)
+    timeline = timeline or Timeline.of(scenario, settings)
+    clock, path = timeline.clock, timeline.path
     arms = owned((shape.cells.centres - owned(body.centre)).T)
     active = None
     if len(effects) > 0:
         path, d_path = driven_path(effects, clock.dt, path)
         active = active_effects(effects, d_path, arms, float(shape.cells.size), scenario.order)
-    times = ReportTimes.of(scenario.time, clock, effects)
+    times = timeline.times.with_effects(scenario.time, effects)
     push = _push(shape, body, mu, scenario, path, arms)
-    impulses, _ = clock.frames(scenario.force_time)
+    impulses = timeline.impulses
     pose, force, tape, status = _roll(push, settings, clock, active, times.wanted, derive, len(scenario.force_time) > 0)
     measurement = None
     if len(effects) > 0:
@@ -404,28 +438,6 @@ def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: 
     if mu < 0:
         raise InputError(f"The effects make the pusher's friction coefficient {mu:.3g}, expected a number >= 0.")
     return mu, mu_by_value
-
-
-def _clock(scenario: PushScenario, settings: SimulationSettings) -> StepClock:
-    """Steps until the pusher is at rest and the last pose is reported.
-
-    The object is at rest before the first contact, so the clock starts with the pusher.
-    """
-    start = float(scenario.pusher.time[0])
-    end = scenario.end
-    if settings.resolve_events:
-        return StepClock.through(scenario.pusher.time, end, settings.longest_step)
-    return StepClock.of(start, end, settings.longest_step)
-
-
-def _pusher_on_steps(pusher: PusherPath, clock: StepClock) -> Float64Array:
-    """Pose of the pusher at the steps' ends, shape (n_steps + 1, 3), table frame."""
-    path = np.zeros((len(clock.ends), 3))
-    for axis in (0, 1):
-        path[:, axis] = np.interp(clock.ends, pusher.time, pusher.position[:, axis])
-    if pusher.yaw is not None:
-        path[:, 2] = np.interp(clock.ends, pusher.time, pusher.yaw)
-    return path
 
 
 def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushScenario, path: Float64Array, arms: Float64Array) -> Push:
