@@ -48,13 +48,10 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
     late = [name for name in _BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
     unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
-    def problem_at(amplitude: float) -> FitProblem:
-        return FitProblem(
-            records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics, run_all=map_in_threads
-        )
-
+    problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)
     policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, run_all=map_in_threads)
-    return max(fit_amplitudes(problem_at, np.zeros(problem_at(1.0).size), policy), key=lambda fit: fit.log_evidence)
+    fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), policy)
+    return max(fits, key=lambda fit: fit.log_evidence)
 
 
 def fit_effects(

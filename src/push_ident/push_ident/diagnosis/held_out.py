@@ -11,7 +11,7 @@ from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
-from push_ident.identification.prediction import cell_error, held_out_errors
+from push_ident.identification.prediction import cell_errors, held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
@@ -193,7 +193,8 @@ def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) ->
 def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
     rest, problem = without_pushes(fit, pushes), fit.problem
     records = [problem.records[push] for push in pushes]
-    errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
+    observations = [problem.observations[push] for push in pushes]
+    errors = held_out_errors(rest.model, records, effects=rest.effects, settings=problem.settings, observations=observations)
     return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 
@@ -213,6 +214,6 @@ def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
         by_first = motion.jacobian[-1, :, :3] @ np.linalg.cholesky(observation.first_covariance)
         last_root = np.linalg.cholesky(observation.last_covariance)
         draws = normal[push, :, 0] @ by_first.T + normal[push, :, 1] @ last_root.T
-        return float(np.median([cell_error(record.shape.cells, motion.pose[-1], motion.pose[-1] + d) for d in draws]))
+        return float(np.median(cell_errors(record.shape.cells, motion.pose[-1], motion.pose[-1] + draws)))
 
     return np.array(map_in_threads(error, range(len(problem.records))))

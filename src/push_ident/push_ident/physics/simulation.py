@@ -413,7 +413,7 @@ def _run(
     if len(effects) > 0:
         pose, measurement = Measurement.of(effects, times, pose, mu_by_value)
     impulse = np.full((len(scenario.force_time), 2), np.nan)
-    if status is not SolveStatus.SIMULATION_FAILED:
+    if len(impulse) > 0 and status is not SolveStatus.SIMULATION_FAILED:
         impulse = _impulse_until(impulses, force * clock.lengths[:, None])
     no_derivative = np.empty((len(scenario.time), 3, 0)), np.empty((len(scenario.force_time), 2, 0))
     motion = Motion(scenario.time, pose, no_derivative[0], clock.middles, force, status, impulse, force[impulses.step], no_derivative[1])
