@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.threads import map_in_threads
@@ -117,9 +118,14 @@ class _HeldOutFold:
 
 
 class HeldOutFits:
-    """Fits without some pushes, and what they predict of these pushes; each is made once."""
+    """Fits without some pushes, and what they predict of these pushes; each is made once.
 
-    def __init__(self) -> None:
+    Args:
+        earlier: where they start, where an earlier diagnosis of the first of the pushes made such fits.
+    """
+
+    def __init__(self, earlier: EarlierFits | None = None) -> None:
+        self._earlier = earlier or EarlierFits()
         self._known: dict[tuple[int, tuple[int, ...]], tuple[Fit, _HeldOutFold]] = {}
         """By the identity of the fit to all pushes, which is kept, and the fold."""
 
@@ -127,9 +133,14 @@ class HeldOutFits:
         """Of each fit, the results of all folds."""
         wanted = {(id(fit), tuple(fold)): fit for fit in fits for fold in folds}
         missing = [(key, fit) for key, fit in wanted.items() if key not in self._known]
-        results = map_in_threads(lambda task: _hold_out(task[1], task[0][1]), missing)
+        results = map_in_threads(lambda task: _hold_out(task[1], task[0][1], self._earlier), missing)
         self._known |= {key: (fit, result) for (key, fit), result in zip(missing, results, strict=True)}
         return [[self._known[id(fit), tuple(fold)][1] for fold in folds] for fit in fits]
+
+    @property
+    def fits(self) -> list[tuple[Fit, tuple[int, ...]]]:
+        """All of them, with the numbers of the pushes that they do not use."""
+        return [(result.fit, fold) for (_, fold), (_, result) in self._known.items()]
 
 
 def measure_gap(
@@ -190,8 +201,8 @@ def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) ->
     return errors
 
 
-def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
-    rest, problem = without_pushes(fit, pushes), fit.problem
+def _hold_out(fit: Fit, pushes: Sequence[int], earlier: EarlierFits) -> _HeldOutFold:
+    rest, problem = without_pushes(fit, pushes, earlier.start(fit, pushes)), fit.problem
     records = [problem.records[push] for push in pushes]
     observations = [problem.observations[push] for push in pushes]
     errors = held_out_errors(rest.model, records, effects=rest.effects, settings=problem.settings, observations=observations)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def shared(responses: Sequence[dict[str, Rows]], name: str) -> Float64Array:
 def separate(responses: Sequence[dict[str, Rows]], name: str) -> tuple[Float64Array, tuple[slice, ...]]:
     """The same with columns of each push for itself, and which those are."""
     ends = np.cumsum([0, *(own[name][0].shape[1] for own in responses)]).tolist()
-    columns = tuple(slice(first, last) for first, last in zip(ends, ends[1:], strict=False))
+    columns = tuple(slice(first, last) for first, last in pairwise(ends))
     return np.concatenate([_block_diagonal([own[name][kind] for own in responses]) for kind in (0, 1)]), columns
 
 

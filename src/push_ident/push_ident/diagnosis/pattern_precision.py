@@ -1,6 +1,7 @@
 """How well residuals determine the amplitudes of patterns beside everything that was fitted.
 
-With columns Phi of a pattern, the derivative J of the residuals by the unknowns of the fit and H = J'J + P, the amplitudes have the information
+With columns Phi of a pattern, the derivative J of the residuals by the unknowns of the fit and H = J'J + P with the precision P of their
+prior, the amplitudes have the information
 
     A = Phi' (1 - J H^-1 J') Phi
 
@@ -8,8 +9,8 @@ Patterns that each push has for itself have many columns, but Phi'Phi falls into
 
     (1/s^2 + A)^-1 = D^-1 + D^-1 S' K^-1 S D^-1,      det(1/s^2 + A) = det D det K / det H,      K = H - S D^-1 S'
 
-(Woodbury's identity and the determinant lemma: Golub & Van Loan, Matrix Computations, section 2.1.4), so that only matrices of the size of one push and
-of the unknowns are factored.
+(Woodbury's identity and the determinant lemma: Golub & Van Loan, Matrix Computations, section 2.1.4), so that only matrices of the size of
+one push and of the unknowns are factored.
 """
 
 from __future__ import annotations

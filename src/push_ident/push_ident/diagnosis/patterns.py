@@ -334,8 +334,12 @@ def _sides(path: _Path) -> Float64Array:
 def _families(responses: Sequence[dict[str, Rows]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
     n, sides = len(responses), 2.0 * np.pi * np.arange(_SIDES)[:, None] / _SIDES
     times = np.concatenate([np.column_stack([np.full(len(own), push), own]) for push, own in enumerate(knots)])
-    friction, field, heading, own_heading, side = (shared(responses, name) for name in ("friction", "field", "heading", "own_heading", "side"))
-    (by_motion, of_3), (by_table, _), (by_tool, of_2) = (separate(responses, name) for name in ("order_motion", "order_table", "order_tool"))
+    friction, field, heading, own_heading, side = (
+        shared(responses, name) for name in ("friction", "field", "heading", "own_heading", "side")
+    )
+    (by_motion, of_3), (by_table, _), (by_tool, of_2) = (
+        separate(responses, name) for name in ("order_motion", "order_table", "order_tool")
+    )
     (time, of_time), (time_tool, of_time_tool) = (separate(responses, name) for name in ("time", "time_tool"))
     since, way, speed = (shared(responses, name) for name in ("since", "way", "speed"))
     n_acting = since.shape[1] // len(FIRST_SECONDS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,12 +62,10 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     fits = [(selection.base, folds), *([(selection.fit, ())] if selection.found else [])]
     base, *others = map_in_threads(lambda task: _look_beside(state, *task), fits)
     outside = _look_outside(state, selection, base, others[0] if others else base, {})
-    held_out = HeldOutFits()
+    held_out = HeldOutFits(state.earlier)
     unsupported = None
     if not is_outside(outside.probabilities, policy.selection):
-        gap = measure_gap(
-            selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out
-        )
+        gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         supported, unsupported = supported_selection(selection, gap, policy.validation)
         if supported is not selection:
             rejected = dict.fromkeys(
@@ -75,9 +73,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
             )
             beside = _look_beside(state, supported.fit, ()) if supported.found else base
             selection, outside = supported, _look_outside(state, supported, base, beside, rejected)
-            gap = measure_gap(
-                selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out
-            )
+            gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
     is_unknown = is_outside(outside.probabilities, policy.selection)
     if is_unknown:
         selection = selection.without_effects()
@@ -93,6 +89,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         cause_is_unknown=is_unknown,
         something_else=outside.reported,
         unsupported=unsupported,
+        held_out=held_out,
     )
     return replace(state, validation=validation)
 
@@ -146,9 +143,7 @@ def _look_beside(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]
     return _Beside(standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
 
 
-def _look_outside(
-    state: DiagnosisState, selection: Selection, base: _Beside, beside: _Beside, rejected: Mapping[str, float]
-) -> _Outside:
+def _look_outside(state: DiagnosisState, selection: Selection, base: _Beside, beside: _Beside, rejected: Mapping[str, float]) -> _Outside:
     """From what the residuals show beside the base model and beside all effects of a selection."""
     policy, alone = state.settings.policy, base.something_else
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.

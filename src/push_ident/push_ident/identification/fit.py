@@ -12,7 +12,7 @@ with the Hessian H of the cost and the precision P of the prior, all unknowns in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from push_ident.identification.levenberg_marquardt import MAX_ITERATIONS, minimise
 from push_ident.identification.observation import NoiseModel
-from push_ident.identification.problem import Evaluation, FitProblem
+from push_ident.identification.problem import Evaluation, FitProblem, RunAll
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effect_values import EffectValues
@@ -168,8 +168,8 @@ class AmplitudePolicy:
     relative: bool = False
     """Whether fits that creep may end earlier where the pushes are explained badly, as in `minimise`."""
     warm_starts: Sequence[Float64Array] = ()
-    """Results of an earlier chained search for the first of the same pushes, one per amplitude."""
-    run_all: Callable[[Callable[[float], Fit], Iterable[float]], Iterable[Fit]] = map
+    """Results of an earlier search for the first of the same pushes, one per amplitude."""
+    run_all: RunAll = map
     """Runs fits that are not chained: `map`, or a parallel version of it."""
 
 
@@ -185,12 +185,13 @@ def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Arra
         One fit per amplitude, the largest amplitude first; fewer where a chained search ended.
     """
 
-    def fit(amplitude: float) -> Fit:
-        problem = problem_at(amplitude)
-        return Fit(problem, *minimise(problem, start, policy.max_iterations, relative=policy.relative), amplitude)
+    def fit(number: int) -> Fit:
+        problem = problem_at(AMPLITUDES[number])
+        x0 = problem.continued(start, policy.warm_starts[number]) if number < len(policy.warm_starts) else start
+        return Fit(problem, *minimise(problem, x0, policy.max_iterations, relative=policy.relative), AMPLITUDES[number])
 
     if not policy.chained:
-        return list(policy.run_all(fit, AMPLITUDES))
+        return list(policy.run_all(fit, range(len(AMPLITUDES))))
     fits: list[Fit] = []
     for i, amplitude in enumerate(AMPLITUDES):
         problem = problem_at(amplitude)

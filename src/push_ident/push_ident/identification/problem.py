@@ -300,9 +300,7 @@ class FitProblem:
         """
         mechanics = self.unknowns.mechanics(self.object_unknowns(x))
         doubtful = {
-            push: before.level
-            for push, before in enumerate(self.steps)
-            if before is not None and _CLEAR * SHARE <= before.error < np.inf
+            push: before.level for push, before in enumerate(self.steps) if before is not None and _CLEAR * SHARE <= before.error < np.inf
         }
         choices = self.run_all(lambda push: self._choose_steps(mechanics, x, push, doubtful[push]), doubtful)
         refined = False

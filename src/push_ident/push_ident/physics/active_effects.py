@@ -125,7 +125,8 @@ def _kinds_of(names: tuple[str, ...]) -> ActiveEffects:
             places.memory[place] = N_FIXED_INPUTS + n_memory
             n_memory += effect.memory.size
     loading = np.array(
-        [catalogue.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)], dtype=np.int64
+        [catalogue.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)],
+        dtype=np.int64,
     )
     table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
     return ActiveEffects(

@@ -234,13 +234,17 @@ def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, 
 def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Times [s] at which the poses reported for `time` were measured, shape (n_frames,), and their derivative by the values, shape
     (n_values, n_frames)."""
-    return _through([(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnTimes)], effects, time)
+    return _through(
+        [(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnTimes)], effects, time
+    )
 
 
 def force_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Times [s] at which the forces reported for `time` were measured, shape (n,), and their derivative by the values, shape (n_values,
     n)."""
-    return _through([(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnForceTimes)], effects, time)
+    return _through(
+        [(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnForceTimes)], effects, time
+    )
 
 
 def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
