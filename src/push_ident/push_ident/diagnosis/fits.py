@@ -54,7 +54,7 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)
     known = earlier.base(unknowns.effects.names) if earlier else None
     starts = [known.minimum_at(amplitude) for amplitude in AMPLITUDES] if known else []
-    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, warm_starts=starts, run_all=map_in_threads)
+    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, warm_starts=starts)
     fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), policy)
     return max(fits, key=lambda fit: fit.log_evidence)
 
