@@ -7,6 +7,7 @@ helps wherever another one still has something, so that no processor waits for t
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Lock
@@ -68,16 +69,17 @@ def map_in_threads(work: Callable[[A], B], items: Iterable[A]) -> list[B]:
 
     def take_turns() -> None:
         # The next number goes to one thread only: the interpreter's lock is held meanwhile.
-        for number in numbers:
-            results[number] = work(todo[number])
+        try:
+            for number in numbers:
+                results[number] = work(todo[number])
+        finally:
+            # Where work failed, nobody begins with what is left.
+            deque(numbers, maxlen=0)
 
     others = _HELPERS.join(take_turns, len(todo) - 1)
     try:
         take_turns()
     finally:
-        # Where work failed, nobody begins with what is left.
-        for _ in numbers:
-            pass
         _HELPERS.idle(1)
         failed = [error for other in others if (error := other.exception()) is not None]
         _HELPERS.idle(-1)

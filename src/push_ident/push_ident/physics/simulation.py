@@ -136,9 +136,9 @@ def compile_kernels(*, effects: bool = False) -> None:
     simulate_body(*arguments, jacobian=True)
     _, pull_back = simulate_body_with_pullback(*arguments)
     pull_back(np.zeros((2, 3)))
-    motion, response = simulate_body_with_response(*arguments)
+    _, response = simulate_body_with_response(*arguments)
     assert response is not None, "a push of a square does not fail"
-    response(np.zeros((len(motion.force_time), 3, 1)))
+    response(np.zeros((len(response.time), 3, 1)))
     if effects:
         simulate_body(*arguments, effects=list(EFFECTS), jacobian=True)
 
@@ -278,7 +278,10 @@ def simulate_body_with_pullback(
 
 @dataclass(frozen=True, slots=True)
 class StepResponse:
-    """A simulated push, ready to say how its poses and the forces of the pusher change under small forces, whatever their law."""
+    """A simulated push, ready to say how its poses and the forces of the pusher change under small forces, whatever their law.
+
+    Its steps are those from the first to the last one in which the object moves, two at least: a body at rest ignores small forces.
+    """
 
     time: Float64Array
     """Middle of each step [s], shape (n_steps,)."""
@@ -295,6 +298,8 @@ class StepResponse:
     limit: Float64Array
     """Friction limits of the cells without effects [N], shape (n_cells,)."""
     _run: _Run
+    _steps: slice
+    """Its steps among all of the rollout."""
 
     def __call__(self, wrench: Float64Array, displacement: Float64Array | None = None) -> tuple[Float64Array, Float64Array]:
         """Change of the reported poses, shape (n_frames, 3, n), and of `Motion.impulse`, shape (n_forces, 2, n).
@@ -303,13 +308,16 @@ class StepResponse:
             wrench: on the object in each step, table axes, about the centre of mass, shape (n_steps, 3, n) [N, N, N m].
             displacement: of the pusher in each step, table axes, shape (n_steps, 2, n) [m]; by default none.
         """
-        chain, n = self._run.chain, wrench.shape[2]
-        cos, sin = chain.tape.heading[:-1].T[:, :, None]
+        chain, n, steps = self._run.chain, wrench.shape[2], self._steps
+        cos, sin = chain.tape.heading[:-1][steps].T[:, :, None]
         x, y, turn = np.moveaxis(wrench, 1, 0)
-        impulse = np.stack([cos * x + sin * y, -sin * x + cos * y, turn], axis=1) * chain.dt[:, None, None]
-        nearer = np.zeros((len(chain.dt), 2, n)) if displacement is None else displacement
+        impulse, nearer = np.zeros((len(chain.dt), 3, n)), np.zeros((len(chain.dt), 2, n))
+        impulse[steps, 0], impulse[steps, 1], impulse[steps, 2] = cos * x + sin * y, -sin * x + cos * y, turn
+        impulse[steps] *= chain.dt[steps, None, None]
+        if displacement is not None:
+            nearer[steps] = displacement
         response, by_impulse = np.empty((len(chain.frames.step), 3, n)), np.empty((len(self._run.impulses.step), 2, n))
-        chain_response(chain, owned(impulse), owned(nearer), response, self._run.impulses, by_impulse)
+        chain_response(chain, impulse, nearer, response, self._run.impulses, by_impulse)
         measurement = self._run.measurement
         reported = response if measurement is None else np.einsum("fij,fjp->fip", measurement.by_pose, response)
         return reported, by_impulse
@@ -339,7 +347,11 @@ def simulate_body_with_response(
     pose = start + np.vstack([np.zeros(3), np.cumsum(twist * chain.dt[:, None], axis=0)[:-1]])
     pusher = Timeline.of(scenario, numerics).path[:-1, :2]
     touches = np.any(run.motion.force != 0.0, axis=1)
-    return run.motion, StepResponse(run.motion.force_time, pose, twist, touches, pusher, chain.arms.T, body.limit, run)
+    moved = np.flatnonzero(chain.tape.event != IDLE)
+    first_step = min(int(np.min(moved, initial=len(touches))), len(touches) - 2)
+    steps = slice(first_step, max(int(np.max(moved, initial=0)) + 1, first_step + 2))
+    by_step = (own[steps] for own in (run.motion.force_time, pose, twist, touches, pusher))
+    return run.motion, StepResponse(*by_step, chain.arms.T, body.limit, run, steps)
 
 
 @dataclass(frozen=True, slots=True)
