@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from push_ident.geometry.se2 import rotation, transform_points
-from push_ident.identification.observation import NoiseModel, observe_push
+from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.problem import unknowns_of_push
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.accuracy import choose_steps
@@ -18,7 +18,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
 
-__all__ = ["CHI2_90", "Prediction", "cell_displacement", "cell_error", "held_out_errors", "predict"]
+__all__ = ["CHI2_90", "Prediction", "cell_displacement", "cell_error", "cell_errors", "held_out_errors", "predict"]
 
 CHI2_90 = 6.251
 """Chi squared with 3 degrees of freedom is below it with probability 0.9."""
@@ -45,8 +45,13 @@ class Prediction:
 
 def cell_error(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> float:
     """Mean over the cells of the distance between their centres at two poses [m]."""
+    return float(cell_errors(cells, pose_a_in_table, pose_b_in_table))
+
+
+def cell_errors(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> Float64Array:
+    """The same of many pairs of poses, shapes (..., 3): (...)."""
     difference = transform_points(pose_a_in_table, cells.centres) - transform_points(pose_b_in_table, cells.centres)
-    return float(np.mean(np.linalg.norm(difference, axis=1)))
+    return np.asarray(np.mean(np.linalg.norm(difference, axis=-1), axis=-1))
 
 
 def cell_displacement(cells: CellGrid, yaw: float) -> Float64Array:
@@ -167,20 +172,21 @@ def held_out_errors(
     effects: EffectsLike | None = None,
     noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
+    observations: Sequence[Observation] | None = None,
 ) -> Float64Array:
     """Cell error at the end of each push [m], shape (n_records,), with the object simulated from its observed first pose.
 
     First and last pose are the means of the frames at rest. `effects` act beside the model. NaN where the simulation failed.
+    `observations`: of the records under that noise, where they are known.
     """
     errors = []
-    for record in records:
-        observed = observe_push(record, noise)
+    for record, observed in zip(records, observations or [observe_push(record, noise) for record in records], strict=True):
         scenario = PushScenario(record.pusher, true_pose(effects, observed.pose[0]), observed.time[-1:], record.order)
 
+        @cache
         def end_pose(numerics: SimulationSettings, scenario: PushScenario = scenario) -> Float64Array:
             return simulate(model, scenario, settings=numerics, effects=effects).pose[-1]
 
         chosen = choose_steps(end_pose, settings or SimulationSettings(), observed.last_covariance, scenario.duration)
-        motion = simulate(model, scenario, settings=chosen.settings, effects=effects)
-        errors.append(cell_error(record.shape.cells, motion.pose[-1], observed.pose[-1]))
+        errors.append(cell_error(record.shape.cells, end_pose(chosen.settings), observed.pose[-1]))
     return np.array(errors)
