@@ -100,16 +100,11 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     digest = _digest(experiment, settings)
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
     sealed = experiment.prepare(cases, folder) if experiment.prepare else None
-    missing = [case for case in cases if not files[case].exists()]
-    n_before = len(cases) - len(missing)
     jobs = 1 if experiment.one_at_a_time else options.jobs
     with single_threads(jobs) as pool:
         truths = _missing_truths(experiment, options) if experiment.needs_truth else []
         _run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
-        calls = [(_run_case, (experiment.name, case, settings, files[case])) for case in missing]
-        report(experiment.name, n_before, len(cases))
-        until = began + 60.0 * options.stop_after
-        _run_calls(pool, calls, lambda done, first: report(experiment.name, n_before + done, len(cases)), until=until)
+        _run_missing(pool, experiment.name, files, settings, report, until=began + 60.0 * options.stop_after)
     outcomes = {case: read_json(files[case]) for case in cases if files[case].exists()}
     results = [CaseResult(case, outcome["values"]) for case, outcome in outcomes.items() if "values" in outcome]
     if not results:
@@ -129,6 +124,18 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
         "summary": summary,
     }
+
+
+def _run_missing(
+    pool: ProcessPoolExecutor, name: str, files: dict[Case, Path], settings: CaseSettings, report: Progress, *, until: float
+) -> None:
+    """Run the cases of an experiment that have no file, in their order; none begins after `until` on the monotonic clock [s]."""
+    missing = [case for case, file in files.items() if not file.exists()]
+    n_before = len(files) - len(missing)
+    # Where the time is up before the first one, what is finished is published.
+    calls = [(_run_case, (name, case, settings, files[case])) for case in missing] if time.monotonic() < until else []
+    report(name, n_before, len(files))
+    _run_calls(pool, calls, lambda done, first: report(name, n_before + done, len(files)), until=until)
 
 
 def _no_result(experiment: Experiment, options: RunOptions, outcomes: Sequence[Json]) -> str:
