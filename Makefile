@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind endurance faults fuzz test test-long lint format dist dist-check changelog release clean
+.PHONY: help setup demo docs bench experiments blind recordings endurance faults fuzz test test-long lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
@@ -31,7 +31,7 @@ bench: setup  ## time and error of engine, rivals and identification (ten minute
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
-	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|endurance|supports|loads|perception|sensors|edge|paths|knocks|chain|effects|pusht|demo'); do \
+	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|recorded|endurance|supports|loads|perception|sensors|edge|paths|knocks|chain|effects|pusht|demo'); do \
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment supports --seed 1000 --models 50 --json docs/results/experiments/supports.json
 	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
@@ -52,6 +52,10 @@ fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and 
 blind: setup  ## the diagnosis on sealed cases of two other engines (two hours; the seeds of the published page), then the page
 	$(VENV)/push-ident experiment blind --seed 9000 --models 50 --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment report
+
+DATA ?= ../shared/data
+recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goes on where it stopped)
+	$(VENV)/push-ident experiment recorded --recordings "$(DATA)" --models 2 --json out/recordings.json
 
 endurance: setup  ## the live cell for an hour while its nodes are killed at random (an hour and a half in all), then the page
 	$(VENV)/push-ident experiment endurance --minutes 60 --seed 1 --models 1 --json docs/results/experiments/endurance.json

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,15 @@ def test_no_clock_decides_how_far_a_diagnosis_is_fitted(monkeypatch: pytest.Monk
     after = fit_base(simulated_pushes(4, 1), DiagnosisSettings())
     assert after.status is before.status and np.array_equal(after.x, before.x)
     assert not before.problem.meter.spent and not before.problem.without([0]).meter.spent
+
+
+def test_pushes_simulated_in_parallel_give_the_same_fit_to_the_last_bit() -> None:
+    parallel = fit_base(simulated_pushes(5, 1), DiagnosisSettings()).problem
+    serial = copy(parallel)
+    serial.run_all = map
+    x = 0.1 * np.random.default_rng(0).normal(size=parallel.size)
+    for own in (lambda problem: problem.evaluate(x).hessian, lambda problem: problem.step_errors(x), lambda problem: problem.cost(x)):
+        np.testing.assert_array_equal(own(parallel), own(serial))
 
 
 def test_fit_that_cannot_reach_the_target_ends_early() -> None:

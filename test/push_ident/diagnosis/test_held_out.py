@@ -9,7 +9,7 @@ import pytest
 
 from helpers.diagnosis import gap_of, simulated_pushes
 from push_ident.diagnosis.fits import fit_base, fit_effects
-from push_ident.diagnosis.held_out import measure_gap
+from push_ident.diagnosis.held_out import HeldOutFits, measure_gap
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
 
@@ -25,6 +25,12 @@ def test_gap_is_measured_at_every_stage() -> None:
     log_bayes_factor = fit.log_evidence - base.log_evidence
     np.testing.assert_allclose(gap.log_bayes_factor_without, [log_bayes_factor - gap.log_density_gain, np.zeros(3)], atol=1e-9)
     assert gap.folds == ((0,), (1,), (2,)) and nothing.log_bayes_factor_without.shape == (0, 3)
+    # A fit without some pushes is made once.
+    known = HeldOutFits()
+    first, again = (measure_gap(base, fit, policy, held_out=known) for _ in range(2))
+    assert all(one is other for one, other in zip(first.fits, again.fits, strict=True))
+    assert all(one is not other for one, other in zip(first.fits, gap.fits, strict=True))
+    np.testing.assert_array_equal(again.before, gap.before)
     pairs = measure_gap(base, base, ValidationPolicy(max_folds=2))
     assert pairs.folds == ((0, 2), (1,)) and pairs.before.shape == (3,)
 

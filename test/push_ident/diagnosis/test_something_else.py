@@ -11,8 +11,8 @@ from helpers.diagnosis import TRUTH, simulated_pushes
 from helpers.objects import with_forces
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import folds_of
+from push_ident.diagnosis.pattern_family import Acts, VariesWith
 from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
-from push_ident.diagnosis.patterns import Acts, VariesWith
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.scores import clipped_start
 from push_ident.diagnosis.settings import DiagnosisSettings

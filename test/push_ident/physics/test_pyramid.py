@@ -80,11 +80,13 @@ def test_step_meets_its_optimality_conditions(diamond: bool, n_contacts: int) ->
         rows = random_contacts(rng, n_contacts)
         twist, impulse, cells = old.copy(), np.zeros(MAX_CONTACTS + 1), new_pyramid_scratch(n_cells)
         geometry = StepGeometry(arms, limit, inertia, 0.03, np.zeros(2), np.array([cos, sin]), dt)
-        contacts = StepContacts(rows, n_contacts, mu)
+        contacts, scratch = StepContacts(rows, n_contacts, mu), new_step_scratch()
+        # Whatever the step before was like, from which the first guess comes.
+        scratch.rate[:] = rng.normal(size=3) * [10.0, 10.0, 200.0] * rng.choice([0.0, 1.0])
         if diamond:
-            code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), cells)
+            code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, scratch, cells)
         else:
-            code, _ = step(twist, geometry, contacts, 1e-4, 0, impulse, new_step_scratch())
+            code, _ = step(twist, geometry, contacts, 1e-4, 0, impulse, scratch)
         assert code != NO_MODE, seed
         check_contact_conditions(twist, rows, n_contacts, mu, impulse, code)
         if diamond:

@@ -293,6 +293,23 @@ def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tm
     write_json(tmp_path / "case.json", values)
 
 
+def test_other_numbers_of_pushes_are_compared_in_the_same_cases() -> None:
+    def of(object_name: str, pushes: str, right: bool, gain: float = 20.0) -> CaseResult:
+        named = ["outline_error"] if right else []
+        values = outcome("single", ["outline_error"], "named" if right else "no_gap", named, [], gain, 60.0).values
+        return CaseResult(Case(object_name, 7, pushes), values)
+
+    results = [
+        *(of(name, "14-pushes", True) for name in ("book", "crimp", "hammer")),
+        of("book", "6-chosen", True, 1.0),  # Counted although few pushes do not detect it.
+        of("crimp", "6-chosen", False),
+        of("wrench", "6-chosen", True),  # Without a counterpart.
+    ]
+    compared = summarise_cases(results)["same_cases"]["6-chosen"]
+    assert (compared["14-pushes"]["top1"]["share"], compared["14-pushes"]["top1"]["n"]) == (1.0, 2)
+    assert (compared["6-chosen"]["top1"]["share"], compared["6-chosen"]["top1"]["n"]) == (0.5, 2)
+
+
 def test_causes_that_are_said_surely_are_counted_with_their_twins() -> None:
     null = outcome("null", [], "no_gap", [], [], 0, 0)
     single = outcome("single", ["tool_offset"], "one_of", ["camera_translation"], ["tool_offset"], 20.0, 50.0)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import json
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +25,7 @@ from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings import truth
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
+from push_ident_sim.studies.common import runner
 from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.common.files import write_json
 from push_ident_sim.studies.common.measuring import curve_on_grid, error_row
@@ -208,6 +212,23 @@ def test_cases_of_live_nodes_run_one_at_a_time_however_many_processes_are_asked_
         assert run_experiment(experiment, options)["machine"]["jobs"] == jobs
 
 
+def test_no_case_begins_after_the_time_is_up() -> None:
+    counts: list[tuple[int, int]] = []
+    with ThreadPoolExecutor(1) as pool:
+        calls = [(time.sleep, (0.2,)), *[(time.sleep, (0.0,))] * 5]
+        done = runner._run_calls(pool, calls, lambda *count: counts.append(count), until=time.monotonic() + 0.05)
+    assert len(done) == 1 and counts[-1] == (1, 6)
+
+
+def test_long_variants_of_the_blind_check_are_spread_over_a_run(tmp_path: Path) -> None:
+    options = RunOptions(tmp_path, tmp_path, (), 6, 31000, ("14-pushes", "6-chosen", "camera"))
+    planned = runner._cases_of(EXPERIMENTS["blind"], options)
+    assert Counter(case.variant for case in planned) == {"14-pushes": 30, "6-chosen": 10, "camera": 10}
+    # Wherever a run is stopped, no more than the cases of one seed are missing from the balance.
+    assert Counter(case.variant for case in planned[: len(planned) // 2]) == {"14-pushes": 15, "6-chosen": 5, "camera": 5}
+    assert {case.truth for case in planned if case.variant == "6-chosen"} <= {case.truth for case in planned if case.variant == "14-pushes"}
+
+
 def test_command_names_what_there_is() -> None:
     for arguments, named in ((["alchemy"], "training"), (["maps", "--objects", "spoon"], "hammer"), (["maps", "--variants", "x"], "four")):
         with pytest.raises(InputError, match=named):
@@ -227,6 +248,9 @@ def test_page_names_the_variants_that_were_not_run(tmp_path: Path) -> None:
         write_experiments(EXPERIMENTS.values(), tmp_path / "experiments.md", "command")
         text = (tmp_path / "experiments.md").read_text()
         assert command in text and (not_run in text if not_run else "Not run" not in text)
+    write_json(tmp_path / "experiments" / "perception.json", {**run, "variants": list(variants), "planned": 9, "finished": 4})
+    write_experiments(EXPERIMENTS.values(), tmp_path / "experiments.md", "command")
+    assert "4 of 9 planned cases" in (tmp_path / "experiments.md").read_text()
 
 
 def test_report_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:

@@ -122,6 +122,7 @@ def diagnose(
     prior: Prior | None = None,
     base_effects: Sequence[str] = (),
     from_camera: bool = False,
+    earlier: Diagnosis | None = None,
 ) -> Diagnosis:
     """Say where simulation and reality differ, which effect that the model lacks causes it, and how far the gap shrinks with it.
 
@@ -131,6 +132,7 @@ def diagnose(
         prior: nominal values and their standard deviations.
         base_effects: effects that the base model has already.
         from_camera: whether poses and outline come from a camera.
+        earlier: outcome for the first of these pushes, from whose fits this diagnosis starts: with one more push it takes less time.
 
     Returns:
         `verdict`, `sentence`, `effects` with their sizes, `next_push` and more.
@@ -141,7 +143,7 @@ def diagnose(
     settings = DiagnosisSettings(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
-    return _diagnose(list(pushes), settings)
+    return _diagnose(list(pushes), settings, earlier=earlier)
 
 
 def next_push(model: Identification | ModelPosterior, pusher_radius: float) -> Proposal | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
@@ -54,9 +55,17 @@ def experiment_command(
     jobs: Annotated[int, typer.Option(min=1, help="Number of processes, each with one thread.")] = 2,
     out: _OutOption = _FOLDER,
     truth: _TruthOption = None,
-    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded scenes, for `perception`.")] = Path("../shared/data"),
+    recordings: Annotated[
+        Path, typer.Option(metavar="DIR", help="Recorded scenes for `perception`, recorded pushes for `recorded`.")
+    ] = Path("../shared/data"),
     minutes: Annotated[float, typer.Option(min=0.5, callback=above_zero, help="Duration, for `endurance` [min].")] = 60.0,
     goals: Annotated[int, typer.Option(min=1, help="Goals of each object, for `goals`.")] = 4,
+    stop_after: Annotated[
+        float | None,
+        typer.Option(
+            callback=above_zero, help="Begin no case later than this, and summarise those that are finished [min].", show_default=False
+        ),
+    ] = None,
     json: JsonOption = None,
     page: _PageOption = _PAGE,
 ) -> None:
@@ -85,6 +94,7 @@ def experiment_command(
         recordings=recordings,
         minutes=minutes,
         goals=goals,
+        stop_after=math.inf if stop_after is None else stop_after,
     )
     content = _with_progress(runner, known[name], options)
     console.print(known[name].tables(content["summary"]), highlight=False, markup=False, soft_wrap=True)

@@ -30,14 +30,14 @@ from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import CHATTER
 from push_ident.identification.observation import NoiseModel, Observation
-from push_ident.identification.prediction import cell_displacement, cell_error
+from push_ident.identification.prediction import cell_displacement, cell_errors
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import true_pose
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import SimulationSettings
+from push_ident.physics.simulation import SimulationSettings, Timeline
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
 __all__ = ["Account", "AccountPart", "ExpectedErrors", "account_of", "expected_errors"]
@@ -216,11 +216,9 @@ def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy
         last = last @ np.linalg.cholesky(observed.last_covariance - floor).T
         discrepancy = discrepancy * np.sqrt(np.diag(floor) + observed.discrepancy[-1] ** 2)
         end_of = _EndPoses(record, observed, problem.settings, mean)
-        centre = end_of(mean, observed.pose[0])
-        for k, (model, start) in enumerate(zip(drawn, starts, strict=True)):
-            with_maps = end_of(model, start) + last[k]
-            ends = (end_of(mean, start) + last[k], with_maps, with_maps + discrepancy[k])
-            errors[row, :, k] = [cell_error(record.shape.cells, end, centre) for end in ends]
+        with_maps = last + [end_of(model, start) for model, start in zip(drawn, starts, strict=True)]
+        ends = np.array([last + [end_of(mean, start) for start in starts], with_maps, with_maps + discrepancy])
+        errors[row] = cell_errors(record.shape.cells, ends, end_of(mean, observed.pose[0]))
     return errors
 
 
@@ -229,6 +227,7 @@ class _EndPoses:
 
     def __init__(self, record: PushRecord, observed: Observation, settings: SimulationSettings, mean: Mechanics) -> None:
         self._record, self._time = record, observed.time[-1:]
+        self._timelines: dict[SimulationSettings, Timeline] = {}
         self.settings = settings
 
         def end_pose(numerics: SimulationSettings) -> Float64Array:
@@ -239,7 +238,9 @@ class _EndPoses:
 
     def __call__(self, model: Mechanics, first: Float64Array) -> Float64Array:
         scenario = PushScenario(self._record.pusher, true_pose(model.effects, first), self._time, self._record.order)
-        return np.asarray(model.simulate(scenario, settings=self.settings).pose[-1])
+        if self.settings not in self._timelines:
+            self._timelines[self.settings] = Timeline.of(scenario, self.settings)
+        return np.asarray(model.simulate(scenario, settings=self.settings, timeline=self._timelines[self.settings]).pose[-1])
 
 
 def _more_pushes(account: Account, problem: FitProblem) -> int | None:
@@ -250,11 +251,11 @@ def _more_pushes(account: Account, problem: FitProblem) -> int | None:
     was found by simulation is scaled with the mean of that.
     """
     terms: list[tuple[Float64Array, Float64Array, int]] = []
-    for fit, fold in zip(account.gap.fits, account.gap.folds, strict=True):
-        information, directions = np.linalg.eigh(np.linalg.inv(fit.covariance) - np.eye(fit.unknowns.size))
-        for push in fold:
-            if (rows := _end_by_unknowns(fit, problem, push)) is not None:
-                terms.append((np.sum((rows @ directions) ** 2, axis=0), np.maximum(information, 0.0), len(fit.problem.records)))
+    tasks = [(fit, push) for fit, fold in zip(account.gap.fits, account.gap.folds, strict=True) for push in fold]
+    for (fit, _), rows in zip(tasks, map_in_threads(lambda task: _end_by_unknowns(task[0], problem, task[1]), tasks), strict=True):
+        if rows is not None:
+            information, directions = np.linalg.eigh(np.linalg.inv(fit.covariance) - np.eye(fit.unknowns.size))
+            terms.append((np.sum((rows @ directions) ** 2, axis=0), np.maximum(information, 0.0), len(fit.problem.records)))
     noise, both = account["noise"].mean, account["noise"].mean + account["maps"].mean
     if not terms or not np.isfinite(both):
         return None

@@ -33,16 +33,16 @@ def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisSta
     on_progress("fitting the base model")
     settings = state.settings
     policy = settings.policy
-    base = fit_base(state.records, settings)
+    base = fit_base(state.records, settings, state.earlier)
     if not state.rest_noise_known:
         correlation = correlation_in_motion(base, policy.residuals)
         if correlation > settings.noise.correlation:
-            base = fit_base(state.records, replace(settings, noise=replace(settings.noise, correlation=correlation)))
+            base = fit_base(state.records, replace(settings, noise=replace(settings.noise, correlation=correlation)), state.earlier)
     change = step_effect(base)
     noise = noise_above_steps(base, change, policy.gates)
     if noise is not None:
         on_progress("the time steps are less exact than the poses: repeating the fit with poses as exact as the steps")
-        base = fit_base(state.records, replace(settings, noise=noise))
+        base = fit_base(state.records, replace(settings, noise=noise), state.earlier)
         change = step_effect(base)
     return replace(state, base=base, selection=None, fit_gates=tuple(check_fit(base, change, policy.gates)))
 

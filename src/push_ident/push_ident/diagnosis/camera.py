@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.policy import CameraPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -104,6 +105,7 @@ def set_outliers_aside(state: DiagnosisState) -> DiagnosisState:
         state,
         records=tuple(record for push, record in enumerate(state.records) if push not in outliers),
         outliers=tuple(state.source_of(push) for push in outliers),
+        earlier=EarlierFits(),
     )
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from push_ident.diagnosis.base_fit import fit_base_model
 from push_ident.diagnosis.camera import camera_is_in_question, camera_settings, question_camera, set_outliers_aside
 from push_ident.diagnosis.decide import decide
+from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.gates import check_pushes
 from push_ident.diagnosis.result import Diagnosis
@@ -29,6 +31,7 @@ def diagnose(
     settings: DiagnosisSettings | None = None,
     *,
     push_settings: PushSettings | None = None,
+    earlier: Diagnosis | None = None,
     on_progress: Progress | None = None,
 ) -> Diagnosis:
     """Explain why a simulation differs from pushes of one object.
@@ -37,6 +40,8 @@ def diagnose(
         records: the pushes, in the order in which they were made.
         settings: of the base model and of the decisions.
         push_settings: limits of the push that is proposed.
+        earlier: outcome for the first of these pushes: fits start at its fits, which takes less time and may end in another minimum of
+            a cost with kinks, within the tolerance of the fits. Where its pushes are others, it is not used.
         on_progress: called with what is under way.
 
     Raises:
@@ -44,6 +49,10 @@ def diagnose(
     """
     report = on_progress or (lambda text: None)
     state = check_pushes(_initial_state(records, settings or DiagnosisSettings()))
+    if earlier is not None and earlier.selection is not None and earlier.held_out is not None:
+        selection = earlier.selection
+        whole = [selection.base, selection.fit, *selection.stages.values()]
+        state = replace(state, earlier=EarlierFits.of(state.records, whole, earlier.held_out.fits))
     state = select(fit_base_model(state, report), report)
     if camera_is_in_question(state):
         report("the camera is less accurate than a calibrated one: its errors are effects now")

@@ -65,6 +65,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         account=validation.account,
         first_push=first_push,
         selection=validation.selection,
+        held_out=validation.held_out,
         where=group_residuals(validation.base_residuals, policy.residuals),
         next_push=_propose(state, validation, push_settings),
         check=_check(validation, decision, words),

@@ -7,9 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import AmplitudePolicy, Fit, fit_amplitudes
+from push_ident.identification.fit import AMPLITUDES, AmplitudePolicy, Fit, fit_amplitudes
 from push_ident.identification.levenberg_marquardt import minimise
 from push_ident.identification.problem import FitProblem
 from push_ident.identification.unknowns import Unknowns
@@ -37,8 +38,10 @@ _SECOND_START: Final = 0.4
 """Distance of the second start, relative to the first: a linear guess may overshoot [-]."""
 
 
-def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
+def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier: EarlierFits | None = None) -> Fit:
     """The base model, under the amplitude of the maps' prior with the highest log evidence.
+
+    It starts at an earlier one of the first of the pushes, where there is one.
 
     Raises InputError where there is no push, or pushes of different objects.
     """
@@ -48,11 +51,12 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
     late = [name for name in _BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
     unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
-    def problem_at(amplitude: float) -> FitProblem:
-        return FitProblem(records, unknowns.at_amplitude(amplitude), noise=settings.noise, settings=settings.numerics)
-
-    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, run_all=map_in_threads)
-    return max(fit_amplitudes(problem_at, np.zeros(problem_at(1.0).size), policy), key=lambda fit: fit.log_evidence)
+    problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)
+    known = earlier.base(unknowns.effects.names) if earlier else None
+    starts = [known.minimum_at(amplitude) for amplitude in AMPLITUDES] if known else []
+    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, warm_starts=starts)
+    fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), policy)
+    return max(fits, key=lambda fit: fit.log_evidence)
 
 
 def fit_effects(
@@ -97,7 +101,7 @@ def polished(fit: Fit) -> Fit:
     return Fit(problem, *minimise(problem, fit.x, _MAX_ITERATIONS, start=fit.end), fit.amplitude)
 
 
-def without_pushes(fit: Fit, pushes: Sequence[int]) -> Fit:
+def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None = None) -> Fit:
     """Fit of the same model to all pushes but some.
 
     It starts at some distance from the fit to all: the cost has kinks (stick and slip), and from that fit it would stay in those that the
@@ -106,9 +110,10 @@ def without_pushes(fit: Fit, pushes: Sequence[int]) -> Fit:
     Args:
         fit: converged.
         pushes: numbers of the pushes in its problem.
+        start: unknowns to start at, which know nothing of these pushes either, shape (size,).
     """
     problem = fit.problem.without(pushes)
-    x0 = np.r_[_HELD_OUT_START * fit.z, np.delete(fit.problem.push_unknowns(fit.x), pushes, axis=0).ravel()]
+    x0 = np.r_[_HELD_OUT_START * fit.z, np.delete(fit.problem.push_unknowns(fit.x), pushes, axis=0).ravel()] if start is None else start
     return Fit(problem, *minimise(problem, x0, _MAX_HELD_OUT_ITERATIONS, tolerance=_COARSE_TOLERANCE), fit.amplitude)
 
 

@@ -7,15 +7,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
-from push_ident.identification.prediction import cell_error, held_out_errors
+from push_ident.identification.prediction import cell_errors, held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
-__all__ = ["Gap", "folds_of", "measure_gap"]
+__all__ = ["Gap", "HeldOutFits", "folds_of", "measure_gap"]
 
 Progress = Callable[[str], None]
 
@@ -116,6 +117,32 @@ class _HeldOutFold:
     """To the other pushes."""
 
 
+class HeldOutFits:
+    """Fits without some pushes, and what they predict of these pushes; each is made once.
+
+    Args:
+        earlier: where they start, where an earlier diagnosis of the first of the pushes made such fits.
+    """
+
+    def __init__(self, earlier: EarlierFits | None = None) -> None:
+        self._earlier = earlier or EarlierFits()
+        self._known: dict[tuple[int, tuple[int, ...]], tuple[Fit, _HeldOutFold]] = {}
+        """By the identity of the fit to all pushes, which is kept, and the fold."""
+
+    def of(self, fits: Sequence[Fit], folds: Sequence[Sequence[int]]) -> list[list[_HeldOutFold]]:
+        """Of each fit, the results of all folds."""
+        wanted = {(id(fit), tuple(fold)): fit for fit in fits for fold in folds}
+        missing = [(key, fit) for key, fit in wanted.items() if key not in self._known]
+        results = map_in_threads(lambda task: _hold_out(task[1], task[0][1], self._earlier), missing)
+        self._known |= {key: (fit, result) for (key, fit), result in zip(missing, results, strict=True)}
+        return [[self._known[id(fit), tuple(fold)][1] for fold in folds] for fit in fits]
+
+    @property
+    def fits(self) -> list[tuple[Fit, tuple[int, ...]]]:
+        """All of them, with the numbers of the pushes that they do not use."""
+        return [(result.fit, fold) for (_, fold), (_, result) in self._known.items()]
+
+
 def measure_gap(
     base: Fit,
     fit: Fit,
@@ -123,6 +150,7 @@ def measure_gap(
     on_progress: Progress | None = None,
     *,
     between: Mapping[str, Fit] | None = None,
+    held_out: HeldOutFits | None = None,
 ) -> Gap:
     """Hold each push out of both fits once, and predict it.
 
@@ -132,6 +160,7 @@ def measure_gap(
         policy: number of folds and draws.
         on_progress: called with what is under way.
         between: fits with some of the effects, by their names, for the `stages` of the gap.
+        held_out: fits without some pushes that are known, to which those of this gap are added.
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)
@@ -139,7 +168,7 @@ def measure_gap(
     report(f"holding out each of {n} pushes once, in {len(folds)} fits")
     stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
-    by_fit = _hold_out_all(fits, folds)
+    by_fit = (held_out or HeldOutFits()).of(fits, folds)
     errors = np.array([_by_push(own, folds) for own in by_fit])
     density = np.array([[result.log_density for result in own] for own in by_fit])
     evidence = np.array([one.log_evidence for one in fits])[:, None] - density
@@ -164,12 +193,6 @@ def folds_of(n_pushes: int, max_folds: int) -> list[list[int]]:
     return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]
 
 
-def _hold_out_all(fits: Sequence[Fit], folds: Sequence[Sequence[int]]) -> list[list[_HeldOutFold]]:
-    """Of each fit, the results of all folds."""
-    results = map_in_threads(lambda task: _hold_out(*task), [(fit, fold) for fit in fits for fold in folds])
-    return [results[k * len(folds) : (k + 1) * len(folds)] for k in range(len(fits))]
-
-
 def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) -> Float64Array:
     """Cell errors of all folds in the order of the pushes [m], shape (n_pushes,)."""
     errors = np.empty(sum(map(len, folds)))
@@ -178,30 +201,30 @@ def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) ->
     return errors
 
 
-def _hold_out(fit: Fit, pushes: Sequence[int]) -> _HeldOutFold:
-    rest, problem = without_pushes(fit, pushes), fit.problem
+def _hold_out(fit: Fit, pushes: Sequence[int], earlier: EarlierFits) -> _HeldOutFold:
+    rest, problem = without_pushes(fit, pushes, earlier.start(fit, pushes)), fit.problem
     records = [problem.records[push] for push in pushes]
-    errors = held_out_errors(rest.model, records, effects=rest.effects, noise=problem.noise, settings=problem.settings)
+    observations = [problem.observations[push] for push in pushes]
+    errors = held_out_errors(rest.model, records, effects=rest.effects, settings=problem.settings, observed=observations)
     return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 
 def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
     """Cell error that the noise of the first and the last pose would make if the model were right [m], shape (n_pushes,)."""
-    rng = np.random.default_rng(0)
     problem = fit.problem
     mechanics = fit.unknowns.mechanics(fit.z)
-    errors = []
-    for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
+    normal = np.random.default_rng(0).normal(size=(len(problem.records), n_draws, 2, 3))
+
+    def error(push: int) -> float:
+        record, observation = problem.records[push], problem.observations[push]
         motion = mechanics.simulate(
             PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time[-1:], record.order),
             settings=problem.settings_of(push),
             jacobian=True,
         )
-        by_first = motion.jacobian[-1, :, :3]
-        first_root = np.linalg.cholesky(observation.first_covariance)
+        by_first = motion.jacobian[-1, :, :3] @ np.linalg.cholesky(observation.first_covariance)
         last_root = np.linalg.cholesky(observation.last_covariance)
-        draws: Sequence[Float64Array] = [
-            by_first @ first_root @ rng.normal(size=3) + last_root @ rng.normal(size=3) for _ in range(n_draws)
-        ]
-        errors.append(float(np.median([cell_error(record.shape.cells, motion.pose[-1], motion.pose[-1] + d) for d in draws])))
-    return np.array(errors)
+        draws = normal[push, :, 0] @ by_first.T + normal[push, :, 1] @ last_root.T
+        return float(np.median(cell_errors(record.shape.cells, motion.pose[-1], motion.pose[-1] + draws)))
+
+    return np.array(map_in_threads(error, range(len(problem.records))))

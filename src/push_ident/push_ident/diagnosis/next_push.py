@@ -137,7 +137,7 @@ def most_informative_push(fit: Fit, pose: Float64Array, settings: PushSettings, 
         return None
     rng = np.random.default_rng(0)
     reference = reference_pushes(shape, rng, policy.references, settings)
-    options = RankingOptions(sensor=_sensor(problem.records[-1].poses), noise=problem.noise)
+    options = RankingOptions(sensor=_sensor(problem.records[-1].poses), noise=problem.noise, run_all=map_in_threads)
     try:
         return rank_pushes(fit.posterior, candidates, reference=reference, rng=rng, options=options).best
     except InputError:  # no reference push moves the object

@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.diagnosis.patterns import RADIUS, Acts, VariesWith, waves
+from push_ident.diagnosis.pattern_family import Acts, VariesWith
+from push_ident.diagnosis.patterns import RADIUS, waves
 from push_ident.diagnosis.something_else import Pattern
 from push_ident.types import Float64Array
 

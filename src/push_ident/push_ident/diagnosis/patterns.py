@@ -13,17 +13,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import Enum
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.diagnosis.pattern_family import (
+    Acts,
+    Family,
+    Rows,
+    VariesWith,
+    all_of,
+    from_push,
+    one_push,
+    parts,
+    separate,
+    shared,
+    singles,
+)
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
 from push_ident.physics.simulation import Motion, StepResponse
 from push_ident.types import Float64Array
 
-__all__ = ["FIRST_SECONDS", "RADIUS", "Acts", "Family", "Member", "VariesWith", "pattern_families", "waves"]
+__all__ = ["FIRST_SECONDS", "RADIUS", "pattern_families", "waves"]
 
 _STILL = 1e-3
 """Speed below which a direction of motion fades [m/s], as of effects."""
@@ -59,69 +73,6 @@ _FRICTIONS: Final = (0.1, 0.3, 1.0)
 """Prior standard deviations of a share of the friction [1]."""
 _LENGTHS: Final = (0.3, 1.0, 3.0)
 """Prior standard deviations of a displacement [mm]."""
-_SHARED: Final = ("friction", "field", "since", "way", "speed", "heading", "own_heading", "side")
-"""Patterns that all pushes share."""
-_SEPARATE: Final = ("order_motion", "order_table", "order_tool", "time", "time_tool")
-"""Patterns that each push has for itself."""
-
-
-class Acts(Enum):
-    """What a pattern acts on."""
-
-    FRICTION = "friction"
-    FORCE = "force"
-    """With a torque, along the axes of the table."""
-    FORCE_ON_MOTION = "force along the motion"
-    """Along and across the motion, with a torque."""
-    TOOL = "pusher"
-
-
-class VariesWith(Enum):
-    """The coordinate that a pattern follows."""
-
-    SPOT = "spot"
-    """One place."""
-    PLACE = "place"
-    FROM_PUSH = "from push"
-    """The same from one push on."""
-    ONE_PUSH = "one push"
-    PUSH = "push"
-    """Each push for itself."""
-    SINCE_CONTACT = "time since contact"
-    WAY = "way slid"
-    SPEED = "speed"
-    HEADING = "heading in the table"
-    OWN_HEADING = "heading in the object"
-    SIDE = "side of the object"
-    TIME = "time"
-    """In each push in its own way."""
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """One hypothesis of a family."""
-
-    key: float | tuple[float, float] | None
-    """What distinguishes it: number of the push, decay time [s] or length [m], place [m]; None where the family has only one."""
-    weights: Float64Array
-    """Its patterns as combinations of the columns of the family, shape (n_columns, n)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Family:
-    """Patterns that act on one thing and follow one coordinate."""
-
-    acts_on: Acts
-    varies_with: VariesWith
-    columns: Float64Array
-    """Change of the whitened residuals of all frames, then of all measured forces, by a unit amplitude of each column, shape (3 n_frames +
-    2 n_windows of all pushes, n_columns)."""
-    members: tuple[Member, ...]
-    scales: tuple[float, ...]
-    """Prior standard deviations of the amplitudes; which of them holds is not known."""
-    at: Float64Array | None = None
-    """What each column stands for, where that is a place [m], a speed [m/s], an angle [rad] or a number of a push and a time [s], shape
-    (n_columns, n); columns of several components of a force repeat it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,23 +155,19 @@ def _times(wrench: Float64Array, functions: Float64Array) -> Float64Array:
     return np.asarray(np.einsum("tip,tm->timp", wrench, functions)).reshape(len(wrench), wrench.shape[1], -1)
 
 
-_Rows = tuple[Float64Array, Float64Array]
-"""Rows of the poses and of the measured forces of one push, weighted as in the cost, shapes (3 n_frames, n) and (2 n_windows, n)."""
-
-
 def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
     """The change of the residuals of a fit by every pattern; None where a push cannot be simulated."""
     problem = fit.problem
-    simulated = [problem.respond(fit.x, push) for push in range(len(problem.records))]
+    simulated = map_in_threads(partial(problem.respond, fit.x), range(len(problem.records)))
     if any(response is None for _, response in simulated):
         return None
     paths = [_Path.of(response) for _, response in simulated if response is not None]
     places = _places(paths)
-    responses = [_respond(fit, push, motion, path, places) for push, ((motion, _), path) in enumerate(zip(simulated, paths, strict=True))]
+    responses = map_in_threads(lambda push: _respond(fit, push, simulated[push][0], paths[push], places), range(len(paths)))
     return tuple(_families(responses, places, [_knot_times(path) for path in paths]))
 
 
-def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Array) -> dict[str, _Rows]:
+def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Array) -> dict[str, Rows]:
     """Change of the residuals of one push by every pattern."""
     problem, blocks = fit.problem, _blocks_of(path, places)
     if problem.feels:
@@ -384,88 +331,51 @@ def _sides(path: _Path) -> Float64Array:
     return np.asarray(-1e-3 * direction[:, :, None] * bell[:, None, :])
 
 
-def _families(responses: Sequence[dict[str, _Rows]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
-    shared = {name: _stacked(responses, name) for name in _SHARED}
-    separate = {name: _stacked(responses, name, separate=True) for name in _SEPARATE}
+def _families(responses: Sequence[dict[str, Rows]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
     n, sides = len(responses), 2.0 * np.pi * np.arange(_SIDES)[:, None] / _SIDES
     times = np.concatenate([np.column_stack([np.full(len(own), push), own]) for push, own in enumerate(knots)])
-    friction, field = shared["friction"], shared["field"]
-    by_motion, by_table, by_tool = (separate[name] for name in ("order_motion", "order_table", "order_tool"))
-    since, way, speed = shared["since"], shared["way"], shared["speed"]
+    friction, field, heading, own_heading, side = (
+        shared(responses, name) for name in ("friction", "field", "heading", "own_heading", "side")
+    )
+    (by_motion, of_3), (by_table, _), (by_tool, of_2) = (
+        separate(responses, name) for name in ("order_motion", "order_table", "order_tool")
+    )
+    (time, of_time), (time_tool, of_time_tool) = (separate(responses, name) for name in ("time", "time_tool"))
+    since, way, speed = (shared(responses, name) for name in ("since", "way", "speed"))
     n_acting = since.shape[1] // len(FIRST_SECONDS)
     speeds = np.repeat(_SPEEDS, speed.shape[1] // len(_SPEEDS))[:, None]
     families = [
-        Family(Acts.FRICTION, VariesWith.SPOT, friction, _singles(places), _FRICTIONS, places),
-        Family(Acts.FRICTION, VariesWith.PLACE, friction, _all_of(friction), _FRICTIONS, places),
-        Family(Acts.FORCE, VariesWith.SPOT, field, _singles(places), _FORCES, places),
-        Family(Acts.FORCE, VariesWith.PLACE, field, _all_of(field), _FORCES, places),
-        Family(Acts.FORCE, VariesWith.FROM_PUSH, by_table, _from_push(n, 3), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.FROM_PUSH, by_motion, _from_push(n, 3), _FORCES),
-        Family(Acts.TOOL, VariesWith.FROM_PUSH, by_tool, _from_push(n, 2), _LENGTHS),
-        Family(Acts.FORCE, VariesWith.ONE_PUSH, by_table, _one_push(n, 3), _FORCES),
-        Family(Acts.TOOL, VariesWith.ONE_PUSH, by_tool, _one_push(n, 2), _LENGTHS),
-        Family(Acts.FORCE, VariesWith.PUSH, by_table, _all_of(by_table), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.SINCE_CONTACT, since, _parts(FIRST_SECONDS, n_acting), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.WAY, way, _parts(FIRST_WAYS, n_acting), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.SPEED, speed, _all_of(speed), _FORCES, speeds),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING, shared["heading"], _all_of(shared["heading"]), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.OWN_HEADING, shared["own_heading"], _all_of(shared["own_heading"]), _FORCES),
-        Family(Acts.TOOL, VariesWith.SIDE, shared["side"], _all_of(shared["side"]), _LENGTHS, sides),
-        Family(Acts.FORCE, VariesWith.TIME, separate["time"], _all_of(separate["time"]), _FORCES, np.repeat(times, 3, axis=0)),
-        Family(Acts.TOOL, VariesWith.TIME, separate["time_tool"], _all_of(separate["time_tool"]), _LENGTHS, np.repeat(times, 2, axis=0)),
+        Family(Acts.FRICTION, VariesWith.SPOT, friction, singles(places), _FRICTIONS, places),
+        Family(Acts.FRICTION, VariesWith.PLACE, friction, all_of(), _FRICTIONS, places),
+        Family(Acts.FORCE, VariesWith.SPOT, field, singles(places), _FORCES, places),
+        Family(Acts.FORCE, VariesWith.PLACE, field, all_of(), _FORCES, places),
+        Family(Acts.FORCE, VariesWith.FROM_PUSH, by_table, from_push(n, 3), _FORCES, columns_of_push=of_3),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.FROM_PUSH, by_motion, from_push(n, 3), _FORCES, columns_of_push=of_3),
+        Family(Acts.TOOL, VariesWith.FROM_PUSH, by_tool, from_push(n, 2), _LENGTHS, columns_of_push=of_2),
+        Family(Acts.FORCE, VariesWith.ONE_PUSH, by_table, one_push(n, 3), _FORCES, columns_of_push=of_3),
+        Family(Acts.TOOL, VariesWith.ONE_PUSH, by_tool, one_push(n, 2), _LENGTHS, columns_of_push=of_2),
+        Family(Acts.FORCE, VariesWith.PUSH, by_table, all_of(), _FORCES, columns_of_push=of_3),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.SINCE_CONTACT, since, parts(FIRST_SECONDS, n_acting), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.WAY, way, parts(FIRST_WAYS, n_acting), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.SPEED, speed, all_of(), _FORCES, speeds),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING, heading, all_of(), _FORCES),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.OWN_HEADING, own_heading, all_of(), _FORCES),
+        Family(Acts.TOOL, VariesWith.SIDE, side, all_of(), _LENGTHS, sides),
+        Family(Acts.FORCE, VariesWith.TIME, time, all_of(), _FORCES, np.repeat(times, 3, axis=0), of_time),
+        Family(Acts.TOOL, VariesWith.TIME, time_tool, all_of(), _LENGTHS, np.repeat(times, 2, axis=0), of_time_tool),
     ]
     return families if "order_friction" not in responses[0] else families + _felt_families(responses)
 
 
-def _felt_families(responses: Sequence[dict[str, _Rows]]) -> list[Family]:
+def _felt_families(responses: Sequence[dict[str, Rows]]) -> list[Family]:
     """Friction of all cells alike."""
-    by_push = _stacked(responses, "order_friction", separate=True)
-    since, way, speed = (_stacked(responses, name) for name in ("friction_since", "friction_way", "friction_speed"))
+    n = len(responses)
+    by_push, own = separate(responses, "order_friction")
+    since, way, speed = (shared(responses, name) for name in ("friction_since", "friction_way", "friction_speed"))
     return [
-        Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, _from_push(len(responses), 1), _FRICTIONS),
-        Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, _one_push(len(responses), 1), _FRICTIONS),
-        Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, _parts(FIRST_SECONDS, 1), _FRICTIONS),
-        Family(Acts.FRICTION, VariesWith.WAY, way, _parts(FIRST_WAYS, 1), _FRICTIONS),
-        Family(Acts.FRICTION, VariesWith.SPEED, speed, _all_of(speed), _FRICTIONS, np.array(_SPEEDS)[:, None]),
+        Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, from_push(n, 1), _FRICTIONS, columns_of_push=own),
+        Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, one_push(n, 1), _FRICTIONS, columns_of_push=own),
+        Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, parts(FIRST_SECONDS, 1), _FRICTIONS),
+        Family(Acts.FRICTION, VariesWith.WAY, way, parts(FIRST_WAYS, 1), _FRICTIONS),
+        Family(Acts.FRICTION, VariesWith.SPEED, speed, all_of(), _FRICTIONS, np.array(_SPEEDS)[:, None]),
     ]
-
-
-def _stacked(responses: Sequence[dict[str, _Rows]], name: str, *, separate: bool = False) -> Float64Array:
-    """Rows of the poses of all pushes, then those of their forces; with `separate` each push has columns of its own."""
-    stack = _block_diagonal if separate else np.concatenate
-    return np.concatenate([stack([own[name][kind] for own in responses]) for kind in (0, 1)])
-
-
-def _block_diagonal(parts: Sequence[Float64Array]) -> Float64Array:
-    """Of each push its own columns."""
-    full = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
-    row = column = 0
-    for part in parts:
-        full[row : row + part.shape[0], column : column + part.shape[1]] = part
-        row, column = row + part.shape[0], column + part.shape[1]
-    return full
-
-
-def _all_of(columns: Float64Array) -> tuple[Member, ...]:
-    return (Member(None, np.eye(columns.shape[1])),)
-
-
-def _singles(places: Float64Array) -> tuple[Member, ...]:
-    """One place each."""
-    identity = np.eye(len(places))
-    return tuple(Member((float(x), float(y)), identity[:, [k]]) for k, (x, y) in enumerate(places))
-
-
-def _parts(keys: Sequence[float], n_each: int) -> tuple[Member, ...]:
-    """A part of the columns for each key."""
-    identity = np.eye(len(keys) * n_each)
-    return tuple(Member(key, identity[:, k * n_each : (k + 1) * n_each]) for k, key in enumerate(keys))
-
-
-def _from_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
-    """The same in all pushes from one of them on."""
-    return tuple(Member(k, np.kron((np.arange(n_pushes) >= k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(1, n_pushes))
-
-
-def _one_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
-    return tuple(Member(k, np.kron((np.arange(n_pushes) == k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(n_pushes))

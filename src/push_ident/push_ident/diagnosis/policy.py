@@ -40,7 +40,7 @@ class GatePolicy:
     missing_frame_interval: float = 1.8
     """Interval between frames, in medians of the push, from which a frame counts as missing: the next multiple is 2. Judgement."""
     max_missing_share: float = 0.3
-    """Share of intervals with a missing frame, below which data are accepted. Judgement."""
+    """Share of intervals of a push with a missing frame, from which it counts by its poses at rest only. Judgement."""
     jump_size: tuple[float, float, float] = (0.02, 0.02, 0.35)
     """Change of a pose that comes back, beyond noise, from which it counts as a jump [m, m, rad]; no push moves an object as far within a
     frame. Judgement from the speed of pushes (0.3 m/s at 15 frames a second)."""

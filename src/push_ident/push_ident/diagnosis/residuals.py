@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from push_ident.diagnosis.policy import ResidualPolicy
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.fit import Fit
 from push_ident.identification.observation import Observation
@@ -107,14 +108,16 @@ def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
     """Residuals of a fit in the frame of the object's motion, with draws of them under the model."""
     problem = fit.problem
     mechanics = fit.unknowns.mechanics(fit.z)
-    drawn = iter(_refitted_noise(fit, policy.draws, np.random.default_rng(0)))
-    parts, draws = [], []
-    for push, (record, observation) in enumerate(zip(problem.records, problem.observations, strict=True)):
+    drawn = _refitted_noise(fit, policy.draws, np.random.default_rng(0))
+
+    def of_push(push: int) -> tuple[Float64Array, Float64Array]:
+        record, observation = problem.records[push], problem.observations[push]
         scenario = PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time, record.order)
         motion = mechanics.simulate(scenario, settings=problem.settings_of(push))
         columns, to_motion_frame = _push_residuals(motion, observation, push, policy)
-        parts.append(columns[1:])
-        draws.append(np.einsum("fij,dfj->dfi", to_motion_frame, next(drawn))[:, 1:])
+        return columns[1:], np.einsum("fij,dfj->dfi", to_motion_frame, drawn[push])[:, 1:]
+
+    parts, draws = zip(*map_in_threads(of_push, range(len(problem.records))), strict=True)
     frames = np.vstack(parts)
     return FrameResiduals(
         standardized=frames[:, :3],

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from push_ident.diagnosis.account import Account
-from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.held_out import Gap, HeldOutFits
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.pattern_words import PatternWords
@@ -86,6 +86,8 @@ class Diagnosis:
     first_push: PlannedPush | None = None
     """Of the pushes that would make the maps known, where they are not (`Account.more_pushes`): the one that predictions gain most from."""
     selection: Selection | None = None
+    held_out: HeldOutFits | None = None
+    """Fits without some pushes, at which a diagnosis of these pushes and more may start."""
     where: dict[str, list[ResidualGroup]] = field(default_factory=dict)
     """Residuals of the base model in groups."""
     next_push: SeparatingPush | None = None

@@ -17,14 +17,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from push_ident.diagnosis.patterns import Family, Member, pattern_families
+from push_ident.diagnosis.pattern_family import Family, Member
+from push_ident.diagnosis.pattern_precision import AmplitudePrecision
+from push_ident.diagnosis.patterns import pattern_families
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.residuals import draw_noise
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
 from push_ident.identification.prediction import cell_displacement
 from push_ident.types import BoolArray, Float64Array
@@ -88,6 +92,12 @@ class _Linear:
     """Root of the weight of each frame and of each mean force, shape (n_rows,)."""
     precision: Float64Array
     """Of the unknowns by the prior, shape (n_unknowns,)."""
+    start: Float64Array
+    """The unknowns, shape (n_unknowns,)."""
+    rows: tuple[NDArray[np.int64], ...]
+    """Rows of each push."""
+    hessian: Float64Array
+    """J'J + P, shape (n_unknowns, n_unknowns)."""
     onto: Float64Array
     """(J'J + P)^-1 J', shape (n_unknowns, n_rows)."""
     residual: Float64Array
@@ -96,6 +106,17 @@ class _Linear:
     def without_fitted(self, columns: Float64Array) -> Float64Array:
         """M times columns, shape (n_rows, n)."""
         return columns - self.jacobian @ (self.onto @ columns)
+
+    def step(self, observed: Float64Array) -> Float64Array:
+        """From `start` to the optimum of the quadratic approximation, for `observed` as in the field, shape (n_unknowns,)."""
+        slope = self.jacobian.T @ observed - self.precision * self.start
+        return np.asarray(np.linalg.solve(self.hessian, slope), dtype=np.float64)
+
+    def without(self, layout: _Layout, fold: Sequence[int]) -> _Linear:
+        """The same without some pushes."""
+        known = layout.without(fold)
+        rows = layout.rows_of_pushes(known)
+        return _solved(self.precision, self.start, self.jacobian[known], self.observed[known], self.weight[known], rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +133,25 @@ class _Layout:
         poses = np.cumsum([0, *(3 * len(own.time) for own in fit.problem.observations)])
         return cls(poses, poses[-1] + np.cumsum([0, *(0 if own is None else 2 * len(own.force) for own in fit.problem.forces)]))
 
+    @property
+    def all(self) -> BoolArray:
+        """A mask of all rows."""
+        return np.ones(self.forces[-1], dtype=bool)
+
     def without(self, fold: Sequence[int]) -> BoolArray:
         """All rows but those of some pushes, of which only the first frame stays: it is the prior of their first pose."""
-        known = np.ones(self.forces[-1], dtype=bool)
+        known = self.all
         for push in fold:
             known[self.poses[push] + 3 : self.poses[push + 1]] = False
             known[self.forces[push] : self.forces[push + 1]] = False
         return known
+
+    def rows_of_pushes(self, known: BoolArray) -> tuple[NDArray[np.int64], ...]:
+        """Rows of each push among those of a mask."""
+        number = np.cumsum(known) - 1
+        ends = zip(self.poses, self.poses[1:], self.forces, self.forces[1:], strict=False)
+        own = [np.r_[first:last, first_force:last_force] for first, last, first_force, last_force in ends]
+        return tuple(number[rows[known[rows]]] for rows in own)
 
 
 def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
@@ -136,23 +169,23 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
     if all_families is None or linear is None:
         return None
     residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.draws)])
-    found = [_evaluate(family, linear, residuals) for family in all_families]
+    found = map_in_threads(lambda family: _evaluate(family, linear, residuals), all_families)
     families = np.array([own[0] for own in found])
     drawn = np.array([own[1] for own in found])
     total, under_noise = float(_log_mean(families)), _log_mean(drawn)
     order = np.argsort(-families)
     share = np.exp(families - logsumexp(families))
-    patterns = [_pattern(all_families[k], found[k][2], float(families[k]), float(share[k]), linear) for k in order]
+    patterns = map_in_threads(lambda k: _pattern(all_families[k], found[k][2], float(families[k]), float(share[k]), linear), order)
     p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
-    layout = _Layout.of(fit)
-    without = [_evidence_without(fit, linear, all_families, layout, fold) for fold in folds] if total > 0.0 else []
+    without: list[float] = []
+    if total > 0.0:
+        without = map_in_threads(partial(_evidence_without, linear, all_families, _Layout.of(fit)), folds)
     return SomethingElse(total, p_value, tuple(patterns), np.array(without))
 
 
-def _evidence_without(fit: Fit, linear: _Linear, families: Sequence[Family], layout: _Layout, fold: Sequence[int]) -> float:
+def _evidence_without(linear: _Linear, families: Sequence[Family], layout: _Layout, fold: Sequence[int]) -> float:
     """Log Bayes factor of anything of the kind without some pushes [nat]."""
-    rows = layout.without(fold)
-    rest = _solved(fit, linear.jacobian[rows], linear.observed[rows], linear.weight[rows], linear.precision)
+    rows, rest = layout.without(fold), linear.without(layout, fold)
     residual = rest.residual[:, None]
     own = [replace(family, columns=family.columns[rows]) for family in families]
     return float(_log_mean(np.array([_evaluate(family, rest, residual)[0] for family in own])))
@@ -173,32 +206,31 @@ def error_with_patterns(fit: Fit, found: SomethingElse, folds: Sequence[Sequence
     assert linear is not None, "patterns were found beside this fit"
     probable = [pattern for pattern in found.patterns if pattern.share >= _PROBABLE * found.best.share]
     weights = np.array([pattern.share for pattern in probable])
-    without = _end_residuals(fit, linear, None, folds)
-    own = np.array([_end_residuals(fit, linear, pattern, folds) for pattern in probable])
-    with_them = np.tensordot(weights / weights.sum(), own, axes=1)
-    return np.asarray(np.linalg.norm(with_them, axis=1) - np.linalg.norm(without, axis=1))
+    ends = np.empty((1 + len(probable), len(fit.problem.records), 3))
+    for fold, own in zip(folds, map_in_threads(partial(_end_residuals, fit, linear, probable), folds), strict=True):
+        ends[:, list(fold)] = own
+    with_them = np.tensordot(weights / weights.sum(), ends[1:], axes=1)
+    return np.asarray(np.linalg.norm(with_them, axis=1) - np.linalg.norm(ends[0], axis=1))
 
 
-def _end_residuals(fit: Fit, linear: _Linear, pattern: Pattern | None, folds: Sequence[Sequence[int]]) -> Float64Array:
-    """Displacement of the cells at the end of each push from its prediction without the push [m], shape (n_pushes, 3)."""
-    problem = fit.problem
-    columns, precision, start = linear.jacobian, linear.precision, fit.x
-    if pattern is not None:
-        own = pattern.family.columns @ pattern.member.weights
-        columns = np.hstack([columns, own])
-        precision = np.append(precision, np.full(own.shape[1], pattern.scale**-2))
-        start = np.append(start, np.zeros(own.shape[1]))
-    residuals, layout = np.empty((len(problem.records), 3)), _Layout.of(fit)
-    for fold in folds:
-        known = layout.without(fold)
-        rows = columns[known]
-        step = np.linalg.solve(rows.T @ rows + np.diag(precision), rows.T @ linear.observed[known] - precision * start)
-        for push in fold:
-            ends = slice(layout.poses[push + 1] - 3, layout.poses[push + 1])
-            observation = problem.observations[push]
-            whitening = linear.weight[ends][:, None] * observation.whitening[-1]
-            in_metres = cell_displacement(problem.records[push].shape.cells, observation.pose[-1, 2]) @ np.linalg.inv(whitening)
-            residuals[push] = in_metres @ (linear.observed[ends] - columns[ends] @ step)
+def _end_residuals(fit: Fit, linear: _Linear, patterns: Sequence[Pattern], fold: Sequence[int]) -> Float64Array:
+    """Displacement of the cells at the end of each push of a fold from its prediction without the fold [m], shape (1 + n_patterns,
+    n_pushes of the fold, 3): first without any pattern, then with each of them."""
+    problem, layout = fit.problem, _Layout.of(fit)
+    rows, rest = layout.without(fold), linear.without(layout, fold)
+    predicted = [linear.jacobian @ rest.step(rest.observed)]
+    for pattern in patterns:
+        family = replace(pattern.family, columns=pattern.family.columns[rows])
+        amplitude = _amplitudes(family, pattern.member, pattern.scale, rest)
+        change = pattern.family.columns @ amplitude
+        predicted.append(change + linear.jacobian @ rest.step(rest.observed - change[rows]))
+    residuals = np.empty((len(predicted), len(fold), 3))
+    for place, push in enumerate(fold):
+        ends = slice(layout.poses[push + 1] - 3, layout.poses[push + 1])
+        observation = problem.observations[push]
+        whitening = linear.weight[ends][:, None] * observation.whitening[-1]
+        in_metres = cell_displacement(problem.records[push].shape.cells, observation.pose[-1, 2]) @ np.linalg.inv(whitening)
+        residuals[:, place] = [in_metres @ (linear.observed - own)[ends] for own in predicted]
     return residuals
 
 
@@ -211,15 +243,24 @@ def _linear(fit: Fit) -> _Linear | None:
     weighted = np.concatenate([linear.by_poses, linear.by_forces]) * weight[:, None]
     # The residual of a problem is simulated minus observed.
     observed = -weight * np.concatenate([own.ravel() for own in (*linear.poses, *linear.forces)])
-    return _solved(fit, weighted, observed, weight, problem.unit_prior)
+    layout = _Layout.of(fit)
+    return _solved(problem.unit_prior, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
 
 
-def _solved(fit: Fit, jacobian: Float64Array, observed: Float64Array, weight: Float64Array, precision: Float64Array) -> _Linear:
+def _solved(
+    precision: Float64Array,
+    start: Float64Array,
+    jacobian: Float64Array,
+    observed: Float64Array,
+    weight: Float64Array,
+    rows: tuple[NDArray[np.int64], ...],
+) -> _Linear:
     """The minimum of the quadratic approximation; arguments as of `_Linear`."""
     hessian = jacobian.T @ jacobian + np.diag(precision)
     onto = np.asarray(np.linalg.solve(hessian, jacobian.T), dtype=np.float64)
-    step = np.linalg.solve(hessian, jacobian.T @ observed - precision * fit.x)
-    return _Linear(jacobian, observed, weight, precision, onto, np.asarray(observed - jacobian @ step))
+    step = np.linalg.solve(hessian, jacobian.T @ observed - precision * start)
+    residual = np.asarray(observed - jacobian @ step)
+    return _Linear(jacobian, observed, weight, precision, start, rows, hessian, onto, residual)
 
 
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
@@ -242,19 +283,37 @@ def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple
 
     `residuals`: those of the fit, then the draws, shape (n_rows, 1 + n_draws).
     """
-    precision = family.columns.T @ linear.without_fitted(family.columns)
-    slope = family.columns.T @ residuals
-    scales2 = np.square(family.scales)
-    values = np.empty((len(family.members), len(scales2), slope.shape[1]))
-    for k, member in enumerate(family.members):
-        own = member.weights.T @ precision @ member.weights
-        size, directions = np.linalg.eigh(own)
-        size, along2 = np.maximum(size, 0.0), (directions.T @ (member.weights.T @ slope)) ** 2
-        for j, s2 in enumerate(scales2):
-            values[k, j] = 0.5 * (1.0 / (1.0 / s2 + size)) @ along2 - 0.5 * np.sum(np.log1p(s2 * size))
+    slope = _slope(family, linear, residuals)
+    precisions = _precisions(family, linear)
+    values = np.array(
+        [own.log_bayes_factors(member.gathered(slope), family.scales) for member, own in zip(family.members, precisions, strict=True)]
+    )
     both = _log_mean(values.reshape(-1, values.shape[2]))
     member_number, scale_number = np.unravel_index(np.argmax(values[:, :, 0]), values.shape[:2])
     return float(both[0]), both[1:], (int(member_number), int(scale_number))
+
+
+def _precisions(family: Family, linear: _Linear) -> list[AmplitudePrecision]:
+    """Of the amplitudes of each member."""
+    if family.columns_of_push and all(member.weights is None for member in family.members):
+        blocks = _blocks(family, linear)
+        by_unknowns = np.hstack([linear.jacobian[rows].T @ own for rows, own in blocks])
+        grams = [own.T @ own for _, own in blocks]
+        return [AmplitudePrecision.of_blocks(grams, family.columns_of_push, by_unknowns, linear.hessian)] * len(family.members)
+    information = family.columns.T @ linear.without_fitted(family.columns)
+    return [AmplitudePrecision.of(member.gathered(member.gathered(information).T)) for member in family.members]
+
+
+def _slope(family: Family, linear: _Linear, residuals: Float64Array) -> Float64Array:
+    """Columns of a family times residuals, shape (n_columns, n)."""
+    if not family.columns_of_push:
+        return np.asarray(family.columns.T @ residuals)
+    return np.concatenate([own.T @ residuals[rows] for rows, own in _blocks(family, linear)])
+
+
+def _blocks(family: Family, linear: _Linear) -> list[tuple[NDArray[np.int64], Float64Array]]:
+    """Rows of each push, and the part of its columns there."""
+    return [(rows, family.columns[rows, own]) for rows, own in zip(linear.rows, family.columns_of_push, strict=True)]
 
 
 def _log_mean(values: Float64Array) -> Float64Array:
@@ -264,7 +323,11 @@ def _log_mean(values: Float64Array) -> Float64Array:
 
 def _pattern(family: Family, best: _Best, log_bayes_factor: float, share: float, linear: _Linear) -> Pattern:
     member, scale = family.members[best[0]], family.scales[best[1]]
-    own = family.columns @ member.weights
-    precision = own.T @ linear.without_fitted(own) + np.eye(own.shape[1]) / scale**2
-    amplitude = member.weights @ np.linalg.solve(precision, own.T @ linear.residual)
-    return Pattern(family, member, scale, log_bayes_factor, share, amplitude)
+    return Pattern(family, member, scale, log_bayes_factor, share, _amplitudes(family, member, scale, linear))
+
+
+def _amplitudes(family: Family, member: Member, scale: float, linear: _Linear) -> Float64Array:
+    """Of each column of a family, where one of its members acts, shape (n_columns,)."""
+    (precision,) = _precisions(replace(family, members=(member,)), linear)
+    slope = member.gathered(_slope(family, linear, linear.residual[:, None]))[:, 0]
+    return member.spread(precision.amplitudes(slope, scale))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from push_ident.diagnosis.account import Account
-from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.earlier import EarlierFits
+from push_ident.diagnosis.held_out import Gap, HeldOutFits
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
@@ -47,6 +48,7 @@ class Validation:
     something_else: SomethingElse | None = None
     """Structure in the residuals; None where it could not be looked for."""
     unsupported: UnsupportedEffect | None = None
+    held_out: HeldOutFits | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,8 @@ class DiagnosisState:
     """Whether frames at rest show how the errors of neighbouring frames are correlated."""
     rest_correlation_std: float = float("inf")
     """Standard error of that correlation [1]."""
+    earlier: EarlierFits = field(default_factory=EarlierFits)
+    """Of a diagnosis of the first of these pushes."""
     data_gates: tuple[Gate, ...] = ()
     fit_gates: tuple[Gate, ...] = ()
     outliers: tuple[str, ...] = ()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from push_ident.diagnosis.account import account_of
-from push_ident.diagnosis.held_out import Gap, folds_of, measure_gap
+from push_ident.diagnosis.held_out import Gap, HeldOutFits, folds_of, measure_gap
 from push_ident.diagnosis.odds import (
     SOMETHING_ELSE,
     OutsideEvidence,
@@ -22,10 +22,20 @@ from push_ident.diagnosis.residuals import FrameResiduals, standardized_residual
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
+from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fit import Fit
 
 __all__ = ["failed_tests", "supported_selection", "validate"]
 
 Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What the residuals of a fit show."""
+
+    residuals: FrameResiduals
+    something_else: SomethingElse | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,32 +57,39 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         return state
     on_progress("looking for something else")
     selection, policy = state.selection, state.settings.policy
-    base_residuals = standardized_residuals(selection.base, policy.residuals)
-    outside = _look_outside(state, selection, base_residuals, {})
+    # Only what is found in place of effects is asked what it is without some pushes.
+    folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
+    fits = [(selection.base, folds), *([(selection.fit, ())] if selection.found else [])]
+    base, *others = map_in_threads(lambda task: _look_beside(state, *task), fits)
+    outside = _look_outside(state, selection, base, others[0] if others else base, {})
+    held_out = HeldOutFits(state.earlier)
     unsupported = None
     if not is_outside(outside.probabilities, policy.selection):
-        gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages)
+        gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         supported, unsupported = supported_selection(selection, gap, policy.validation)
         if supported is not selection:
             rejected = dict.fromkeys(
                 (name for name in selection.found if name not in supported.found), policy.validation.min_log_bayes_factor_without_push
             )
-            selection, outside = supported, _look_outside(state, supported, base_residuals, rejected)
-            gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages)
+            beside = _look_beside(state, supported.fit, ()) if supported.found else base
+            selection, outside = supported, _look_outside(state, supported, base, beside, rejected)
+            gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
     is_unknown = is_outside(outside.probabilities, policy.selection)
     if is_unknown:
         selection = selection.without_effects()
-        gap = _with_patterns(measure_gap(selection.base, selection.base, policy.validation, on_progress), selection, outside.alone)
+        gap = measure_gap(selection.base, selection.base, policy.validation, on_progress, held_out=held_out)
+        gap = _with_patterns(gap, selection, outside.alone)
     validation = Validation(
         selection=selection,
         gap=gap,
         account=account_of(gap, selection.base.problem, policy.account),
-        base_residuals=base_residuals,
+        base_residuals=base.residuals,
         residuals=outside.residuals,
         probabilities=outside.probabilities,
         cause_is_unknown=is_unknown,
         something_else=outside.reported,
         unsupported=unsupported,
+        held_out=held_out,
     )
     return replace(state, validation=validation)
 
@@ -120,25 +137,26 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     return selection, None
 
 
-def _look_outside(state: DiagnosisState, selection: Selection, base_residuals: FrameResiduals, rejected: Mapping[str, float]) -> _Outside:
+def _look_beside(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Beside:
+    """Residuals beside a fit, and structure in them."""
     policy = state.settings.policy
-    folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
-    alone = find_something_else(selection.base, policy.unknown, folds)
-    beside, residuals = alone, base_residuals
-    if selection.found:
-        # Only what is found in place of effects is asked what it is without some pushes.
-        beside = find_something_else(selection.fit, policy.unknown, ())
-        residuals = standardized_residuals(selection.fit, policy.residuals)
+    return _Beside(standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
+
+
+def _look_outside(state: DiagnosisState, selection: Selection, base: _Beside, beside: _Beside, rejected: Mapping[str, float]) -> _Outside:
+    """From what the residuals show beside the base model and beside all effects of a selection."""
+    policy, alone = state.settings.policy, base.something_else
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
-    failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
+    failed = failed_tests(base.residuals, beside.residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
-    evidence = OutsideEvidence.of(alone, beside, failed, policy.selection, named=named)
+    evidence = OutsideEvidence.of(alone, beside.something_else, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
     probabilities = probabilities_of(explanations, selection.base.names)
-    return _Outside(residuals, alone, beside if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else alone, probabilities)
+    reported = beside.something_else if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else alone
+    return _Outside(beside.residuals, alone, reported, probabilities)
 
 
 def _with_patterns(gap: Gap, selection: Selection, found: SomethingElse | None) -> Gap:

@@ -18,7 +18,9 @@ def wrap_angle(angle: ArrayLike) -> Float64Array:
 def rotation(yaw: ArrayLike) -> Float64Array:
     """Rotation matrices, shape (..., 2, 2), of angles [rad] of shape (...)."""
     cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+    matrix = np.empty((*np.shape(cos), 2, 2))
+    matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1] = cos, -sin, sin, cos
+    return matrix
 
 
 def transform_points(pose: ArrayLike, points: ArrayLike) -> Float64Array:

@@ -12,8 +12,9 @@ with the Hessian H of the cost and the precision P of the prior, all unknowns in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -34,6 +35,9 @@ AMPLITUDES: Final = (1.0, 0.3, 0.1)
 _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: an amplitude so far below the best ends a chained search, since smaller ones fit
 worse still."""
+_HOPELESS: Final = 20.0
+"""Difference of log evidence [nat] by which a fit must be behind another one, with all that its next steps promise, to be given up: three
+times `_NEGLIGIBLE`, since a fit may creep along kinks for longer than it promises."""
 _QUANTILE: Final = 0.8
 _EXPECTED_QUANTILE: Final = 4.642
 """Chi squared with 3 degrees of freedom is below it with probability `_QUANTILE`."""
@@ -103,10 +107,7 @@ class Fit:
     @property
     def log_evidence(self) -> float:
         """Up to a constant of the pushes [nat]: compare fits of the same pushes only."""
-        prior = np.eye(self.unknowns.size)
-        if (frozen := self.unknowns.frozen_cost) is not None:
-            prior = prior + frozen.hessian
-        return -self.end.cost - 0.5 * float(np.linalg.slogdet(self.end.hessian)[1] - np.linalg.slogdet(prior)[1])
+        return -self.end.cost - _log_volume(self.problem, self.end)
 
     @property
     def covariance(self) -> Float64Array:
@@ -166,13 +167,11 @@ class AmplitudePolicy:
     """Of each fit."""
     chained: bool = True
     """Each fit starts where the one before expects its minimum, and the search ends when an amplitude has negligible evidence or the budget
-    is spent. False: all fits start at one point and know nothing of each other."""
+    is spent. False: all fits start at one point; those that cannot come near the evidence of one before are given up (`OUT_OF_REACH`)."""
     relative: bool = False
     """Whether fits that creep may end earlier where the pushes are explained badly, as in `minimise`."""
     warm_starts: Sequence[Float64Array] = ()
-    """Results of an earlier chained search for the first of the same pushes, one per amplitude."""
-    run_all: Callable[[Callable[[float], Fit], Iterable[float]], Iterable[Fit]] = map
-    """Runs fits that are not chained: `map`, or a parallel version of it."""
+    """Results of an earlier search for the first of the same pushes, one per amplitude."""
 
 
 def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Array, policy: AmplitudePolicy) -> list[Fit]:
@@ -187,19 +186,29 @@ def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Arra
         One fit per amplitude, the largest amplitude first; fewer where a chained search ended.
     """
 
-    def fit(amplitude: float) -> Fit:
-        problem = problem_at(amplitude)
-        return Fit(problem, *minimise(problem, start, policy.max_iterations, relative=policy.relative), amplitude)
-
-    if not policy.chained:
-        return list(policy.run_all(fit, AMPLITUDES))
     fits: list[Fit] = []
     for i, amplitude in enumerate(AMPLITUDES):
         problem = problem_at(amplitude)
-        x0 = fits[-1].minimum_at(amplitude) if fits else start
+        x0 = fits[-1].minimum_at(amplitude) if fits and policy.chained else start
         if i < len(policy.warm_starts):
             x0 = problem.continued(x0, policy.warm_starts[i])
-        fits.append(Fit(problem, *minimise(problem, x0, policy.max_iterations, relative=policy.relative), amplitude))
-        if fits[-1].log_evidence < max(f.log_evidence for f in fits) - _NEGLIGIBLE or problem.meter.spent:
+        best = max((fit.log_evidence for fit in fits), default=-np.inf)
+        needed = partial(_cost_of, problem, np.inf if policy.chained else best - _HOPELESS)
+        end = minimise(problem, x0, policy.max_iterations, relative=policy.relative, needed_cost=needed)
+        fits.append(Fit(problem, *end, amplitude))
+        if policy.chained and (fits[-1].log_evidence < max(best, fits[-1].log_evidence) - _NEGLIGIBLE or problem.meter.spent):
             break
     return fits
+
+
+def _cost_of(problem: FitProblem, log_evidence: float, end: Evaluation) -> float:
+    """Cost of a fit that ends with a log evidence near a point [nat]."""
+    return np.inf if not np.isfinite(log_evidence) else -log_evidence - _log_volume(problem, end)
+
+
+def _log_volume(problem: FitProblem, end: Evaluation) -> float:
+    """Logarithm of the share of the prior that the posterior leaves, with the sign of a cost [nat]."""
+    prior = np.eye(problem.unknowns.size)
+    if (frozen := problem.unknowns.frozen_cost) is not None:
+        prior = prior + frozen.hessian
+    return 0.5 * float(np.linalg.slogdet(end.hessian)[1] - np.linalg.slogdet(prior)[1])

@@ -45,6 +45,10 @@ _STEPS_BEFORE_GIVING_UP = 3
 """Steps before a solve may end because the needed cost is out of reach."""
 
 
+NeededCost = Callable[[Evaluation], float]
+"""The cost at or below which a result matters, were it to end near a point."""
+
+
 def minimise(
     problem: FitProblem,
     x0: Float64Array,
@@ -52,7 +56,7 @@ def minimise(
     *,
     tolerance: float = _TOLERANCE,
     start: Evaluation | None = None,
-    needed_cost: float = np.inf,
+    needed_cost: float | NeededCost = np.inf,
     refine: bool = True,
     relative: bool = False,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
@@ -65,7 +69,8 @@ def minimise(
         tolerance: the solve has converged when a full step is expected to lower the cost by less [nat].
         start: evaluation at `x0`, where it is known already.
         refine: look at the time steps at the end, and go on with shorter ones where the noise demands it.
-        needed_cost: the result matters only at this cost or below; the solve ends early (`OUT_OF_REACH`) when it cannot get there.
+        needed_cost: the result matters only at this cost or below, which may depend on where it is; the solve ends early (`OUT_OF_REACH`)
+            when it cannot get there.
         relative: whether a solve that creeps may end earlier where the pushes are explained worse than noise would allow.
 
     Returns:
@@ -111,7 +116,7 @@ def _descend(
     max_iterations: int,
     tolerance: float,
     start: Evaluation | None,
-    needed_cost: float,
+    needed_cost: float | NeededCost,
     creep_at: Callable[[Evaluation], float],
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """As `minimise`, with the time steps as they are."""
@@ -131,9 +136,10 @@ def _descend(
             step, expected = pieces.step(best, factor)
         arrived = expected < tolerance and damping <= _FAILED_DAMPING
         creeps = len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance * creep_at(best)
+        needed = needed_cost(best) if callable(needed_cost) else needed_cost
         if arrived or creeps:
-            return x, best, SolveStatus.CONVERGED if best.cost <= needed_cost else SolveStatus.OUT_OF_REACH
-        if len(costs) > _STEPS_BEFORE_GIVING_UP and damping <= _FAILED_DAMPING and best.cost - _REACH * expected > needed_cost:
+            return x, best, SolveStatus.CONVERGED if best.cost <= needed else SolveStatus.OUT_OF_REACH
+        if len(costs) > _STEPS_BEFORE_GIVING_UP and damping <= _FAILED_DAMPING and best.cost - _REACH * expected > needed:
             return x, best, SolveStatus.OUT_OF_REACH
         if problem.meter.spent:
             return x, best, SolveStatus.BUDGET_SPENT

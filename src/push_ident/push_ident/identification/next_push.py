@@ -27,6 +27,7 @@ from scipy.linalg import solve_triangular
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.prediction import cell_displacement
+from push_ident.identification.problem import RunAll
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.unknowns import Mechanics
 from push_ident.physics.rollout import PARAM_MASS
@@ -178,6 +179,8 @@ class RankingOptions:
     """Of the observed poses, as the fit will assume it."""
     numerics: SimulationSettings = field(default_factory=lambda: SimulationSettings(step=1 / 120))
     """Of the simulation; coarser than in a fit, since the value of a push needs no more."""
+    run_all: RunAll = map
+    """How the pushes are simulated. In parallel, `is_wanted` is asked before all of them only."""
 
     def __post_init__(self) -> None:
         if self.n_draws < 0:
@@ -216,11 +219,11 @@ def rank_pushes(
     scale = _square_root(posterior.covariance)
     draws = posterior.z + rng.standard_normal((options.n_draws, len(posterior.z))) @ scale.T
     possible = [posterior.unknowns.mechanics(z) for z in (posterior.z, *draws)]
-    rows = [_reference_rows(mechanics, _while_wanted(reference, is_wanted), options.numerics) for mechanics in possible]
+    rows = [_reference_rows(mechanics, _while_wanted(reference, is_wanted), options) for mechanics in possible]
     if len(rows[0]) == 0:
         raise InputError(f"None of {len(reference)} reference pushes moves the object; draw them over its outline.")
     models = [_PossibleModel(mechanics, own @ scale) for mechanics, own in zip(possible, rows, strict=True) if len(own)]
-    values = [_value(possible[0], scale, models, push, options) for push in _while_wanted(candidates, is_wanted)]
+    values = list(options.run_all(lambda push: _value(possible[0], scale, models, push, options), _while_wanted(candidates, is_wanted)))
     useless = [v.status is not SolveStatus.CONVERGED for v in values]
     merit = [v.error_after if options.criterion is Criterion.ERROR else -v.information for v in values]
     return RankedPushes(
@@ -321,21 +324,23 @@ def _sensitivity(mechanics: Mechanics, push: PlannedPush, observation: Observati
     return np.asarray(solve_triangular(np.linalg.cholesky(np.eye(len(rows)) + moved @ moved.T), rows, lower=True))
 
 
-def _reference_rows(mechanics: Mechanics, reference: Iterable[PlannedPush], settings: SimulationSettings) -> Float64Array:
+def _reference_rows(mechanics: Mechanics, reference: Iterable[PlannedPush], options: RankingOptions) -> Float64Array:
     """d(cell displacement at the end) / dz of the reference pushes that move the object of a model, shape (n_moved, 3, n_unknowns)."""
     cells = mechanics.shape.cells
-    rows = []
-    for push in reference:
+
+    def rows_of(push: PlannedPush) -> Float64Array | None:
         motion = mechanics.simulate(
-            PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:]), settings=settings, jacobian=True
+            PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:]), settings=options.numerics, jacobian=True
         )
         if motion.status is not SolveStatus.CONVERGED:
-            continue
+            return None
         by_body = cell_displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
         by_first = np.linalg.solve(cell_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
-        if np.linalg.norm(by_first, 2) < CHATTER:
-            rows.append(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])
-    return np.array(rows)
+        if not np.linalg.norm(by_first, 2) < CHATTER:
+            return None
+        return np.asarray(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])
+
+    return np.array([rows for rows in options.run_all(rows_of, reference) if rows is not None])
 
 
 def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) -> None:

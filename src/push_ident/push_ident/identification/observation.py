@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.outline import signed_distance
-from push_ident.types import BoolArray, Float64Array, ObjectShape, PushRecord
+from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PushRecord
 
 __all__ = [
     "DRIVING",
@@ -30,6 +30,7 @@ __all__ = [
     "UNCHECKED",
     "NoiseModel",
     "Observation",
+    "at_rest",
     "noise_at_rest",
     "noise_correlation",
     "noise_correlation_std",
@@ -198,6 +199,13 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     unchecked = len(before) == len(after) == 1
     surface_std = noise.surface_std(record.shape)
     return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, surface_std, unchecked)
+
+
+def at_rest(record: PushRecord) -> PushRecord:
+    """The same push with its frames at rest only, before contact and after it: what is known of one whose motion was not seen."""
+    before, after, _ = _rests(record)
+    kept, poses = np.unique(np.concatenate([before, after])), record.poses
+    return replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
 
 
 def noise_at_rest(records: Sequence[PushRecord], noise: NoiseModel | None = None) -> NoiseModel:

@@ -18,7 +18,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
 
-__all__ = ["CHI2_90", "Prediction", "cell_displacement", "cell_error", "held_out_errors", "predict"]
+__all__ = ["CHI2_90", "Prediction", "cell_displacement", "cell_error", "cell_errors", "held_out_errors", "predict"]
 
 CHI2_90 = 6.251
 """Chi squared with 3 degrees of freedom is below it with probability 0.9."""
@@ -45,8 +45,13 @@ class Prediction:
 
 def cell_error(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> float:
     """Mean over the cells of the distance between their centres at two poses [m]."""
+    return float(cell_errors(cells, pose_a_in_table, pose_b_in_table))
+
+
+def cell_errors(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> Float64Array:
+    """The same of many pairs of poses, shapes (..., 3): (...)."""
     difference = transform_points(pose_a_in_table, cells.centres) - transform_points(pose_b_in_table, cells.centres)
-    return float(np.mean(np.linalg.norm(difference, axis=1)))
+    return np.asarray(np.mean(np.linalg.norm(difference, axis=-1), axis=-1))
 
 
 def cell_displacement(cells: CellGrid, yaw: float) -> Float64Array:

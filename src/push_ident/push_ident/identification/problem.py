@@ -19,10 +19,11 @@ that the cost stays smooth. `refine_steps` looks again at the end of a fit, with
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -35,10 +36,10 @@ from push_ident.identification.unknowns import Block, Layout, Mechanics, Unknown
 from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, simulate_body_with_response
+from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, Timeline, simulate_body_with_response
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
-__all__ = ["TAILS", "Evaluation", "FitProblem", "Linearisation", "PushTerms", "unknowns_of_push", "without_first_push"]
+__all__ = ["TAILS", "Evaluation", "FitProblem", "Linearisation", "PushTerms", "RunAll", "unknowns_of_push", "without_first_push"]
 
 TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
@@ -95,6 +96,10 @@ class Linearisation:
     """Derivative of `forces`, push by push, shape (2 n_windows of all pushes, size)."""
 
 
+RunAll = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+"""Does work for each item, in their order: `map`, or a parallel version of it."""
+
+
 def _unlimited() -> Meter:
     return Meter(Budget(max_seconds=None))
 
@@ -111,6 +116,7 @@ class FitProblem:
             result.
         past: information from other pushes, in the unknowns of the object.
         steps: time steps that another problem of the same pushes chose (`FitProblem.steps`).
+        run_all: how the pushes are simulated. In parallel, the meter counts them only roughly.
 
     Raises:
         InputError: no push, or pushes of objects with different cells.
@@ -126,6 +132,7 @@ class FitProblem:
         meter: Meter | None = None,
         past: Quadratic | None = None,
         steps: Sequence[StepChoice | None] | None = None,
+        run_all: RunAll = map,
     ) -> None:
         if not records:
             raise InputError("There is no push to learn from; give at least one push record.")
@@ -141,6 +148,9 @@ class FitProblem:
         self.forces: list[ForceObservation | None] = [observe_forces(record, noise) if is_used else None for record in records]
         self.settings = settings or SimulationSettings()
         self.meter = meter or _unlimited()
+        self.run_all = run_all
+        self._timelines: dict[tuple[int, SimulationSettings], tuple[PushRecord, Timeline]] = {}
+        """Steps of each push that was simulated, by the identity of its record, which is kept; problems of the same pushes share them."""
         self.past = past or Quadratic.zero(unknowns.size)
         self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
         """Time steps of each push; None until it is simulated."""
@@ -224,8 +234,8 @@ class FitProblem:
         """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
         mechanics = self.unknowns.mechanics(self.object_unknowns(x))
         motions: list[Motion] = []
-        for push in range(len(self.records)):
-            motions.append(self._simulate_push(mechanics, x, push))
+        for motion in self._of_pushes(partial(self._simulate_push, mechanics, x)):
+            motions.append(motion)
             if motions[-1].status is SolveStatus.SIMULATION_FAILED:
                 break
         return motions
@@ -235,7 +245,9 @@ class FitProblem:
         if choice is None:
             choice = self.steps[push] = self._choose_steps(mechanics, x, push, most=_FIRST_LEVEL)
         self.meter.count(1)
-        motion = mechanics.simulate(self._scenario(x, push), settings=choice.settings, jacobian=jacobian)
+        scenario = self._scenario(x, push)
+        timeline = self._timeline(scenario, push, choice.settings)
+        motion = mechanics.simulate(scenario, settings=choice.settings, jacobian=jacobian, timeline=timeline)
         if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, :PARAM_MASS])) > _UNSTABLE:
             self.steps[push] = StepChoice(self.settings, 0, np.inf)
             return self._simulate_push(mechanics, x, push, jacobian)
@@ -246,6 +258,17 @@ class FitProblem:
         forces = self.forces[push]
         force_time = np.zeros(0) if forces is None else forces.times(self.unknowns.effects_at(self.object_unknowns(x)))
         return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order, force_time)
+
+    def _timeline(self, scenario: PushScenario, push: int, settings: SimulationSettings) -> Timeline | None:
+        """Steps of a push; None where forces are measured, whose times the unknowns may move."""
+        if self.forces[push] is not None:
+            return None
+        record = self.records[push]
+        _, known = self._timelines.get((id(record), settings), (record, None))
+        if known is None:
+            known = Timeline.of(scenario, settings)
+            self._timelines[id(record), settings] = record, known
+        return known
 
     def respond(self, x: Float64Array, push: int) -> tuple[Motion, StepResponse | None]:
         """One push at `x`, shape (size,), and how its poses change under small forces; None where its simulation fails."""
@@ -258,7 +281,8 @@ class FitProblem:
 
     def _end_pose(self, mechanics: Mechanics, x: Float64Array, push: int, settings: SimulationSettings) -> Float64Array:
         """For the choice of steps. Not counted as a simulation of the fit; its time is."""
-        return mechanics.simulate(self._scenario(x, push), settings=settings).pose[-1]
+        scenario = self._scenario(x, push)
+        return mechanics.simulate(scenario, settings=settings, timeline=self._timeline(scenario, push, settings)).pose[-1]
 
     def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0, most: int = MAX_LEVEL) -> StepChoice:
         duration, covariance = self._scenario(x, push).duration, self.observations[push].last_covariance
@@ -275,12 +299,14 @@ class FitProblem:
         Steps never become longer. A push that was far below the accepted error is not looked at.
         """
         mechanics = self.unknowns.mechanics(self.object_unknowns(x))
+        doubtful = {
+            push: before.level for push, before in enumerate(self.steps) if before is not None and _CLEAR * SHARE <= before.error < np.inf
+        }
+        choices = self.run_all(lambda push: self._choose_steps(mechanics, x, push, doubtful[push]), doubtful)
         refined = False
-        for push, before in enumerate(self.steps):
-            if before is None or not _CLEAR * SHARE <= before.error < np.inf:
-                continue
-            choice = self.steps[push] = self._choose_steps(mechanics, x, push, before.level)
-            refined |= choice.level > before.level
+        for (push, level), choice in zip(doubtful.items(), choices, strict=True):
+            self.steps[push] = choice
+            refined |= choice.level > level
         return refined
 
     def step_errors(self, x: Float64Array) -> Float64Array:
@@ -289,12 +315,16 @@ class FitProblem:
         Shape (n_pushes,); infinite where a simulation fails.
         """
         mechanics = self.unknowns.mechanics(self.object_unknowns(x))
-        return np.array(
-            [
-                step_error(partial(self._end_pose, mechanics, x, push), self.settings_of(push), self.observations[push].last_covariance)
-                for push in range(len(self.records))
-            ]
-        )
+
+        def error(push: int) -> float:
+            end_pose = partial(self._end_pose, mechanics, x, push)
+            return step_error(end_pose, self.settings_of(push), self.observations[push].last_covariance)
+
+        return np.array(list(self._of_pushes(error)))
+
+    def _of_pushes(self, work: Callable[[int], Any]) -> Iterable[Any]:
+        """`work` of the number of each push, in their order."""
+        return self.run_all(work, range(len(self.records)))
 
     def residual(self, x: Float64Array, motion: Motion, push: int) -> Float64Array:
         """Whitened difference between a push simulated at `x` and the observed one, shape (n_frames, 3)."""
@@ -357,8 +387,7 @@ class FitProblem:
             gradient[:n_z] += frozen.slope(z)
             hessian[:n_z, :n_z] += frozen.hessian
         residuals = []
-        for push in range(len(self.records)):
-            terms = self._push_terms(mechanics, x, push)
+        for push, terms in enumerate(self._of_pushes(partial(self._push_terms, mechanics, x))):
             if terms is None:
                 return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
             columns = np.r_[0:n_z, self.slice_of_push(push)]
@@ -373,8 +402,7 @@ class FitProblem:
         mechanics = self.unknowns.mechanics(self.object_unknowns(x))
         residuals: list[tuple[Float64Array, Float64Array]] = []
         poses, forces = [np.zeros((0, self.size))], [np.zeros((0, self.size))]
-        for push in range(len(self.records)):
-            motion = self._simulate_push(mechanics, x, push, jacobian=True)
+        for push, motion in enumerate(self._of_pushes(partial(self._simulate_push, mechanics, x, jacobian=True))):
             if motion.status is SolveStatus.SIMULATION_FAILED:
                 return None
             residuals.append((self.residual(x, motion, push), self.force_residual(x, motion, push)))

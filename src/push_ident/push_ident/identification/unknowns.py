@@ -40,7 +40,7 @@ from push_ident.identification.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
+from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, Timeline, body_of_cells, simulate_body
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape
 
 __all__ = ["Block", "Layout", "Mechanics", "Unknowns"]
@@ -134,11 +134,12 @@ class Mechanics:
         """The rows of the cells' friction limits, shape (n_cells, size)."""
         return self.derivative[PARAM_LIMIT : PARAM_LIMIT + len(self.shape.cells)]
 
-    def simulate(self, scenario: PushScenario, *, settings: SimulationSettings | None = None, jacobian: bool = False) -> Motion:
+    def simulate(
+        self, scenario: PushScenario, settings: SimulationSettings | None = None, jacobian: bool = False, timeline: Timeline | None = None
+    ) -> Motion:
         """As `simulate_body`."""
-        return simulate_body(
-            self.shape, self.body, self.pusher_friction, scenario, settings=settings, effects=self.effects, jacobian=jacobian
-        )
+        body, numerics = (self.shape, self.body, self.pusher_friction), {"settings": settings, "jacobian": jacobian}
+        return simulate_body(*body, scenario, effects=self.effects, timeline=timeline, **numerics)
 
 
 class Unknowns:

@@ -14,6 +14,7 @@ rest behind those of the body; the sums only where an effect shifts the load.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -95,15 +96,25 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         cell_size: edge of a cell [m].
         order: how many pushes went before.
     """
+    kinds = _kinds_of(effects.names)
+    x, y = arms
+    spread = (float(x.mean()), float(y.mean()), float(np.mean(x * x + y * y) + cell_size**2 / 6))
+    return kinds._replace(values=np.array(effects.values), d_path=d_path, spread=spread, cell_size=cell_size, order=float(order))
+
+
+@cache
+def _kinds_of(names: tuple[str, ...]) -> ActiveEffects:
+    """What follows from the names of the effects alone, with nothing in place of the rest."""
+    effects = EffectValues(names, np.zeros(sum(len(EFFECTS[name].parameters) for name in names)))
     first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
     places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
     on_table, pulled, moves = (np.zeros(len(effects), dtype=np.bool_) for _ in range(3))
-    names = list(EFFECTS)
+    catalogue = list(EFFECTS)
     quantities = {"offset": -1, "restitution": -1}
     n_memory = 0
     rebound = -1
     for effect, own in [(effect, effects.slice_of(effect.name)) for effect in effects.effects]:
-        place, acts = names.index(effect.name), effect.acts
+        place, acts = catalogue.index(effect.name), effect.acts
         places.values[place] = first_value + own.start
         on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
         pulled[own] = isinstance(acts, OnTable) and acts.pull is not None
@@ -114,12 +125,12 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
             places.memory[place] = N_FIXED_INPUTS + n_memory
             n_memory += effect.memory.size
     loading = np.array(
-        [names.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)], dtype=np.int64
+        [catalogue.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)],
+        dtype=np.int64,
     )
-    x, y = arms
     table = [effect.acts for effect in effects.effects if isinstance(effect.acts, OnTable)]
     return ActiveEffects(
-        values=np.array(effects.values),
+        values=effects.values,
         on_table=on_table,
         pulled=pulled,
         places=places,
@@ -136,8 +147,8 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         restitution=quantities["restitution"],
         rebound=rebound,
         moves=moves,
-        d_path=d_path,
-        spread=(float(x.mean()), float(y.mean()), float(np.mean(x * x + y * y) + cell_size**2 / 6)),
-        cell_size=cell_size,
-        order=float(order),
+        d_path=np.zeros((len(effects), 0, 3)),
+        spread=(0.0, 0.0, 0.0),
+        cell_size=0.0,
+        order=0.0,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -43,13 +44,16 @@ def _effects_of(names: tuple[str, ...]) -> tuple[Effect, ...]:
 
 
 @cache
-def _places_of(names: tuple[str, ...]) -> dict[str, slice]:
-    """Of the values of each effect, by its name."""
-    places, start = {}, 0
-    for effect in _effects_of(names):
-        places[effect.name] = slice(start, start + len(effect.parameters))
-        start += len(effect.parameters)
-    return places
+def _parameters_of(names: tuple[str, ...]) -> tuple[EffectParameter, ...]:
+    """One a value."""
+    return tuple(parameter for effect in _effects_of(names) for parameter in effect.parameters)
+
+
+@cache
+def _places_of(names: tuple[str, ...]) -> tuple[tuple[Effect, slice], ...]:
+    """Each effect with the position of its values. A fit asks for it in every simulation."""
+    ends = np.cumsum([0, *(len(effect.parameters) for effect in _effects_of(names))]).tolist()
+    return tuple((effect, slice(*ends[k : k + 2])) for k, effect in enumerate(_effects_of(names)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,7 @@ class EffectValues:
     @property
     def parameters(self) -> tuple[EffectParameter, ...]:
         """One a value."""
-        return tuple(parameter for effect in self.effects for parameter in effect.parameters)
+        return _parameters_of(self.names)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -81,9 +85,9 @@ class EffectValues:
 
     def slice_of(self, name: str) -> slice:
         """Position of the values of an active effect."""
-        place = _places_of(self.names).get(name)
-        if place is not None:
-            return place
+        for effect, own in _places_of(self.names):
+            if effect.name == name:
+                return own
         raise InputError(f"The effect {name!r} is not active, expected one of {', '.join(self.names) or 'none'}.")
 
     @property
@@ -117,6 +121,8 @@ class EffectValues:
 
     def _only(self, kept: Iterable[Effect]) -> EffectValues:
         own = tuple(kept)
+        if len(own) == len(self.names):
+            return self
         values = [self.values[self.slice_of(effect.name)] for effect in own]
         return EffectValues(tuple(effect.name for effect in own), np.concatenate([np.zeros(0), *values]))
 
@@ -129,8 +135,9 @@ class EffectValues:
         array = np.array(values, dtype=np.float64)
         if array.shape != self.values.shape:
             raise InputError(f"`values` has shape {array.shape}, expected {self.values.shape}, one for each of {', '.join(self.labels)}.")
-        for label, parameter, value in zip(self.labels, self.parameters, array, strict=True):
-            if not (np.isfinite(value) and parameter.low <= value <= parameter.high):
+        for number, (parameter, value) in enumerate(zip(self.parameters, array.tolist(), strict=True)):
+            if not (math.isfinite(value) and parameter.low <= value <= parameter.high):
+                label = self.labels[number]
                 raise InputError(f"{label} is {value} {parameter.unit}".rstrip() + f", expected {parameter.low:g} to {parameter.high:g}.")
         array.setflags(write=False)
         return EffectValues(self.names, array)
@@ -172,15 +179,14 @@ def effect_values(effects: EffectsLike | None) -> EffectValues:
     return EffectValues(tuple(given), np.full(len(together), np.nan)).with_values(together)
 
 
-def _places(effects: EffectValues) -> list[tuple[Effect, slice]]:
-    return [(effect, effects.slice_of(effect.name)) for effect in effects.effects]
-
-
 _Step = Callable[[ComplexArray, ComplexArray], ComplexArray]
 
 
 def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Result of steps (values, x) -> x, one after the other, and its derivative by the values, shape (n_values, *x.shape)."""
+    by_value = np.zeros((len(effects), *x.shape))
+    if not steps:
+        return np.array(x, dtype=np.float64, order="C"), by_value
     values = effects.values.astype(np.complex128)
 
     def result() -> ComplexArray:
@@ -189,7 +195,6 @@ def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64
             y = step(values[own], y)
         return y
 
-    by_value = np.zeros((len(effects), *x.shape))
     for own, _ in steps:
         for k in range(own.start, own.stop):
             values[k] += _TURN
@@ -209,7 +214,7 @@ def driven_path(effects: EffectValues, dt: float | Float64Array, path: Float64Ar
     Returns:
         The path, and its derivative by the values, shape (n_values, n_steps + 1, 3).
     """
-    acts = [(own, effect.acts) for effect, own in _places(effects)]
+    acts = [(own, effect.acts) for effect, own in _places_of(effects.names)]
     steps: list[tuple[slice, _Step]] = [(own, partial(_move, act.move, dt)) for own, act in acts if isinstance(act, OnPusherPath)]
     return _through(steps, effects, path)
 
@@ -222,7 +227,7 @@ def _move(
 
 def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, Float64Array]:
     """The pusher's friction coefficient under the effects, where that of the model is `coefficient`, and its derivative by the values."""
-    steps = [(own, effect.acts.change) for effect, own in _places(effects) if isinstance(effect.acts, OnPusherFriction)]
+    steps = [(own, effect.acts.change) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnPusherFriction)]
     value, by_value = _through(steps, effects, np.array([coefficient]))
     return float(value[0]), by_value[:, 0]
 
@@ -230,13 +235,17 @@ def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, 
 def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Times [s] at which the poses reported for `time` were measured, shape (n_frames,), and their derivative by the values, shape
     (n_values, n_frames)."""
-    return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnTimes)], effects, time)
+    return _through(
+        [(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnTimes)], effects, time
+    )
 
 
 def force_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Times [s] at which the forces reported for `time` were measured, shape (n,), and their derivative by the values, shape (n_values,
     n)."""
-    return _through([(own, effect.acts.move) for effect, own in _places(effects) if isinstance(effect.acts, OnForceTimes)], effects, time)
+    return _through(
+        [(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnForceTimes)], effects, time
+    )
 
 
 def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -245,7 +254,7 @@ def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Ar
     Returns:
         The poses; their derivative by the true ones, shape (n_frames, 3, 3); and by the values, shape (n_values, n_frames, 3).
     """
-    steps = [(own, effect.acts.see) for effect, own in _places(effects) if isinstance(effect.acts, OnPoses)]
+    steps = [(own, effect.acts.see) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnPoses)]
     value, by_value = _through(steps, effects, pose)
     by_pose = np.empty((*pose.shape, 3))
     for axis in range(3):
@@ -263,7 +272,7 @@ def measured_forces(effects: EffectValues, force: Float64Array) -> tuple[Float64
     Returns:
         The forces; their derivative by the true ones, shape (n, 2, 2); and by the values, shape (n_values, n, 2).
     """
-    steps = [(own, effect.acts.feel) for effect, own in _places(effects) if isinstance(effect.acts, OnForces)]
+    steps = [(own, effect.acts.feel) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnForces)]
     value, by_value = _through(steps, effects, force)
     by_force = np.empty((*force.shape, 2))
     for axis in range(2):

@@ -9,10 +9,11 @@ pose' is the velocity, the slope of the rollout between the ends of the step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from push_ident.physics.effect import OnPoses, OnTimes
 from push_ident.physics.effect_values import EffectValues, measurement_times, reported_poses
 from push_ident.physics.tape import PARAM_MU, Frames
 from push_ident.types import BoolArray, Float64Array
@@ -92,10 +93,16 @@ class ReportTimes:
     """Derivative of the times by the values of the effects [s], shape (n_values, n_frames)."""
 
     @classmethod
-    def of(cls, time: Float64Array, clock: StepClock, effects: EffectValues) -> ReportTimes:
-        """For poses that are reported for `time` [s], shape (n_frames,)."""
-        measured, by_value = measurement_times(effects, time) if len(effects) > 0 else (time, np.zeros((0, len(time))))
-        return cls(clock, *clock.frames(measured), by_value)
+    def of(cls, time: Float64Array, clock: StepClock) -> ReportTimes:
+        """For poses that are reported for `time` [s], shape (n_frames,), without effects."""
+        return cls(clock, *clock.frames(time), np.zeros((0, len(time))))
+
+    def with_effects(self, time: Float64Array, effects: EffectValues) -> ReportTimes:
+        """The same times [s], shape (n_frames,), with effects on them."""
+        if not any(isinstance(effect.acts, OnTimes) for effect in effects.effects):
+            return replace(self, by_value=np.zeros((len(effects), len(time)))) if len(effects) > 0 else self
+        measured, by_value = measurement_times(effects, time)
+        return ReportTimes(self.clock, *self.clock.frames(measured), by_value)
 
     @property
     def is_moved(self) -> bool:
@@ -129,6 +136,8 @@ class Measurement:
     """Shape (n_frames, 3, n_values)."""
     mu_by_value: Float64Array
     """Of the pusher's friction coefficient, shape (n_values,)."""
+    is_true: bool
+    """Whether poses are reported as they are, so that `by_pose` is the identity."""
 
     @classmethod
     def of(
@@ -137,14 +146,16 @@ class Measurement:
         """Reported poses at the frames, shape (n_frames, 3), and their derivative, from poses at the frames that `times` wants."""
         pose, velocity = times.split(pose)
         pose, by_pose, by_value = reported_poses(effects, pose)
-        by_value += np.einsum("fij,fj,vf->vfi", by_pose, velocity, times.by_value)
-        return pose, cls(by_pose, np.moveaxis(by_value, 0, 2), mu_by_value)
+        if times.is_moved:
+            by_value += np.einsum("fij,fj,vf->vfi", by_pose, velocity, times.by_value)
+        is_true = not any(isinstance(effect.acts, OnPoses) for effect in effects.effects)
+        return pose, cls(by_pose, np.moveaxis(by_value, 0, 2), mu_by_value, is_true)
 
     def of_jacobian(self, jacobian: Float64Array) -> Float64Array:
         """That of the reported poses from that of the true ones."""
         n_values = len(self.mu_by_value)
         jacobian[:, :, -n_values:] += jacobian[:, :, PARAM_MU, None] * self.mu_by_value
-        reported: Float64Array = self.by_pose @ jacobian
+        reported: Float64Array = jacobian if self.is_true else self.by_pose @ jacobian
         reported[:, :, -n_values:] += self.by_value
         return reported
 

@@ -24,7 +24,7 @@ from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, N
 from push_ident.physics.overhang import Overhang, share_loads
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.step import TableForces, new_step_scratch, step
-from push_ident.physics.step_derivative import EffectDrive, StepBalance, new_effect_drive, step_sensitivity
+from push_ident.physics.step_derivative import EffectDrive, StepBalance, new_effect_drive, new_sensitivity_scratch, step_sensitivity
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import SupportImpulse, add_skew, support_friction
 from push_ident.physics.table import (
@@ -246,6 +246,7 @@ def rollout(
     found = np.zeros((max_candidates(push.corners.shape[0], push.outline.shape[0]), CONTACT_FIELDS))
     pusher, workspace = new_relative_pusher(push.corners.shape[0]), new_step_scratch()
     cells = new_pyramid_scratch(arms.shape[1] if numerics.diamond else 0)
+    sensitivity = new_sensitivity_scratch(tape.block.shape[2], workspace.mode)
     inertia = np.zeros(3) if numerics.quasi_static else push.inertia
     reach_of_body = math.sqrt(push.inertia[2] / push.inertia[0])
     cos, sin = math.cos(push.pose[2]), math.sin(push.pose[2])
@@ -302,6 +303,8 @@ def rollout(
             table_action(effects, centre, arms, table)
             demand = friction_demand(effects, arms, push.limit, table)
         event = IDLE if untouched and not coasts and demand < 1.0 else MOVED
+        if event == IDLE:
+            workspace.rate[:] = 0.0
         if event != IDLE:
             if edge is not None:
                 # An object that falls keeps its last loads: whoever asks sees by its pose where its centre of mass is.
@@ -356,7 +359,7 @@ def rollout(
                         tape.skew[n] = forces.skew
                 balance = StepBalance(twist, workspace.old, code, impulse, support)
                 reaction = tape.reaction[n] if tape.reaction.shape[0] > 0 else no_reaction
-                if not step_sensitivity(balance, geometry, contacts, features, pusher, drive, workspace.mode, tape.block[n], reaction):
+                if not step_sensitivity(balance, geometry, contacts, features, pusher, drive, sensitivity, tape.block[n], reaction):
                     return n, iterations
                 tape.twist[n] = twist
             vx, vy = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]

@@ -45,7 +45,7 @@ from push_ident.physics.tape import (
 )
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["EffectDrive", "StepBalance", "new_effect_drive", "step_sensitivity"]
+__all__ = ["EffectDrive", "StepBalance", "new_effect_drive", "new_sensitivity_scratch", "step_sensitivity"]
 
 
 class StepBalance(NamedTuple):
@@ -86,6 +86,29 @@ class EffectDrive(NamedTuple):
     """Impulse that effects on the table add, by the columns of the block [N s, N s, N m s], shape (3, n_columns)."""
     touches: BoolArray
     """Which act on the contacts at all, shape (n,)."""
+
+
+class SensitivityScratch(NamedTuple):
+    """Scratch space of `step_sensitivity`, so that it allocates no memory."""
+
+    model: Float64Array
+    """Derivative of the balance of impulses by the twist, shape (3, 3)."""
+    right: Float64Array
+    """Right-hand sides and solutions, shape (12, n_columns)."""
+    others: Float64Array
+    """Those that are not due to the pusher, shape (3, n_columns)."""
+    d_rows: Float64Array
+    """Change of the contact rows, shape (2 MAX_CONTACTS, CONTACT_COLUMNS)."""
+    change: RelativeChange
+    mode: ModeScratch
+
+
+@kernel
+def new_sensitivity_scratch(n_columns: int, mode: ModeScratch) -> SensitivityScratch:
+    """Scratch space of `step_sensitivity` for blocks of `n_columns`; `mode` is that of the step."""
+    change = RelativeChange(np.zeros(2), np.zeros(1), np.zeros(2), np.zeros(2))
+    d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
+    return SensitivityScratch(np.zeros((3, 3)), np.zeros((len(mode.matrix), n_columns)), np.zeros((3, n_columns)), d_rows, change, mode)
 
 
 def new_effect_drive(n_memory: int, n_values: int, n_sums: int) -> EffectDrive:
@@ -143,7 +166,7 @@ def step_sensitivity(
     features: Float64Array,
     pusher: RelativePusher,
     drive: EffectDrive | None,
-    scratch: ModeScratch,
+    space: SensitivityScratch,
     block: Float64Array,
     reaction: Float64Array,
 ) -> bool:
@@ -161,29 +184,30 @@ def step_sensitivity(
         features: the same contacts as `contact.py` found them.
         pusher: the pusher.
         drive: derivatives by the effects; None without effects.
-        scratch: its space.
+        space: scratch space.
         block: filled, shape (3, n_columns).
         reaction: filled with the derivative of the pusher's impulse (`Tape.reaction`), same shape; of no rows where it is not wanted.
     """
     twist, old, inertia, impulse, stiffness = step.twist, step.old, geometry.inertia, step.impulse, step.support.stiffness
     rows, n_contacts, code, stuck = contacts.rows, contacts.number, step.code, step.support.stuck
     cos, sin, centre = geometry.heading[0], geometry.heading[1], geometry.centre
+    scratch, h, d_rows = space.mode, space.model, space.d_rows
     row = scratch.row
     tangent, sign = tangent_row(code, rows), drag_sign(code)
-    h = stiffness.copy()
     for i in range(3):
+        for j in range(3):
+            h[i, j] = stiffness[i, j]
         h[i, i] += inertia[i]
     n = mode_system(code, h, contacts, row, scratch.matrix)
     size = _add_stuck(stuck, 3 + n, scratch.matrix)
     n_columns = BLOCK_EFFECTS if drive is None else drive.seeds.shape[1]
-    b = np.zeros((size, n_columns))
+    b, others, change = space.right, space.others, space.change
+    b[:size] = 0.0
     if drive is not None:
         b[:3] = drive.seeds
     for i in range(3):
         b[i, BLOCK_IMPULSE + i] = 1.0
-    others = b[:3].copy()
-    d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
-    change = RelativeChange(np.empty(2), np.empty(1), np.empty(2), np.empty(2))
+    others[:] = b[:3]
     d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle, change.centre, change.velocity
     for column in range(BLOCK_STATE, n_columns):
         d_pusher[:], d_centre[:], d_velocity[:] = 0.0, 0.0, 0.0

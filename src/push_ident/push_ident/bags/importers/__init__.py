@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from push_ident.bags.importers.cmu_icra16 import import_cmu_icra16
 from push_ident.bags.importers.cmu_mocap import MocapObject, import_cmu_mocap
-from push_ident.bags.importers.mit import MIT_SHAPES, MitOptions, import_mit
+from push_ident.bags.importers.mit import MIT_SHAPES, MitOptions, import_mit, mit_sets
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.rosbag import RosbagTopics, import_rosbag
 from push_ident.bags.importers.tables import TableFormat
@@ -23,4 +23,5 @@ __all__ = [
     "import_mit",
     "import_rosbag",
     "import_tracked_poses",
+    "mit_sets",
 ]

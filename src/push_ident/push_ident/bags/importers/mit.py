@@ -31,7 +31,7 @@ from push_ident.geometry.outline import polygon_centroid
 from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
-__all__ = ["MIT_SHAPES", "MitOptions", "import_mit"]
+__all__ = ["MIT_SHAPES", "MitOptions", "import_mit", "mit_sets"]
 
 _OBJECT_ID: Final = "1"
 _FIELDS: Final = ("object_pose", "tip_pose", "ft_wrench")
@@ -116,13 +116,16 @@ class _Push:
     """Rows (time, x, y) of the probe [s, m, m]."""
     force: Float64Array
     """Rows (time, fx, fy) on the object [s, N, N]; may have none."""
+    recorded: float
+    """When the first sample was stamped [s], Unix time."""
 
 
 def import_mit(paths: Sequence[Path], out_bag: Path, *, options: MitOptions | None = None) -> ImportReport:
     """Convert files of the MIT pushing dataset, `.json` or `.h5`, or folders of them, to one new contract bag.
 
-    All files show one object on one surface. They follow each other in the order given, those of a folder by name, with pauses of 2 s;
-    a push record gives the interval of each. Files without poses, and pushes in which the tracker jumps, are left out with a note.
+    All files show one object on one surface. They follow each other in the order in which they were recorded, so that what changes from
+    push to push (wear) can be seen, with pauses of 2 s; a push record gives the interval of each. Files without poses, and pushes in which
+    the tracker jumps, are left out with a note.
 
     Raises BagError for a file of another form, InputError for files of several objects, an unknown shape or options out of range.
     """
@@ -134,8 +137,7 @@ def import_mit(paths: Sequence[Path], out_bag: Path, *, options: MitOptions | No
     covariance = pose_covariance(options.position_std, options.yaw_std)
     tolerance = contact_tolerance(shape, position_std=options.position_std, yaw_std=options.yaw_std)
     records, contacts, left_out = [], [], []
-    for file in files:
-        push = _read(file)
+    for file, push in sorted(((file, _read(file)) for file in files), key=lambda read: read[1].recorded):
         if reason := _unusable(push):
             left_out.append(f"{file.name} is left out: {reason}")
             continue
@@ -162,16 +164,24 @@ def import_mit(paths: Sequence[Path], out_bag: Path, *, options: MitOptions | No
     )
 
 
+def mit_sets(folder: Path) -> dict[tuple[str, str], tuple[Path, ...]]:
+    """Files of the dataset below a folder, by surface and object, in order of their names; other files are passed over."""
+    sets: dict[tuple[str, str], list[Path]] = {}
+    for file in _files_below(folder):
+        if match := _NAME.fullmatch(file.stem):
+            sets.setdefault((match["surface"], match["shape"]), []).append(file)
+    return {key: tuple(files) for key, files in sorted(sets.items())}
+
+
 def _files_in(paths: Sequence[Path]) -> list[Path]:
     """The files, those of folders by name; of one push that is there in both formats the JSON file."""
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            found = sorted(p for p in path.rglob("*") if p.suffix in _SUFFIXES)
+            found = _files_below(path)
             if not found:
                 raise BagError(f"{path}: no files *.json or *.h5 in it; unpack the archives of the dataset there.")
-            stems = {p.with_suffix("") for p in found if p.suffix == ".json"}
-            files += [p for p in found if p.suffix == ".json" or p.with_suffix("") not in stems]
+            files += found
         elif path.suffix not in _SUFFIXES:
             raise BagError(f"{path}: suffix is `{path.suffix}`, expected .json or .h5 (or a folder of such files).")
         else:
@@ -180,6 +190,13 @@ def _files_in(paths: Sequence[Path]) -> list[Path]:
         raise InputError("no files are given; name files of the dataset, or a folder of them.")
     LIMITS.PUSHES.check(len(files), "the files of the dataset", remedy="Name fewer files, such as those of one speed.")
     return files
+
+
+def _files_below(folder: Path) -> list[Path]:
+    """By name; of one push that is there in both formats the JSON file."""
+    found = sorted(p for p in folder.rglob("*") if p.suffix in _SUFFIXES)
+    stems = {p.with_suffix("") for p in found if p.suffix == ".json"}
+    return [p for p in found if p.suffix == ".json" or p.with_suffix("") not in stems]
 
 
 def _named(files: Sequence[Path], shape: str) -> tuple[str, str]:
@@ -210,15 +227,15 @@ def _read(file: Path) -> _Push:
     """One file. Raises BagError for another form, numbers that are not finite, or coordinates beyond the limits."""
     fields = _read_h5(file) if file.suffix == ".h5" else _read_json(file)
     arrays = {name: _rows(fields[name], f"{file}: {name}") for name in _FIELDS}
-    starts = [rows[0, 0] for rows in arrays.values() if len(rows)]
+    recorded = min((float(rows[0, 0]) for rows in arrays.values() if len(rows)), default=0.0)
     for rows in arrays.values():
-        rows[:, 0] -= min(starts, default=0.0)
+        rows[:, 0] -= recorded
     pose, tip, force = arrays.values()
     for rows in (pose, tip):
         check_coordinates(rows[:, 1:3], str(file), error=BagError)
     LIMITS.FORCE.check(float(np.abs(force[:, 1:3]).max(initial=0.0)), str(file), error=BagError)
     pose[:, 3] = np.unwrap(pose[:, 3])
-    return _Push(pose, tip[:, :3], force[:, :3] * [1.0, -1.0, -1.0])
+    return _Push(pose, tip[:, :3], force[:, :3] * [1.0, -1.0, -1.0], recorded)
 
 
 def _read_json(file: Path) -> dict[str, Any]:

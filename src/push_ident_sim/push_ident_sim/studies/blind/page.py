@@ -104,6 +104,7 @@ def tables(summary: Json) -> str:
                 for row in said
             ]
             parts.append(markdown_table(["probability of a cause", "mean", "right"], rows))
+        parts += _same_cases(summary.get("same_cases", {}))
         smallest = summary["smallest"]
         rows = [
             [
@@ -127,6 +128,22 @@ def tables(summary: Json) -> str:
             + markdown_table(["engines", "pushes", "median [mm]", "90 % [mm]", "largest [mm]"], rows)
         )
     return "\n\n".join(parts)
+
+
+def _same_cases(compared: Json) -> list[str]:
+    """A table for each number of pushes that was compared with the largest, of the same cases."""
+    columns = {
+        "top1": "first name right, sizes that 14 pushes detect",
+        "one_of_pair": "two effects: one named",
+        "false_alarms": "alarms on nulls",
+        "wrong": "named with confidence and wrong",
+    }
+    return [
+        markdown_table(
+            ["the same cases", *columns.values()], [[name, *(_number(own[key]) for key in columns)] for name, own in rows.items()]
+        )
+        for rows in compared.values()
+    ]
 
 
 def draw(summary: Json, folder: Path) -> dict[str, str]:

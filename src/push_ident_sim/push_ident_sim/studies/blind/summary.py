@@ -33,6 +33,7 @@ _SIZED = (
 """Effects whose law is the same in the engines and in the model."""
 _OF_A_UNIT = ("camera_translation", "camera_rotation", "camera_scale")
 """Errors of calibration that every unit of a model of a sensor has."""
+_MOST_PUSHES = "14-pushes"
 _N_BOOTSTRAP = 2000
 _SURE = 0.9
 """Probability from which a cause counts as said."""
@@ -64,6 +65,8 @@ class Judged:
     """Model of the sensor, where the engine is a camera."""
     of_the_unit: tuple[str, ...] = ()
     """Effects that were named and are those of a sensor's calibration, which nobody injected; taken out of `named`."""
+    ground_truth: tuple[str, int] = ("", 0)
+    """Object and seed."""
 
     @property
     def right(self) -> bool:
@@ -106,6 +109,7 @@ def judge(result: CaseResult) -> Judged:
         values=values,
         sensor=sensor,
         of_the_unit=of_the_unit,
+        ground_truth=result.case.truth,
     )
 
 
@@ -291,6 +295,7 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
         },
         "by_noncentrality": _by_noncentrality(cases),
         "by_probability": _by_probability(cases),
+        "same_cases": _same_cases(cases),
         "confusion": _confusion(cases),
         "smallest": _smallest(cases),
         "cases": [
@@ -326,6 +331,31 @@ def _by_noncentrality(cases: Sequence[Judged]) -> list[Json]:
             }
         )
     return rows
+
+
+def _same_cases(cases: Sequence[Judged]) -> Json:
+    """Other numbers of pushes against the largest, in cases that both have: single effects count where the largest number detects them.
+
+    Cases through a camera have other noise and are left out.
+    """
+    by_pushes: dict[str, dict[tuple[str, int], Judged]] = {}
+    for case in cases:
+        if case.engine != "camera":
+            by_pushes.setdefault(case.pushes, {})[case.ground_truth] = case
+    table: Json = {}
+    for pushes, own in by_pushes.items():
+        most = by_pushes.get(_MOST_PUSHES, {})
+        both = [key for key in own if key in most]
+        if pushes == _MOST_PUSHES or not both:
+            continue
+        for name, of in ((_MOST_PUSHES, most), (pushes, own)):
+            table.setdefault(pushes, {})[name] = {
+                "top1": _share([of[key] for key in both if most[key].kind == "single" and most[key].detectable], lambda c: c.right),
+                "one_of_pair": _share([of[key] for key in both if of[key].kind == "pair"], lambda c: set(c.truth) & set(c.named)),
+                "false_alarms": _share([of[key] for key in both if of[key].kind == "null"], lambda c: c.verdict != "no_gap"),
+                "wrong": _share([of[key] for key in both if of[key].kind != "outside"], lambda c: c.wrong),
+            }
+    return table
 
 
 def _confusion(cases: Sequence[Judged]) -> Json:

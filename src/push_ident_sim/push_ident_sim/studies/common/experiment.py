@@ -79,6 +79,10 @@ class Experiment(Study):
     """Variants that are one case, of the first object and ground truth."""
     fewer: Mapping[str, int] = field(default_factory=dict)
     """Variants with a largest number of ground truths of each object, whatever number is requested."""
+    every: Mapping[str, int] = field(default_factory=dict)
+    """Variants that only every so manyth ground truth has, the first one included: those that take long, spread over the whole run."""
+    find: Callable[[Path], tuple[str, ...]] | None = None
+    """Finds the objects in `CaseSettings.recordings`, in place of `objects`: sets of recorded pushes; a seed is then that of a draw."""
     counts_goals: bool = False
     """Whether each object is pushed to `CaseSettings.goals` goals."""
     timed: bool = False

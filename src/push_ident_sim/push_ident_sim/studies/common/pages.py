@@ -96,6 +96,7 @@ def _write(page: Path, head: list[str], found: Sequence[tuple[Study, Json]], ori
 def _origin_of_experiment(experiment: Experiment, run: Json) -> str:
     machine = run["machine"]
     objects = ", ".join(run["objects"])
+    stopped = f" {run['finished']} of {run['planned']} planned cases, in their order, until the time was up." if "planned" in run else ""
     failed = (
         f" {len(run['failed'])} cases failed: " + "; ".join(f"{f['case']} ({f['error']})" for f in run["failed"]) + "."
         if run["failed"]
@@ -109,8 +110,8 @@ def _origin_of_experiment(experiment: Experiment, run: Json) -> str:
     return (
         f"`push-ident experiment {run['experiment']} --seed {run['seed']} --models {run['models']}{chosen}`: {objects}; "
         f"{run['models']} ground truths each, from seed {run['seed']}; at most {run['max_seconds']:g} s of the processor a solve. "
-        f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}.{not_run}{failed}"
-        + (f" {run['remark']}" if run.get("remark") else "")
+        f"{machine['processor']}, {machine['cores']} cores, {machine['jobs']} processes, Python {machine['python']}."
+        f"{not_run}{stopped}{failed}" + (f" {run['remark']}" if run.get("remark") else "")
     )
 
 

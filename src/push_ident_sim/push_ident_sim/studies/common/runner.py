@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
@@ -63,6 +65,8 @@ class RunOptions:
     """Of cases that run for a given time [min]."""
     goals: int = 4
     """Of each object, for experiments that push to goals."""
+    stop_after: float = math.inf
+    """No case of an experiment begins later than this after the start [min]; those that are finished are then summarised."""
 
     def __post_init__(self) -> None:
         for name, lowest in (("n_models", 1), ("jobs", 1), ("seed", 0), ("goals", 1)):
@@ -80,7 +84,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     Raises:
         InputError: no case gave a result, or a variant that the experiment does not have.
     """
-    report = on_progress or (lambda what, done, total: None)
+    report, began = on_progress or (lambda what, done, total: None), time.monotonic()
     cases = _cases_of(experiment, options)
     settings = CaseSettings(
         options.truth_folder,
@@ -96,34 +100,48 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     digest = _digest(experiment, settings)
     files = {case: folder / f"{case.key}-{digest}.json" for case in cases}
     sealed = experiment.prepare(cases, folder) if experiment.prepare else None
-    missing = [case for case in cases if not files[case].exists()]
-    n_before = len(cases) - len(missing)
     jobs = 1 if experiment.one_at_a_time else options.jobs
     with single_threads(jobs) as pool:
         truths = _missing_truths(experiment, options) if experiment.needs_truth else []
         _run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
-        calls = [(_run_case, (experiment.name, case, settings, files[case])) for case in missing]
-        report(experiment.name, n_before, len(cases))
-        _run_calls(pool, calls, lambda done, first: report(experiment.name, n_before + done, len(cases)))
-    outcomes = {case: read_json(files[case]) for case in cases}
+        _run_missing(pool, experiment.name, files, settings, report, until=began + 60.0 * options.stop_after)
+    outcomes = {case: read_json(files[case]) for case in cases if files[case].exists()}
     results = [CaseResult(case, outcome["values"]) for case, outcome in outcomes.items() if "values" in outcome]
     if not results:
-        first = next(iter(outcomes.values()))["error"]
-        raise InputError(f"All {len(cases)} cases of {experiment.name} failed, the first with: {first}")
+        raise InputError(_no_result(experiment, options, list(outcomes.values())))
     summary = {**experiment.summarise(results), **({} if sealed is None else {"sealed": sealed})}
     return {
         **{key: summary[key] for key in experiment.headline},
         "experiment": experiment.name,
-        "objects": list(options.objects or experiment.objects),
+        "objects": list(_objects(experiment, options)),
         "models": options.n_models,
         "variants": list(options.variants or experiment.variants),
         "seed": options.seed,
         **({"goals": options.goals} if experiment.counts_goals else {}),
         "max_seconds": options.max_seconds,
+        **({"planned": len(cases), "finished": len(outcomes)} if len(outcomes) < len(cases) else {}),
         "machine": describe_machine(jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
         "summary": summary,
     }
+
+
+def _run_missing(
+    pool: ProcessPoolExecutor, name: str, files: dict[Case, Path], settings: CaseSettings, report: Progress, *, until: float
+) -> None:
+    """Run the cases of an experiment that have no file, in their order; none begins after `until` on the monotonic clock [s]."""
+    missing = [case for case, file in files.items() if not file.exists()]
+    n_before = len(files) - len(missing)
+    # Where the time is up before the first one, what is finished is published.
+    calls = [(_run_case, (name, case, settings, files[case])) for case in missing] if time.monotonic() < until else []
+    report(name, n_before, len(files))
+    _run_calls(pool, calls, lambda done, first: report(name, n_before + done, len(files)), until=until)
+
+
+def _no_result(experiment: Experiment, options: RunOptions, outcomes: Sequence[Json]) -> str:
+    if not outcomes:
+        return f"No case of {experiment.name} was finished in {options.stop_after:g} min; give it more time."
+    return f"All {len(outcomes)} cases of {experiment.name} failed, the first with: {outcomes[0]['error']}"
 
 
 def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progress | None = None) -> Json:
@@ -146,8 +164,8 @@ def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progres
     return {"benchmark": benchmark.name, "seed": settings.seed, "quick": settings.quick, "machine": machine, "summary": summary}
 
 
-def _run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, int], None]) -> list[Any]:
-    """Run the calls side by side; their results in their order.
+def _run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, int], None], *, until: float = math.inf) -> list[Any]:
+    """Run the calls side by side; the results of all that began before `until` on the monotonic clock [s], in their order.
 
     `report` gets the number of finished calls and the index of the first one that is not, at the start and each time one finishes.
     """
@@ -155,24 +173,36 @@ def _run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, 
     pending = set(futures)
     while pending:
         report(len(futures) - len(pending), next(i for i, future in enumerate(futures) if future in pending))
-        finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+        left = None if math.isinf(until) else max(until - time.monotonic(), 0.0)
+        finished, pending = wait(pending, timeout=left, return_when=FIRST_COMPLETED)
         for future in finished:
             future.result()
-    if futures:
-        report(len(futures), len(futures))
-    return [future.result() for future in futures]
+        if time.monotonic() >= until:
+            pending = {future for future in pending if not future.cancel()}
+            until = math.inf
+    made = [future for future in futures if not future.cancelled()]
+    if made:
+        report(len(made), len(futures))
+    return [future.result() for future in made]
 
 
 def _models(experiment: Experiment, options: RunOptions) -> list[tuple[str, int]]:
     """Objects and seeds of the ground truths."""
-    return [(name, options.seed + i) for i in range(options.n_models) for name in options.objects or experiment.objects]
+    objects = _objects(experiment, options)
+    return [(name, options.seed + i) for i in range(options.n_models) for name in objects]
+
+
+def _objects(experiment: Experiment, options: RunOptions) -> tuple[str, ...]:
+    """Those that are asked for, or all. Raises InputError for unknown ones."""
+    known = experiment.find(options.recordings) if experiment.find else experiment.objects
+    if unknown := [name for name in options.objects if name not in known]:
+        raise InputError(f"Object {unknown[0]!r} is not known, expected some of {', '.join(known)}.")
+    return options.objects or known
 
 
 def _cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
     if unknown := [v for v in options.variants if v not in experiment.variants]:
         raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
-    if unknown := [name for name in options.objects if name not in experiment.objects]:
-        raise InputError(f"Object {unknown[0]!r} is not known, expected some of {', '.join(experiment.objects)}.")
     models = _models(experiment, options)
     return [
         Case(name, model, variant)
@@ -180,6 +210,7 @@ def _cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
         for variant in options.variants or experiment.variants
         if (variant not in experiment.once or (name, model) == models[0])
         and model - options.seed < experiment.fewer.get(variant, options.n_models)
+        and (model - options.seed) % experiment.every.get(variant, 1) == 0
     ]
 
 
@@ -198,7 +229,7 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     The stages of the core count as a whole, since some of their modules are found by name.
     """
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
-    if experiment.once:
+    if experiment.once or experiment.find:
         values.append({"recordings": str(settings.recordings.resolve())})
     if experiment.counts_goals:
         values.append({"goals": settings.goals})

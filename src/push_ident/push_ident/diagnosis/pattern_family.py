@@ -1,0 +1,135 @@
+"""Families of patterns: hypotheses that share their columns, those of each push and those that all pushes share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+
+from push_ident.types import Float64Array
+
+__all__ = ["Acts", "Family", "Member", "Rows", "VariesWith", "all_of", "from_push", "one_push", "parts", "separate", "shared", "singles"]
+
+Rows = tuple[Float64Array, Float64Array]
+"""Rows of the poses and of the measured forces of one push, weighted as in the cost, shapes (3 n_frames, n) and (2 n_windows, n)."""
+
+
+class Acts(Enum):
+    """What a pattern acts on."""
+
+    FRICTION = "friction"
+    FORCE = "force"
+    """With a torque, along the axes of the table."""
+    FORCE_ON_MOTION = "force along the motion"
+    """Along and across the motion, with a torque."""
+    TOOL = "pusher"
+
+
+class VariesWith(Enum):
+    """The coordinate that a pattern follows."""
+
+    SPOT = "spot"
+    """One place."""
+    PLACE = "place"
+    FROM_PUSH = "from push"
+    """The same from one push on."""
+    ONE_PUSH = "one push"
+    PUSH = "push"
+    """Each push for itself."""
+    SINCE_CONTACT = "time since contact"
+    WAY = "way slid"
+    SPEED = "speed"
+    HEADING = "heading in the table"
+    OWN_HEADING = "heading in the object"
+    SIDE = "side of the object"
+    TIME = "time"
+    """In each push in its own way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One hypothesis of a family."""
+
+    key: float | tuple[float, float] | None
+    """What distinguishes it: number of the push, decay time [s] or length [m], place [m]; None where the family has only one."""
+    weights: Float64Array | None
+    """Its patterns as combinations of the columns of the family, shape (n_columns, n); None where each column is one of them."""
+
+    def gathered(self, by_column: Float64Array) -> Float64Array:
+        """Derivatives by its amplitudes, shape (n, ...), from those by the columns of the family, shape (n_columns, ...)."""
+        return by_column if self.weights is None else np.asarray(self.weights.T @ by_column)
+
+    def spread(self, amplitudes: Float64Array) -> Float64Array:
+        """Amplitudes of the columns of the family, shape (n_columns,), from its own, shape (n,)."""
+        return amplitudes if self.weights is None else np.asarray(self.weights @ amplitudes)
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Patterns that act on one thing and follow one coordinate."""
+
+    acts_on: Acts
+    varies_with: VariesWith
+    columns: Float64Array
+    """Change of the whitened residuals of all frames, then of all measured forces, by a unit amplitude of each column, shape (3 n_frames +
+    2 n_windows of all pushes, n_columns)."""
+    members: tuple[Member, ...]
+    scales: tuple[float, ...]
+    """Prior standard deviations of the amplitudes; which of them holds is not known."""
+    at: Float64Array | None = None
+    """What each column stands for, where that is a place [m], a speed [m/s], an angle [rad] or a number of a push and a time [s], shape
+    (n_columns, n); columns of several components of a force repeat it."""
+    columns_of_push: tuple[slice, ...] = ()
+    """Columns of each push, zero in the rows of all others; none where the pushes share their columns."""
+
+
+def shared(responses: Sequence[dict[str, Rows]], name: str) -> Float64Array:
+    """Columns that all pushes share: rows of the poses of all pushes, then those of their forces."""
+    return np.concatenate([np.concatenate([own[name][kind] for own in responses]) for kind in (0, 1)])
+
+
+def separate(responses: Sequence[dict[str, Rows]], name: str) -> tuple[Float64Array, tuple[slice, ...]]:
+    """The same with columns of each push for itself, and which those are."""
+    ends = np.cumsum([0, *(own[name][0].shape[1] for own in responses)]).tolist()
+    columns = tuple(slice(first, last) for first, last in pairwise(ends))
+    return np.concatenate([_block_diagonal([own[name][kind] for own in responses]) for kind in (0, 1)]), columns
+
+
+def _block_diagonal(blocks: Sequence[Float64Array]) -> Float64Array:
+    """Of each push its own columns."""
+    full = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row = column = 0
+    for block in blocks:
+        full[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return full
+
+
+def all_of() -> tuple[Member, ...]:
+    """One hypothesis with all columns."""
+    return (Member(None, None),)
+
+
+def singles(places: Float64Array) -> tuple[Member, ...]:
+    """One place each; `places` of shape (n, 2)."""
+    identity = np.eye(len(places))
+    return tuple(Member((float(x), float(y)), identity[:, [k]]) for k, (x, y) in enumerate(places))
+
+
+def parts(keys: Sequence[float], n_each: int) -> tuple[Member, ...]:
+    """A part of the columns for each key."""
+    identity = np.eye(len(keys) * n_each)
+    return tuple(Member(key, identity[:, k * n_each : (k + 1) * n_each]) for k, key in enumerate(keys))
+
+
+def from_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
+    """The same in all pushes from one of them on, whatever the first one is."""
+    return tuple(Member(k, np.kron((np.arange(n_pushes) >= k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(1, n_pushes))
+
+
+def one_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
+    """Something in one push, whichever it is."""
+    return tuple(Member(k, np.kron((np.arange(n_pushes) == k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(n_pushes))

@@ -1,0 +1,1 @@
+"""Recordings of others, on surfaces whose friction they measured: what a diagnosis finds in them."""

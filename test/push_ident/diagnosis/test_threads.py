@@ -1,0 +1,78 @@
+"""Parallel work within parallel work: its order, its number of threads, and its failures."""
+
+from __future__ import annotations
+
+import os
+import time
+from threading import Lock, get_ident
+
+import pytest
+
+from push_ident.diagnosis.threads import map_in_threads
+
+
+class Counter:
+    """How many threads are at work at once, at most."""
+
+    def __init__(self) -> None:
+        self.lock, self.now, self.most = Lock(), 0, 0
+
+    def work(self, seconds: float) -> None:
+        with self.lock:
+            self.now += 1
+            self.most = max(self.most, self.now)
+        time.sleep(seconds)
+        with self.lock:
+            self.now -= 1
+
+
+def test_results_keep_their_order_whoever_is_first() -> None:
+    assert map_in_threads(lambda k: (time.sleep(0.02 * (k == 0)), k)[1], range(6)) == list(range(6))
+    assert map_in_threads(str, []) == []
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor has no helper")
+def test_thread_without_work_helps_the_other_one_and_no_processor_has_two() -> None:
+    counter = Counter()
+
+    def task(n: int) -> list[int]:
+        # As a fit that simulates its pushes again and again.
+        return [thread for _ in range(n) for thread in map_in_threads(lambda _: (counter.work(0.01), get_ident())[1], range(4))]
+
+    short, long = map_in_threads(task, [1, 20])
+    # The thread of the short task, or another one in its place, takes a part of the long one.
+    assert len(short) == 4 and len(set(long)) >= 2
+    assert 2 <= counter.most <= min(4, len(os.sched_getaffinity(0)))
+    # All threads are idle again.
+    counter.most = 0
+    map_in_threads(counter.work, [0.01] * 8)
+    assert counter.most >= 2
+
+
+def test_failure_ends_the_work() -> None:
+    done = []
+
+    def fail(k: int) -> None:
+        if k == 1:
+            raise ValueError("the second one fails")
+        time.sleep(0.02)
+        done.append(k)
+
+    with pytest.raises(ValueError, match="the second one"):
+        map_in_threads(fail, range(100))
+    assert len(done) < 10
+
+
+def test_forked_process_has_threads_of_its_own() -> None:
+    map_in_threads(time.sleep, [0.01] * 4)
+    if (child := os.fork()) == 0:
+        os._exit(0 if map_in_threads(abs, [-1, -2, -3]) == [1, 2, 3] else 1)
+    for _ in range(100):
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            assert os.waitstatus_to_exitcode(status) == 0
+            return
+        time.sleep(0.05)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    pytest.fail("the child waits for threads that it does not have")
