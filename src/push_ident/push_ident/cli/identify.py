@@ -96,8 +96,7 @@ def identify_command(
     takes_effects = solver_of(method).capabilities.takes_effects
     numbers = parse_numbers(train, "--train") if train else None
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
-    columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(SpinnerColumn(), Description(), TimeElapsedColumn(), console=console, transient=True) as progress:
         task = progress.add_task("reading")
 
         def report(text: str) -> None:
@@ -120,8 +119,7 @@ def identify_command(
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     _show_errors(loaded, fitted, held_out)
     _show_identifiability(result)
-    files = [file for file in (json, None if out is None else out / "result.json") if file is not None]
-    if files:
+    if files := [file for file in (json, None if out is None else out / "result.json") if file is not None]:
         content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
         for file in files:
             write_json(file, content)

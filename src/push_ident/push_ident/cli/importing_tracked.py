@@ -139,15 +139,11 @@ def csv_command(
     columns: ColumnsOption = "",
     pusher_columns: PusherColumnsOption = "",
     length_unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths in columns whose names say none.")] = LengthUnit.m,
-    pusher_length_unit: Annotated[
-        LengthUnit | None, typer.Option(help="Unit of lengths of the pusher, if it has another.", show_default=False)
-    ] = None,
+    pusher_length_unit: Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)] = None,
     outline_length_unit: OutlineUnitOption = None,
     angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = AngleUnit.rad,
     time_unit: TimeUnitOption = TimeUnit.s,
-    pusher_time_unit: Annotated[
-        TimeUnit | None, typer.Option(help="Unit of time of pusher and force, if it is another.", show_default=False)
-    ] = None,
+    pusher_time_unit: Annotated[TimeUnit | None, typer.Option(help="Of pusher and force, if another.", show_default=False)] = None,
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "x,y,z",
     time_offset: TimeOffsetOption = 0.0,
@@ -183,8 +179,7 @@ def csv_command(
         time_offset=time_offset,
         pusher_frame=_frame(pusher_frame),
     )
-    source = ", ".join(dict.fromkeys(file.name for file in (tables.poses, pusher, outline)))
-    run_import(lambda: import_tracked_poses(tables, out), out, source, page, json)
+    run_import(lambda: import_tracked_poses(tables, out), out, f"{tables.poses.name} and {pusher.name}", page, json)
 
 
 def rosbag_command(
