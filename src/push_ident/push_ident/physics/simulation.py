@@ -350,8 +350,9 @@ def simulate_body_with_response(
     moved = np.flatnonzero(chain.tape.event != IDLE)
     first_step = min(int(np.min(moved, initial=len(touches))), len(touches) - 2)
     steps = slice(first_step, max(int(np.max(moved, initial=0)) + 1, first_step + 2))
-    by_step = (own[steps] for own in (run.motion.force_time, pose, twist, touches, pusher))
-    return run.motion, StepResponse(*by_step, chain.arms.T, body.limit, run, steps)
+    time = run.motion.force_time[steps]
+    response = StepResponse(time, pose[steps], twist[steps], touches[steps], pusher[steps], chain.arms.T, body.limit, run, steps)
+    return run.motion, response
 
 
 @dataclass(frozen=True, slots=True)
