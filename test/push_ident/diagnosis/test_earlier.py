@@ -38,11 +38,10 @@ def n_simulations(fits: HeldOutFits) -> int:
 def test_fits_with_one_more_push_take_less_and_end_as_well(records: list[PushRecord], before: tuple[Fit, HeldOutFits]) -> None:
     earlier = EarlierFits.of(records, [before[0]], before[1].fits)
     cold, warm = fit_base(records, SETTINGS), fit_base(records, SETTINGS, earlier)
-    assert warm.problem.meter.n_simulations < cold.problem.meter.n_simulations
     assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=0.5)
     fits = [HeldOutFits(), HeldOutFits(earlier)]
     first, again = (own.of([cold], folds_of(N + 1, N + 1))[0] for own in fits)
-    assert n_simulations(fits[1]) < n_simulations(fits[0])
+    assert n_simulations(fits[1]) < 0.8 * n_simulations(fits[0])
     np.testing.assert_allclose([own.log_density for own in again], [own.log_density for own in first], atol=0.7)
 
 
