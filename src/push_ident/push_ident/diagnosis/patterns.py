@@ -187,7 +187,7 @@ def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Ar
 
 def _places(paths: Sequence[_Path]) -> Float64Array:
     """Places on the table that an object came over, shape (n, 2)."""
-    centres = np.concatenate([p.response.pose[:: 4 * _THIN, :2] for p in paths])
+    centres = np.concatenate([p.response.pose[np.append(np.maximum(_samples(p.response, 4 * _THIN), 0), -1), :2] for p in paths])
     reach = max(float(np.max(np.linalg.norm(p.response.arms, axis=1))) for p in paths)
     low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
     spacing = _SPACING
@@ -291,8 +291,9 @@ _Weigh = Callable[[NDArray[np.int64], Float64Array, Float64Array], Float64Array]
 def _friction_of(path: _Path, weigh: _Weigh, n_patterns: int) -> Float64Array:
     """Friction of the cells times weights, shape (n_steps, 3, n_patterns)."""
     response, arms = path.response, path.response.arms
-    sampled = np.arange(0, len(response.time), _THIN)
-    steps = sampled[path.speed[sampled] > 2.0 * _STILL]
+    sampled = _samples(response, _THIN)
+    moves = (sampled >= 0) & (path.speed[sampled] > 2.0 * _STILL)
+    steps = sampled[moves]
     cos, sin = np.cos(response.pose[steps, 2])[:, None], np.sin(response.pose[steps, 2])[:, None]
     x, y = cos * arms[:, 0] - sin * arms[:, 1], sin * arms[:, 0] + cos * arms[:, 1]
     turn = response.twist[steps, 2][:, None]
@@ -301,8 +302,13 @@ def _friction_of(path: _Path, weigh: _Weigh, n_patterns: int) -> Float64Array:
     fx, fy = -response.limit * vx / size, -response.limit * vy / size
     force = np.stack([fx, fy, x * fy - y * fx], axis=1)
     wrench = np.zeros((len(sampled), 3, n_patterns))
-    wrench[path.speed[sampled] > 2.0 * _STILL] = np.matmul(force, weigh(steps, x, y))
-    return np.repeat(wrench, _THIN, axis=0)[: len(response.time)]
+    wrench[moves] = np.matmul(force, weigh(steps, x, y))
+    return np.repeat(wrench, _THIN, axis=0)[-sampled[0] :][: len(response.time)]
+
+
+def _samples(response: StepResponse, every: int) -> NDArray[np.int64]:
+    """Every so many steps of a rollout, as numbers of the steps of its response; the first one may be below 0, where the object rests."""
+    return np.arange(-(response.steps.start % every), len(response.time), every)
 
 
 def _bells_over(at: Float64Array, centres: Float64Array) -> Float64Array:

@@ -14,12 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
 
-from push_ident.identification.levenberg_marquardt import MAX_ITERATIONS, minimise
+from push_ident.identification.levenberg_marquardt import MAX_ITERATIONS, NeededCost, minimise, poorness
 from push_ident.identification.observation import NoiseModel
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.identification.result import ModelPosterior
@@ -36,8 +35,8 @@ _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: an amplitude so far below the best ends a chained search, since smaller ones fit
 worse still."""
 _HOPELESS: Final = 20.0
-"""Difference of log evidence [nat] by which a fit must be behind another one, with all that its next steps promise, to be given up: three
-times `_NEGLIGIBLE`, since a fit may creep along kinks for longer than it promises."""
+"""Difference of log evidence [nat] by which a fit must be behind another one, with five times what its next step promises, to be given up:
+three times `_NEGLIGIBLE`."""
 _QUANTILE: Final = 0.8
 _EXPECTED_QUANTILE: Final = 4.642
 """Chi squared with 3 degrees of freedom is below it with probability `_QUANTILE`."""
@@ -167,7 +166,8 @@ class AmplitudePolicy:
     """Of each fit."""
     chained: bool = True
     """Each fit starts where the one before expects its minimum, and the search ends when an amplitude has negligible evidence or the budget
-    is spent. False: all fits start at one point; those that cannot come near the evidence of one before are given up (`OUT_OF_REACH`)."""
+    is spent. False: all fits start at one point; beside one that explains the pushes, those that cannot come near its evidence are given
+    up (`OUT_OF_REACH`)."""
     relative: bool = False
     """Whether fits that creep may end earlier where the pushes are explained badly, as in `minimise`."""
     warm_starts: Sequence[Float64Array] = ()
@@ -192,18 +192,21 @@ def fit_amplitudes(problem_at: Callable[[float], FitProblem], start: Float64Arra
         x0 = fits[-1].minimum_at(amplitude) if fits and policy.chained else start
         if i < len(policy.warm_starts):
             x0 = problem.continued(x0, policy.warm_starts[i])
-        best = max((fit.log_evidence for fit in fits), default=-np.inf)
-        needed = partial(_cost_of, problem, np.inf if policy.chained else best - _HOPELESS)
+        needed = np.inf if policy.chained else _needed_cost(problem, fits)
         end = minimise(problem, x0, policy.max_iterations, relative=policy.relative, needed_cost=needed)
         fits.append(Fit(problem, *end, amplitude))
-        if policy.chained and (fits[-1].log_evidence < max(best, fits[-1].log_evidence) - _NEGLIGIBLE or problem.meter.spent):
+        if policy.chained and (fits[-1].log_evidence < max(f.log_evidence for f in fits) - _NEGLIGIBLE or problem.meter.spent):
             break
     return fits
 
 
-def _cost_of(problem: FitProblem, log_evidence: float, end: Evaluation) -> float:
-    """Cost of a fit that ends with a log evidence near a point [nat]."""
-    return np.inf if not np.isfinite(log_evidence) else -log_evidence - _log_volume(problem, end)
+def _needed_cost(problem: FitProblem, others: Sequence[Fit]) -> float | NeededCost:
+    """Cost above which a fit is hopeless beside others; none where no other one explains the pushes to their noise.
+
+    Steps then promise what they bring. Where a strong effect is missing, kinks make a fit gain hundreds of nat that no step promises.
+    """
+    least = max((fit.log_evidence for fit in others if poorness(fit.end) <= 1.0), default=-np.inf) - _HOPELESS
+    return np.inf if np.isinf(least) else lambda end: -least - _log_volume(problem, end)
 
 
 def _log_volume(problem: FitProblem, end: Evaluation) -> float:

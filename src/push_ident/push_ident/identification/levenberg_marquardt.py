@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from push_ident.identification.problem import Evaluation, FitProblem
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["FINE", "MAX_ITERATIONS", "minimise", "minimise_roughly"]
+__all__ = ["FINE", "MAX_ITERATIONS", "NeededCost", "minimise", "minimise_roughly", "poorness"]
 
 MAX_ITERATIONS = 60
 """Default number of evaluations."""
@@ -76,7 +76,7 @@ def minimise(
     Returns:
         The best point, its evaluation, and how the solve ended.
     """
-    creep_at = _poorness if relative else _as_it_is
+    creep_at = poorness if relative else _as_it_is
     x, end, status = _descend(problem, np.array(x0, dtype=np.float64), max_iterations, tolerance, start, needed_cost, creep_at)
     for _ in range(_REFINEMENTS if refine else 0):
         if status not in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.MAX_ITERATIONS) or not problem.refine_steps(x):
@@ -98,14 +98,14 @@ def minimise_roughly(
     needed_cost: float = np.inf,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
     """As `minimise`, only so far that others may start from the result, and with the time steps as they are."""
-    return _descend(problem, np.array(x0, dtype=np.float64), max_iterations, _ROUGH, start, needed_cost, _poorness)
+    return _descend(problem, np.array(x0, dtype=np.float64), max_iterations, _ROUGH, start, needed_cost, poorness)
 
 
 def _as_it_is(end: Evaluation) -> float:
     return 1.0
 
 
-def _poorness(end: Evaluation) -> float:
+def poorness(end: Evaluation) -> float:
     """Cost in units of what noise alone would cost, 1 at least: pushes explained so much worse tell points apart so much less."""
     return max(1.0, end.cost / (_FRAME_COST * len(end.residual)))
 

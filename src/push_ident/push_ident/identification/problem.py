@@ -333,8 +333,8 @@ class FitProblem:
 
     def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
         """Robust cost of whitened residuals, shape (n, size), and the weight of the square of each row in it, shape (n,)."""
-        size2 = np.sum(residual**2, axis=1)
-        return 0.5 * (TAILS + residual.shape[1]) * float(np.sum(np.log1p(size2 / TAILS))), self.frame_weight(residual)
+        size2, freedom = np.sum(residual**2, axis=1), TAILS + residual.shape[1]
+        return 0.5 * freedom * float(np.sum(np.log1p(size2 / TAILS))), freedom / (TAILS + size2)
 
     @staticmethod
     def frame_weight(residual: Float64Array) -> Float64Array:
@@ -463,12 +463,14 @@ class FitProblem:
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
         """Derivative of the residuals of one push by the unknowns of the object and its own, shape (3 n_frames, unknowns.size +
         unknowns_of_push)."""
-        whitened = np.einsum("fij,fjp->fip", self.observations[push].whitening, motion.jacobian)
-        observed = self.observations[push]
-        first = whitened[:, :, :_POSE] @ self.first_scale[push]
+        observed, n_frames = self.observations[push], len(motion.jacobian)
+        # The unknowns are fewer than the cells, and one large product takes less time than one for each frame.
+        by_body = motion.jacobian.reshape(3 * n_frames, -1)
+        shared = by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
+        rows = np.concatenate([shared, by_body[:, :_POSE] @ self.first_scale[push]], axis=1)
+        whitened = np.einsum("fij,fjp->fip", observed.whitening, rows.reshape(n_frames, 3, -1))
         moved = observed.surface_std * observed.whitening[:, :, : self.unknowns_of_push - _POSE]
-        shared = whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
-        return np.concatenate([shared, first, moved], axis=2).reshape(3 * len(whitened), -1)
+        return np.concatenate([whitened, moved], axis=2).reshape(3 * n_frames, -1)
 
 
 def unknowns_of_push(shape: ObjectShape, noise: NoiseModel | None = None) -> int:

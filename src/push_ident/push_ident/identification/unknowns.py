@@ -138,8 +138,10 @@ class Mechanics:
         self, scenario: PushScenario, settings: SimulationSettings | None = None, jacobian: bool = False, timeline: Timeline | None = None
     ) -> Motion:
         """As `simulate_body`."""
-        body, numerics = (self.shape, self.body, self.pusher_friction), {"settings": settings, "jacobian": jacobian}
-        return simulate_body(*body, scenario, effects=self.effects, timeline=timeline, **numerics)
+        return simulate_body(
+            self.shape, self.body, self.pusher_friction, scenario, settings=settings, effects=self.effects, jacobian=jacobian,
+            timeline=timeline,
+        )  # fmt: skip
 
 
 class Unknowns:
@@ -380,8 +382,7 @@ class Unknowns:
         """Share of the mass of each cell, shape (n_cells,)."""
         a = self.prior.mass_map_std * (self.modes @ z[self.slice_of("mass_map")])
         weight = np.exp(a - a.max())
-        weight /= weight.sum()
-        return np.asarray(weight)
+        return np.asarray(weight / weight.sum())
 
     def feet(self, z: Float64Array) -> FeetLoad:
         """The feet at `z`. Raises InputError where the object stands on its whole base."""

@@ -282,7 +282,7 @@ def simulate_body_with_pullback(
 class StepResponse:
     """A simulated push, ready to say how its poses and the forces of the pusher change under small forces, whatever their law.
 
-    Its steps are those from the first to the last one in which the object moves, two at least: a body at rest ignores small forces.
+    Its steps are those from the first one in which the object moves to the one after the last: at rest it ignores small forces.
     """
 
     time: Float64Array
@@ -300,7 +300,7 @@ class StepResponse:
     limit: Float64Array
     """Friction limits of the cells without effects [N], shape (n_cells,)."""
     _run: _Run
-    _steps: slice
+    steps: slice
     """Its steps among all of the rollout."""
 
     def __call__(self, wrench: Float64Array, displacement: Float64Array | None = None) -> tuple[Float64Array, Float64Array]:
@@ -310,7 +310,7 @@ class StepResponse:
             wrench: on the object in each step, table axes, about the centre of mass, shape (n_steps, 3, n) [N, N, N m].
             displacement: of the pusher in each step, table axes, shape (n_steps, 2, n) [m]; by default none.
         """
-        chain, n, steps = self._run.chain, wrench.shape[2], self._steps
+        chain, n, steps = self._run.chain, wrench.shape[2], self.steps
         cos, sin = chain.tape.heading[:-1][steps].T[:, :, None]
         x, y, turn = np.moveaxis(wrench, 1, 0)
         impulse, nearer = np.zeros((len(chain.dt), 3, n)), np.zeros((len(chain.dt), 2, n))
@@ -351,9 +351,9 @@ def simulate_body_with_response(
     touches = np.any(run.motion.force != 0.0, axis=1)
     moved = np.flatnonzero(chain.tape.event != IDLE)
     first_step = min(int(np.min(moved, initial=len(touches))), len(touches) - 2)
-    steps = slice(first_step, max(int(np.max(moved, initial=0)) + 1, first_step + 2))
-    by_step = (own[steps] for own in (run.motion.force_time, pose, twist, touches, pusher))
-    return run.motion, StepResponse(*by_step, chain.arms.T, body.limit, run, steps)
+    steps = slice(first_step, min(max(int(np.max(moved, initial=0)), first_step) + 2, len(touches)))
+    times, poses, twists = run.motion.force_time[steps], pose[steps], twist[steps]
+    return run.motion, StepResponse(times, poses, twists, touches[steps], pusher[steps], chain.arms.T, body.limit, run, steps)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ model is Newton's. Where Newton's method does not contract, it is the majoriser 
 descends.
 
 The first guess continues the change of the twist in the step before. Newton's method converges quadratically, so that two changes c_1, c_2
-within one mode predict the next one, c_2^3 / c_1^2: where that is negligible, it is not made.
+within one mode predict the next one, c_2^3 / c_1^2: where that is as small as rounding, it is not made.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ __all__ = ["StepScratch", "TableForces", "new_step_scratch", "step"]
 
 _MAX_ITERATIONS = 1000  # about twenty are usual; the majoriser may need hundreds where the last cells come to rest at the same time
 _TOLERANCE = 1e-10
-_PREDICTED = 0.01  # part of the tolerance below which an error that is only predicted counts as none
+_QUADRATIC = 0.01  # ratio of two changes below which Newton's method converges quadratically
+_PREDICTED = 1e-4  # part of the tolerance below which a change that is only predicted counts as none
 
 
 class StepScratch(NamedTuple):
@@ -103,7 +104,9 @@ def step(
     arms, limit, inertia, reach, dt = geometry.arms, geometry.limit, geometry.inertia, geometry.reach, geometry.dt
     rows = contacts.rows
     old[:] = twist
+    guesses = False
     for i in range(3):
+        guesses = guesses or scratch.rate[i] != 0.0
         twist[i] += scratch.rate[i] * dt
     newton = was_newton = True
     last_change = np.inf
@@ -126,7 +129,13 @@ def step(
         code_before = code
         code = solve_modes(h, right, contacts, miss, code, du, impulse, scratch.mode)
         if code == NO_MODE:
-            return NO_MODE, iteration
+            if not guesses:
+                return NO_MODE, iteration
+            # Once more from the twist before the step.
+            twist[:] = old
+            guesses, newton, was_newton = False, True, True
+            last_change, retry_below, code = np.inf, 0.0, last_code
+            continue
         change = 0.0
         size = eps
         for i in range(3):
@@ -135,7 +144,7 @@ def step(
             twist[i] += du[i]
             size = max(size, abs(twist[i]) * unit)
         next_change = change
-        if iteration > 0 and newton and was_newton and code == code_before and change < 0.1 * last_change:
+        if last_change < np.inf and newton and was_newton and code == code_before and change < _QUADRATIC * last_change:
             next_change = change * (change / last_change) * (change / last_change) / _PREDICTED
         if newton and min(change, next_change) <= _TOLERANCE * size + 1e-16:
             # An object that is free comes to rest, where it would not go on slowing down; and an impact is over after its step.
