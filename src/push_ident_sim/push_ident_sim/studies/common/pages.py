@@ -121,4 +121,5 @@ def _origin_of_benchmark(_: Benchmark, run: Json) -> str:
     return (
         f"`push-ident bench {run['benchmark']}`, seed {run['seed']}: {machine['processor']}, {machine['cores']} cores, "
         f"{machine['jobs']} at work, load {machine['load']} before and {machine['load_after']} after, Python {machine['python']}.{quick}"
+        + (f" {run['remark']}" if run.get("remark") else "")
     )

@@ -150,7 +150,7 @@ def _tables(summary: Json) -> str:
         ]
         for name, own in summary["won_back"].items()
     ]
-    titles = ["", "named rightly, and certain enough", *(f"{what}: lost, of it won back" for what in _MEASURES.values())]
+    titles = ["", "named rightly", *(f"{what}: lost, of it won back" for what in _MEASURES.values())]
     return markdown_table(head, rows) + "\n\n" + markdown_table(titles, won)
 
 

@@ -15,6 +15,7 @@ from push_ident_sim.studies.common.measuring import grouped
 from push_ident_sim.studies.common.plate import plate_in_bullet
 from push_ident_sim.studies.common.pushed import IDENTIFIED, TRUTH, UNIFORM, PushedObject
 from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.reaching import share
 from push_ident_sim.studies.goals.run import LEVELS, random_goal, reach
 
 __all__ = ["STUDY"]
@@ -51,6 +52,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     main = by_kind.get(IDENTIFIED, results)
     return {
         "success": {kind: {level: _mean(own, "reached", level) for level in LEVELS} for kind, own in by_kind.items()},
+        "intervals": {kind: {level: _interval(own, level) for level in LEVELS} for kind, own in by_kind.items()},
         "pushes": {kind: {level: _mean(own, "pushes", level) for level in LEVELS} for kind, own in by_kind.items()},
         "time_s": {kind: {level: _mean(own, "time_s", level) for level in LEVELS} for kind, own in by_kind.items()},
         "goals": {kind: sum(len(r.values["reached"]) for r in own) for kind, own in by_kind.items()},
@@ -65,6 +67,12 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
 def _mean(results: Sequence[CaseResult], key: str, level: str) -> float:
     """Over all goals."""
     return round(float(np.mean([goal[level] for r in results for goal in r.values[key]])), 4)
+
+
+def _interval(results: Sequence[CaseResult], level: str) -> list[float]:
+    """In which the true share of goals that are reached lies at 95 %."""
+    found = share(goal[level] for r in results for goal in r.values["reached"])
+    return [found["low"], found["high"]]
 
 
 def _sure(results: Sequence[CaseResult]) -> Json:
@@ -86,11 +94,12 @@ def _calibration(results: Sequence[CaseResult]) -> list[Json]:
 
 
 def _tables(summary: Json) -> str:
-    head = ["", *(f"{name}: reached, pushes, time" for name in _NAMES.values()), "pushes that were 85-95 % sure, and right"]
+    head = ["", *(f"{name}: reached (95 % interval), pushes, time" for name in _NAMES.values()), "pushes that were 85-95 % sure, and right"]
     rows = []
     for kind, success in summary["success"].items():
         cells = [
-            f"{100 * success[level]:.1f} %, {summary['pushes'][kind][level]:.2f}, {summary['time_s'][kind][level]:.1f} s"
+            f"{100 * success[level]:.1f} % ({_range(summary, kind, level)} %), "
+            f"{summary['pushes'][kind][level]:.2f}, {summary['time_s'][kind][level]:.1f} s"
             for level in LEVELS
         ]
         sure = summary["sure"][kind]
@@ -103,6 +112,11 @@ def _tables(summary: Json) -> str:
             _calibration_table(summary["calibration"]),
         ]
     )
+
+
+def _range(summary: Json, kind: str, level: str) -> str:
+    """The interval of 95 %, in percent."""
+    return "{:.0f}-{:.0f}".format(*(100 * bound for bound in summary["intervals"][kind][level]))
 
 
 def _calibration_table(calibration: Json) -> str:
