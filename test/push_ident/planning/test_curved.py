@@ -162,6 +162,9 @@ def test_tool_that_would_leave_its_corridor_is_said_so() -> None:
     plan = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     assert plan.tool is not None and plan.corridor is not None
     assert np.max(plan.corridor.excess(plan.tool)) == 0.0
+    narrow = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1, half_width=0.002)
+    far = narrow.plan(KNOWN, CIRCLE.poses[0] + np.array([0.02, -0.02, 0.2]), CIRCLE, 0.0)
+    assert far.tool is not None and far.corridor is not None and np.max(far.corridor.excess(far.tool)) == 0.0
     ahead = Corridor(plan.tool[1] + np.outer([-1.0, 1.0], plan.tool[1] - plan.tool[0]), 0.004)
     status, poses, _ = follow(World(MODEL, CIRCLE.poses[0]), replace(plan, corridor=ahead), 0.0)
     assert status is FollowStatus.LEAVES and len(poses) < 60

@@ -50,6 +50,8 @@ _JUDGED: Final = 10
 """Contacts that the mean model likes best, judged by all models then."""
 _LINE: Final = 0.012
 """Between points of the line of a corridor [m]."""
+_BEYOND: Final = 0.005
+"""Of a corridor beyond the planned motion of the tool, where that goes further aside than corridors are wide [m]."""
 _STRAIGHT: Final = 0.004
 """Length of the straight beginning that is checked as a push of its own [m]."""
 
@@ -183,7 +185,10 @@ class CurvedPathPlanner:
         """Along the motion of a tool that is fixed to the object on its path."""
         offset = transform_points(inverse(path.at(now)), tool[1:2])
         later = path.at(np.append(np.arange(now, path.length, _LINE), path.length))
-        return Corridor(np.vstack([tool[:1], transform_points(later, offset)[:, 0]]), self._half_width)
+        corridor = Corridor(np.vstack([tool[:1], transform_points(later, offset)[:, 0]]), self._half_width)
+        # An object far from its path is led back by a tool that goes further aside.
+        excess = float(np.max(corridor.excess(tool)))
+        return Corridor(corridor.line, self._half_width + excess + _BEYOND) if excess > 0.0 else corridor
 
 
 def _along(own: Strokes, seen: Float64Array, path: PathGoal, now: float) -> np.ndarray:
