@@ -216,13 +216,13 @@ def test_no_case_begins_after_the_time_is_up() -> None:
     counts: list[tuple[int, int]] = []
     with ThreadPoolExecutor(1) as pool:
         calls = [(time.sleep, (0.2,)), *[(time.sleep, (0.0,))] * 5]
-        done = runner._run_calls(pool, calls, lambda *count: counts.append(count), until=time.monotonic() + 0.05)
+        done = runner.run_calls(pool, calls, lambda *count: counts.append(count), until=time.monotonic() + 0.05)
     assert len(done) == 1 and counts[-1] == (1, 6)
 
 
 def test_long_variants_of_the_blind_check_are_spread_over_a_run(tmp_path: Path) -> None:
     options = RunOptions(tmp_path, tmp_path, (), 6, 31000, ("14-pushes", "6-chosen", "camera"))
-    planned = runner._cases_of(EXPERIMENTS["blind"], options)
+    planned = runner.cases_of(EXPERIMENTS["blind"], options)
     assert Counter(case.variant for case in planned) == {"14-pushes": 30, "6-chosen": 10, "camera": 10}
     # Wherever a run is stopped, no more than the cases of one seed are missing from the balance.
     assert Counter(case.variant for case in planned[: len(planned) // 2]) == {"14-pushes": 15, "6-chosen": 5, "camera": 5}

@@ -29,9 +29,8 @@ from push_ident.types import BoolArray, CellGrid, Float64Array, ObjectModel, Obj
 
 __all__ = [
     "DEFAULT_STEP", "GRAVITY", "BodyParameters", "Motion", "ModelGradient", "PoseLoss", "PullBack", "SimulationSettings", "StepResponse",
-    "Timeline",
-    "body_of_cells", "cell_gradient", "compile_kernels", "loss_gradient", "simulate", "simulate_body", "simulate_body_with_pullback",
-    "simulate_body_with_response",
+    "Timeline", "body_of_cells", "cell_gradient", "compile_kernels", "loss_gradient", "simulate", "simulate_body",
+    "simulate_body_with_pullback", "simulate_body_with_response",
 ]  # fmt: skip
 
 DEFAULT_STEP = 1.0 / 240.0
@@ -136,8 +135,7 @@ def compile_kernels(*, effects: bool = False, gradients: bool = True) -> None:
     arguments = (shape, body, 0.3, PushScenario(pusher, np.zeros(3), np.array([0.0, 0.1])))
     simulate_body(*arguments, jacobian=True)
     if gradients:
-        _, pull_back = simulate_body_with_pullback(*arguments)
-        pull_back(np.zeros((2, 3)))
+        simulate_body_with_pullback(*arguments)[1](np.zeros((2, 3)))
         _, response = simulate_body_with_response(*arguments)
         assert response is not None, "a push of a square does not fail"
         response(np.zeros((len(response.time), 3, 1)))

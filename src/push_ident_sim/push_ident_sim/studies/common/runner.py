@@ -26,7 +26,7 @@ from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSetti
 from push_ident_sim.studies.common.files import read_json, write_json
 from push_ident_sim.workers import describe_machine, single_threads
 
-__all__ = ["RunOptions", "run_benchmark", "run_experiment"]
+__all__ = ["RunOptions", "cases_of", "run_benchmark", "run_calls", "run_experiment"]
 
 Progress = Callable[[str, int, int], None]
 """Called with the part in progress, the number of finished parts and the number of all."""
@@ -85,7 +85,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         InputError: no case gave a result, or a variant that the experiment does not have.
     """
     report, began = on_progress or (lambda what, done, total: None), time.monotonic()
-    cases = _cases_of(experiment, options)
+    cases = cases_of(experiment, options)
     settings = CaseSettings(
         options.truth_folder,
         Budget(max_seconds=options.max_seconds, processor_time=True),
@@ -103,7 +103,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     jobs = 1 if experiment.one_at_a_time else options.jobs
     with single_threads(jobs) as pool:
         truths = _missing_truths(experiment, options) if experiment.needs_truth else []
-        _run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
+        run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
         _run_missing(pool, experiment.name, files, settings, report, until=began + 60.0 * options.stop_after)
     outcomes = {case: read_json(files[case]) for case in cases if files[case].exists()}
     results = [CaseResult(case, outcome["values"]) for case, outcome in outcomes.items() if "values" in outcome]
@@ -135,7 +135,7 @@ def _run_missing(
     # Where the time is up before the first one, what is finished is published.
     calls = [(_run_case, (name, case, settings, files[case])) for case in missing] if time.monotonic() < until else []
     report(name, n_before, len(files))
-    _run_calls(pool, calls, lambda done, first: report(name, n_before + done, len(files)), until=until)
+    run_calls(pool, calls, lambda done, first: report(name, n_before + done, len(files)), until=until)
 
 
 def _no_result(experiment: Experiment, options: RunOptions, outcomes: Sequence[Json]) -> str:
@@ -158,13 +158,13 @@ def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progres
     labels = [*(f"{benchmark.name}: {piece.label}" for piece in pieces), benchmark.name]
     calls = [(piece.measure, piece.arguments) for piece in pieces]
     with single_threads(benchmark.jobs, fresh=True) as pool:
-        results = _run_calls(pool, calls, lambda done, first: report(labels[first], done, len(pieces)))
+        results = run_calls(pool, calls, lambda done, first: report(labels[first], done, len(pieces)))
     machine["load_after"] = describe_machine(benchmark.jobs)["load"]
     summary = benchmark.summarise(results)
     return {"benchmark": benchmark.name, "seed": settings.seed, "quick": settings.quick, "machine": machine, "summary": summary}
 
 
-def _run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, int], None], *, until: float = math.inf) -> list[Any]:
+def run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, int], None], *, until: float = math.inf) -> list[Any]:
     """Run the calls side by side; the results of all that began before `until` on the monotonic clock [s], in their order.
 
     `report` gets the number of finished calls and the index of the first one that is not, at the start and each time one finishes.
@@ -200,7 +200,8 @@ def _objects(experiment: Experiment, options: RunOptions) -> tuple[str, ...]:
     return options.objects or known
 
 
-def _cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
+def cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
+    """The cases that these options ask for, in the order in which they run. Raises InputError where they name what is not there."""
     if unknown := [v for v in options.variants if v not in experiment.variants]:
         raise InputError(f"Experiment {experiment.name} has no variant {unknown[0]!r}, expected some of {', '.join(experiment.variants)}.")
     models = _models(experiment, options)
