@@ -325,9 +325,11 @@ class PushCutter:
             if not (flush or passed > window[1] or (self._observed_after(interval.end) and passed > interval.end + self._gap)):
                 break
             unrecorded = run.expects_record and not self._records_of(run)
-            if unrecorded and not (flush or passed > run.end + _RECORD_WITHIN or any(r.start >= run.end for r in self._records)):
+            if unrecorded and not self._is_tail(run, self._handed_out_until) and not (flush or passed > run.end + _RECORD_WITHIN or any(r.start >= run.end for r in self._records)):
                 break
             self._ended.popleft()
+            if self._is_tail(run, self._handed_out_until):
+                continue
             lost = CutPush(interval, [], dict.fromkeys(self._shapes, UNRECORDED), unrecorded=True)
             pushes.append(lost if unrecorded else self._cut_push(interval, window))
             self._handed_out_until = interval.end
@@ -371,10 +373,15 @@ class PushCutter:
             return [run.record]
         return [record for record in self._records if record.start < run.end and run.start < record.end]
 
+    def _is_tail(self, run: _Run, end: float) -> bool:
+        """Whether a run is the rest of a push that ended at `end` [s]: samples behind the end of its record, which came before them."""
+        return end < run.end <= end + self._gap and not self._records_of(run)
+
     def _window(self) -> tuple[float, float]:
         """Rule 2, for the oldest push that was not handed out."""
         interval = self._interval(self._ended[0])
-        following = self._ended[1] if len(self._ended) > 1 else self._open
+        later = [*list(self._ended)[1:], *([self._open] if self._open is not None else [])]
+        following = next((run for run in later if not self._is_tail(run, interval.end)), None)
         after = math.inf if following is None else self._interval(following).start
         return _midpoint(self._handed_out_until, interval.start), _midpoint(interval.end, after)
 
