@@ -325,10 +325,12 @@ class PushCutter:
             if not (flush or passed > window[1] or (self._observed_after(interval.end) and passed > interval.end + self._gap)):
                 break
             unrecorded = run.expects_record and not self._records_of(run)
-            if unrecorded and not self._is_tail(run, self._handed_out_until) and not (flush or passed > run.end + _RECORD_WITHIN or any(r.start >= run.end for r in self._records)):
+            is_tail = self._is_tail(run, self._handed_out_until)
+            is_overdue = flush or passed > run.end + _RECORD_WITHIN or any(r.start >= run.end for r in self._records)
+            if unrecorded and not is_tail and not is_overdue:
                 break
             self._ended.popleft()
-            if self._is_tail(run, self._handed_out_until):
+            if is_tail:
                 continue
             lost = CutPush(interval, [], dict.fromkeys(self._shapes, UNRECORDED), unrecorded=True)
             pushes.append(lost if unrecorded else self._cut_push(interval, window))
