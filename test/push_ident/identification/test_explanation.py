@@ -18,6 +18,7 @@ from push_ident.errors import PushIdentError
 from push_ident.identification.budget import Budget
 from push_ident.identification.evidence import explain
 from push_ident.identification.identify import identify
+from push_ident.identification.observation import rest_frames
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.offline.loading import load_pushes
 from push_ident.types import CellGrid, ObjectShape, PoseTrack, PushRecord, SolveStatus
@@ -78,6 +79,18 @@ def test_ordinary_pushes_are_explained(pushes: list[PushRecord]) -> None:
     assert result.status is SolveStatus.CONVERGED
     assert result.explanation.failure == "" and result.explanation.unexplained == ()
     assert sum(push.moved for push in result.explanation.pushes) > len(pushes) / 2
+
+
+def test_push_that_the_arm_hides_ends_where_it_is_seen_next() -> None:
+    """Most of its frames are from before the motion, and a single one shows its end."""
+    records = simulated_pushes(4, 3)
+    hidden = records[1]
+    first, _, _ = rest_frames(hidden)
+    seen = np.array([*first, len(hidden.poses.time) - 1])
+    poses = PoseTrack(*(values[seen] for values in (hidden.poses.time, hidden.poses.pose, hidden.poses.covariance)))
+    assert len(first) > 10
+    result = identify([records[0], replace(hidden, poses=poses), *records[2:]])
+    assert result.status is SolveStatus.CONVERGED and result.explanation.unexplained == ()
 
 
 CHANGES = {

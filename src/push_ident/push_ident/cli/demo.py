@@ -147,7 +147,7 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
     draw_panels(
         run / "map.png",
         [*panels, ("deviation [%]", model.shape, relative)],
-        title=f"true (left) and identified (middle) after {len(outcome.training)} pushes",
+        title="true (left) and identified (middle) after all pushes",
     )
     content = {
         "object_id": outcome.object_id,

@@ -74,6 +74,8 @@ class DemoPushes:
         self._pictures: list[PushPicture] = []
         self._refusals = 0
         self._asked = 0
+        self._due = 0
+        """Pushes that will be learned once identification has caught up."""
         self.made: list[DemoPush] = []
 
     def make(self, n: int) -> None:
@@ -99,7 +101,8 @@ class DemoPushes:
         known = self._n_learned()
         result = self._client.execute_push(ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RECENTRE, object_id=self._object_id))
         if result.error_code == _OK:
-            self._learned(known + 1)
+            # It is learned during the next push, which is predicted from the pushes before it.
+            self._due = known + 1
 
     def _planned(self) -> ExecutePush.Result | None:
         """A random push that the arm can make; None where it refused this one."""
@@ -124,8 +127,7 @@ class DemoPushes:
         push = DemoPush(planned.direction, planned.distance, planned.speed)
         picture = self._picture(before)
         path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
-        known = self._n_learned()
-        predicted = self._predict(push, picture, path, before) if known else None
+        predicted = self._predict(push, picture, path, before) if self._n_learned() else None
         self._draw()
         goal = ExecutePush.Goal(
             mode=ExecutePush.Goal.MODE_CONTACT,
@@ -135,6 +137,7 @@ class DemoPushes:
             distance=planned.distance,
             speed=planned.speed,
         )
+        known = max(self._n_learned(), self._due)
         result = client.execute_push(goal, on_feedback=lambda feedback: self._show(f"push {number}: {_PHASES[feedback.phase]}", 0))
         if result.error_code not in (_OK, _NO_CONTACT):
             self._pictures.pop()
@@ -179,6 +182,7 @@ class DemoPushes:
         try:
             self._client.wait_for_map(self._object_id, n, _LEARN)
         except CellTimeout as error:
+            self._due = 0
             console.print(f"the push was not learned: {error}", style="yellow", highlight=False, soft_wrap=True)
 
     def _n_learned(self) -> int:

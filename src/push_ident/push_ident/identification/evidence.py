@@ -10,7 +10,7 @@ import numpy as np
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.identification.explanation import Explanation, PushEvidence, near_distance
-from push_ident.identification.observation import pusher_gaps
+from push_ident.identification.observation import pusher_gaps, rest_frames
 from push_ident.identification.prediction import cell_error
 from push_ident.identification.result import ModelPosterior
 from push_ident.physics.effect_values import true_pose
@@ -38,14 +38,17 @@ def explain(posterior: ModelPosterior, records: Sequence[PushRecord], *, setting
 def _evidence(posterior: ModelPosterior, record: PushRecord, settings: SimulationSettings | None) -> PushEvidence:
     poses, cells = record.poses, record.shape.cells
     n = max(1, min(_REST_FRAMES, len(poses.time) // 4))
-    first, last = np.median(poses.pose[:n], axis=0), np.median(poses.pose[-n:], axis=0)
+    # An arm that hides the object in the middle of a push leaves few frames after it: those before it are no part of the end.
+    _, after, touched = rest_frames(record)
+    end = after[-n:] if touched else np.arange(len(poses.time))[-n:]
+    first, last = np.median(poses.pose[:n], axis=0), np.median(poses.pose[end], axis=0)
     mechanics = posterior.unknowns.mechanics(posterior.z)
     scenario = PushScenario(record.pusher, true_pose(mechanics.effects, first), poses.time[-1:], record.order)
     motion = mechanics.simulate(scenario, settings=settings)
     error = np.inf if motion.status is SolveStatus.SIMULATION_FAILED else cell_error(cells, motion.pose[-1], last)
     noise = _noise(record)
     # An object that is hidden at the end of a push is seen last while it moves: compared is where the pusher was then.
-    seen_last, pusher = float(np.median(poses.time[-n:])), record.pusher
+    seen_last, pusher = float(np.median(poses.time[end])), record.pusher
     tip = np.array([[np.interp(seen_last, pusher.time, pusher.position[:, axis]) for axis in (0, 1)]])
     return PushEvidence(
         error=error if np.isfinite(error) else np.inf,

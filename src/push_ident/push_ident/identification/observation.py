@@ -36,6 +36,7 @@ __all__ = [
     "noise_correlation_std",
     "observe_push",
     "pusher_gaps",
+    "rest_frames",
 ]
 
 UNCHECKED = 2.0
@@ -166,7 +167,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     """Condense one push record."""
     noise = (noise or NoiseModel()).with_outline_of(record.shape)
     poses = record.poses
-    before, after, touched = _rests(record)
+    before, after, touched = rest_frames(record)
     moving = np.arange(before[-1] + 1, after[0])
     stride = max(1.0, len(moving) / noise.max_moving_frames)
     if len(moving) > noise.max_moving_frames:
@@ -243,7 +244,7 @@ def _clear_rests(records: Sequence[PushRecord]) -> list[Float64Array]:
     """Errors of the frames of each rest of four frames and more, in standard deviations, each of shape (n, 3)."""
     errors = []
     for record in records:
-        before, after, _ = _rests(record)
+        before, after, _ = rest_frames(record)
         # With an error of tool or camera, the object moves before the pusher seems to touch it.
         clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < _CLEAR)]
         for rest in (_agreeing(record, clear), _agreeing(record, after)):
@@ -269,8 +270,11 @@ def _repetition(correlation: float) -> float:
     return (1.0 + rho) / (1.0 - rho)
 
 
-def _rests(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
-    """Frames at rest before contact and after the push, at least one each; and whether the pusher comes near the object."""
+def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
+    """Frames at rest before contact and after the push, at least one each; and whether the pusher comes near the object.
+
+    Where no frame shows the object after the push, the last frame stands for it.
+    """
     poses, pusher = record.poses, record.pusher
     near = pusher_gaps(record) < max(NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
     contact_time = _first_time(record, near)
