@@ -204,7 +204,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
 
 def at_rest(record: PushRecord) -> PushRecord:
     """The same push with its frames at rest only, before contact and after it: what is known of one whose motion was not seen."""
-    before, after, _ = _rests(record)
+    before, after, _ = rest_frames(record)
     kept, poses = np.unique(np.concatenate([before, after])), record.poses
     return replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
 
