@@ -8,7 +8,7 @@ import numpy as np
 from geometry_msgs.msg import Point
 
 from push_ident.errors import InputError
-from push_ident.limits import LIMITS, check_coordinates, plain_text
+from push_ident.limits import check_coordinates, plain_text
 from push_ident.nodes.convert import TABLE_FRAME, stamp_from_msg, stamp_to_msg
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.steering import PathRequest, ToolCorrection
@@ -39,7 +39,6 @@ def path_request_from_goal(goal: ExecutePush.Goal) -> PathRequest:
     if goal.frame_id not in ("", TABLE_FRAME):
         raise InputError(f"frame_id is {plain_text(goal.frame_id)!r}, expected {TABLE_FRAME!r} for a push along a path.")
     time, position = _path_from_msg(goal.tool_path, "tool_path")
-    LIMITS.PUSH_SECONDS.check(float(np.max(time, initial=0.0)), "tool_path")
     line = np.array([[point.x, point.y] for point in goal.corridor]).reshape(-1, 2)
     check_coordinates(line.ravel(), "corridor")
     corridor = Corridor(line, float(goal.corridor_half_width))

@@ -38,6 +38,11 @@ _LEAST_TIMEOUT, _LARGEST_TIMEOUT = 0.05, 5.0
 """Of corrections [s]: a camera of 20 frames a second, and longer than any frame takes."""
 
 
+_LONGEST: Final = 10.0
+"""Duration of a correction [s]: making a motion of it takes 8 ms for as long, and the arm's next piece waits meanwhile. Another correction
+comes long before its end."""
+
+
 class CorrectionFault(Enum):
     """Why a correction is refused."""
 
@@ -46,6 +51,7 @@ class CorrectionFault(Enum):
     OLDER = "is not newer than the one before"
     LATE = "comes too late"
     MALFORMED = "is no path"
+    LONG = "lasts too long"
     JUMP = "begins elsewhere than the tool is"
     CORRIDOR = "leaves the corridor"
     WORKSPACE = "leaves the workspace"
@@ -216,6 +222,8 @@ class Steering:
             path = ToolPath(correction.time, correction.position)
         except InputError as error:
             raise self._count(CorrectionFault.MALFORMED, str(error)) from None
+        if (duration := float(path.time[-1] - path.time[0])) > _LONGEST:
+            raise self._count(CorrectionFault.LONG, f"{duration:.1f} s, limit {_LONGEST:.0f} s")
         plan, begin = self._plan, correction.stamp + self._offset
         assert plan is not None, "it has begun"
         now = np.array([np.interp(begin, plan.tool.time, column) for column in plan.tool.position.T])

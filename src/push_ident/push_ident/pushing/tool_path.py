@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.limits import LIMITS
 from push_ident.types import Float64Array
 
 __all__ = ["ToolMotion", "ToolPath", "rounded"]
@@ -27,7 +28,8 @@ class ToolPath:
     """Points joined by straight lines.
 
     Raises:
-        InputError: less than two points, shapes that do not fit, numbers that are not finite, or times that do not increase.
+        InputError: less than two points, shapes that do not fit, numbers that are not finite, times that do not increase, or a path that is
+            longer or lasts longer than a push may: whoever makes it takes points every 4 mm and every 10 ms.
     """
 
     time: Float64Array
@@ -45,6 +47,9 @@ class ToolPath:
             raise InputError("A path of the tool has numbers that are not finite; give seconds and metres.")
         if np.any(np.diff(time) <= 0):
             raise InputError(f"The times of a path of the tool do not increase at point {int(np.argmax(np.diff(time) <= 0)) + 2}.")
+        LIMITS.PUSH_SECONDS.check(float(time[-1] - time[0]), "A path of the tool")
+        with np.errstate(over="ignore"):
+            LIMITS.PUSH_TRAVEL.check(float(np.sum(np.linalg.norm(np.diff(position, axis=0), axis=1))), "A path of the tool")
         for name, values in (("time", time), ("position", position)):
             values.setflags(write=False)
             object.__setattr__(self, name, values)
