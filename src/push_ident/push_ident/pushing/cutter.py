@@ -2,6 +2,7 @@
 
 1. A push is an interval of time. A push record gives it. Where nobody writes records it is a run of pusher samples without a pause over
    `gap`. Where somebody does, a run without a record is no push: the executor ended in the middle of it, and nothing says what it made.
+   Samples up to `gap` behind the end of a record that came before them are the rest of its push.
 2. A push owns the time between the midpoints to the intervals before and after it, those of failed pushes included.
 3. Of the poses that it owns, a push takes those up to `gap` around its interval. Where there is none at or before its start, it takes the
    last one before; where there is none at or after its end, the first one after; neither is farther than a minute.
