@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 import rclpy
-from rclpy.action import ActionServer
+from rclpy.action import ActionClient, ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
@@ -77,6 +77,23 @@ def test_client_waits_for_a_long_push_while_feedback_comes(client: CellClient) -
     )
     assert time.monotonic() - started > 2.9 * SILENCE
     assert result.push_id == 7 and len(progress) > 10
+
+
+def test_feedback_that_comes_after_the_result_is_not_heard(client: CellClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both come on topics of their own: a command would print the state of a push that is over, and take it for its outcome."""
+    progress: list[float] = []
+    callbacks: list[Callable[[object], None]] = []
+    send = ActionClient.send_goal_async
+
+    def noting(action: ActionClient, goal: object, feedback_callback: Callable[[object], None]) -> object:
+        callbacks.append(feedback_callback)
+        return send(action, goal, feedback_callback=feedback_callback)
+
+    monkeypatch.setattr(ActionClient, "send_goal_async", noting)
+    client.execute_push(ExecutePush.Goal(speed=0.2, distance=2.0), on_feedback=lambda feedback: progress.append(feedback.progress))
+    assert len(callbacks) == 1 and 1.0 not in progress
+    callbacks[0](ExecutePush.Impl.FeedbackMessage(feedback=ExecutePush.Feedback(progress=1.0)))
+    assert 1.0 not in progress
 
 
 def test_executor_that_falls_silent_is_given_up(client: CellClient) -> None:

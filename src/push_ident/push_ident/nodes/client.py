@@ -283,13 +283,15 @@ class CellClient:
     ) -> Any:
         self.wait(action.server_is_ready, 20.0, f"the action {name} is not served; is {server} running?")
         self._discover(name)
-        heard = time.monotonic()
+        heard, is_over, one_at_a_time = time.monotonic(), False, threading.Lock()
 
         def feedback(msg: Any) -> None:
             nonlocal heard
             heard = time.monotonic()
-            if on_feedback is not None:
-                on_feedback(msg.feedback)
+            # Feedback and result come on two topics: the caller must not hear of what was under way once it has the result.
+            with one_at_a_time:
+                if on_feedback is not None and not is_over:
+                    on_feedback(msg.feedback)
 
         handle = self._answer(lambda: action.send_goal_async(goal, feedback_callback=feedback), 20.0, f"{name} did not answer within 20 s")
         if not handle.accepted:
@@ -303,6 +305,9 @@ class CellClient:
             with suppress(PushIdentError):
                 self._answer(handle.cancel_goal_async, _CANCEL, f"{name} did not answer the cancellation")
             raise
+        finally:
+            with one_at_a_time:
+                is_over = True
 
     def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
         """Diagnose the pushes so far.
