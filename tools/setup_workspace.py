@@ -225,7 +225,8 @@ def apt_get() -> list[str] | None:
     """Command with which this user may call apt-get without a password, None if there is none."""
     if shutil.which("apt-get") is None:
         return None
-    call = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]
+    # Waits for a lock: a machine that updates itself is common.
+    call = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-o", "DPkg::Lock::Timeout=300"]
     if os.geteuid() == 0:
         return call
     allowed = shutil.which("sudo") and subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
