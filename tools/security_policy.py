@@ -222,7 +222,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="compare with security/policy.xml instead of writing it")
     options = parser.parse_args()
-    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    from push_ident.nodes.network import own_domain
+
+    os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))
     graph = live_graph(lambda text: print(text, file=sys.stderr))
     if options.check:
         problems = lacking(graph, POLICY.read_text(encoding="utf-8"))

@@ -13,9 +13,9 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from helpers.domains import own_domain
 from helpers.sockets import Socket, descendants, sockets_of
 from push_ident.cli.supervisor import Supervisor, node_commands
+from push_ident.nodes.network import own_domain
 
 pytestmark = pytest.mark.alone
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.domains import own_domain
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.client import CellClient
+from push_ident.nodes.network import own_domain
 
 pytestmark = pytest.mark.alone
 

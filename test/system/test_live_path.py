@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.domains import own_domain
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.nodes.client import CellClient
+from push_ident.nodes.network import own_domain
 
 pytestmark = [pytest.mark.alone, pytest.mark.long]
 

@@ -18,7 +18,6 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from helpers.commands import run_here
-from helpers.domains import own_domain
 from helpers.robots import changed, robot_path
 from helpers.spinning import spinning
 from push_ident.cli.overrides import overrides_of
@@ -26,6 +25,7 @@ from push_ident.cli.robot import robot_for
 from push_ident.cli.robot_live import find_live
 from push_ident.cli.robot_parameters import check_parameters
 from push_ident.cli.supervisor import node_commands, node_names
+from push_ident.nodes.network import own_domain
 from push_ident.pushing.robot.finding import Level
 from push_ident.pushing.robot.robot_file import read_robot
 

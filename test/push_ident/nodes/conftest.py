@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from helpers.domains import own_domain
 from helpers.executor_cell import Cell
 from helpers.spinning import spinning
+from push_ident.nodes.network import own_domain
 
 
 @pytest.fixture(scope="module")

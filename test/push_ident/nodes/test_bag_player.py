@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers.domains import own_domain
 from push_ident.bags.writer import BagWriter
+from push_ident.nodes.network import own_domain
 
 pytestmark = pytest.mark.live
 

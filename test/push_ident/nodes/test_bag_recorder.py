@@ -21,10 +21,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from helpers.domains import own_domain
 from push_ident.bags.opening import open_bag
 from push_ident.bags.salvage import salvage
 from push_ident.nodes.convert import position_to_msg
+from push_ident.nodes.network import own_domain
 from push_ident.nodes.recording_port import RECORDING_QOS
 
 pytestmark = pytest.mark.alone

@@ -12,10 +12,10 @@ import pytest
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from helpers.domains import own_domain
 from helpers.node_process import NodeProcess, Talker
 from push_ident.identification.known_effects import effects_in_use
 from push_ident.nodes.convert_model import posterior_from_msg
+from push_ident.nodes.network import own_domain
 from push_ident.planning.belief import Belief
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport, ModelPosterior

@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, Prism, render
-from helpers.domains import own_domain
 from helpers.played_camera import POSE, SIDE, Camera, send_until, start
 from helpers.spinning import spinning
 from push_ident.geometry.outline import signed_distance
@@ -19,6 +18,7 @@ from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.convert import (
     shape_from_msgs,
 )
+from push_ident.nodes.network import own_domain
 from push_ident.perception.parameter_file import pose_lines
 
 pytestmark = pytest.mark.live

@@ -22,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from helpers.domains import own_domain
+from push_ident.nodes.network import own_domain
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
 from push_ident_sim.injected import InjectedEffects

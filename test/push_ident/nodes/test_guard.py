@@ -25,7 +25,6 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from helpers.domains import own_domain
 from helpers.executor_cell import BOX
 from helpers.node_process import NodeProcess, Talker, node_commands
 from helpers.wrong_poses import right_pose, wrong_poses
@@ -46,6 +45,7 @@ from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
 from push_ident.nodes.goal_pushing.goal_pushing_node import GoalPushingNode
 from push_ident.nodes.guard import Guard
 from push_ident.nodes.identification.identification_node import IdentificationNode
+from push_ident.nodes.network import own_domain
 from push_ident.nodes.perception.perception_node import PerceptionNode
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
 from push_ident.nodes.stamps import StampCheck

@@ -12,7 +12,6 @@ from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Float32MultiArray
 
-from helpers.domains import own_domain
 from helpers.node_process import Talker
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
@@ -20,6 +19,7 @@ from push_ident.identification.session import ObjectSession
 from push_ident.nodes.convert import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.nodes.identification.work_queue import Kind, WorkQueue
+from push_ident.nodes.network import own_domain
 from push_ident.types import ObjectShape
 from push_ident_msgs.srv import LoadModel, SaveModel
 

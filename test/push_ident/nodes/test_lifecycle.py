@@ -14,11 +14,11 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
 
-from helpers.domains import own_domain
 from helpers.executor_cell import CONTACT, Cell, send, start_node, summary, wait_for
 from helpers.node_process import NodeProcess, Talker, node_commands
 from helpers.spinning import spinning
 from push_ident.nodes.executables import NODES
+from push_ident.nodes.network import own_domain
 from push_ident.pushing.push import PushCode
 from push_ident_sim.executables import NODES as SIM_NODES
 from push_ident_sim.faults.lifecycle import Lifecycle

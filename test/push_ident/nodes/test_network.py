@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from push_ident.nodes.network import PROFILE, RANGE, choose_network, listens_on
+from push_ident.nodes.network import PROFILE, RANGE, choose_network, listens_on, own_domain, process_domain
 
 
 def chosen(**environ: str) -> tuple[str, str]:
@@ -48,3 +50,17 @@ def test_a_profile_of_the_user_is_kept() -> None:
 
 def test_another_middleware_gets_the_range_of_ros() -> None:
     assert chosen(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp") == ("LOCALHOST", "")
+
+
+HOLD = "from push_ident.nodes.network import own_domain; print(own_domain(), flush=True); input()"
+
+
+def test_a_domain_belongs_to_one_process_until_it_ends() -> None:
+    others = [subprocess.Popen([sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    held = [int(process.stdout.readline()) for process in others if process.stdout]
+    held += [own_domain(), process_domain(), own_domain()]
+    assert len(set(held)) == 6 and all(1 <= domain <= 101 for domain in held)
+    assert process_domain() == held[4]
+    for process in others:
+        process.communicate("", timeout=20)
+        assert process.returncode == 1  # end of file

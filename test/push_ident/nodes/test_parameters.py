@@ -10,8 +10,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from helpers.domains import own_domain
 from push_ident.errors import InputError
+from push_ident.nodes.network import own_domain
 from push_ident.nodes.parameters import Parameter, Parameters
 
 TABLE = (

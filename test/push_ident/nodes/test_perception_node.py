@@ -20,7 +20,6 @@ from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import Marker
 
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, rectangle, render
-from helpers.domains import own_domain
 from helpers.played_camera import POSE, SECOND, THIRD, Camera, send_until, start, wait_for
 from helpers.spinning import spinning
 from push_ident.geometry.outline import polygon_area
@@ -34,6 +33,7 @@ from push_ident.nodes.convert import (
     stamp_to_msg,
 )
 from push_ident.nodes.convert_refusals import refusals_from_msg
+from push_ident.nodes.network import own_domain
 from push_ident.perception.depth import points_in_table
 from push_ident_sim.faults.lifecycle import Lifecycle
 

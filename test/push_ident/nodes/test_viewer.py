@@ -24,7 +24,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from visualization_msgs.msg import MarkerArray
 
-from helpers.domains import own_domain
 from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
@@ -32,6 +31,7 @@ from push_ident.nodes.convert import depth_frame_to_msgs, planar_pose_to_msg, po
 from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
 from push_ident.nodes.convert_refusals import refusals_to_msg
+from push_ident.nodes.network import own_domain
 from push_ident.nodes.viewer.rerun_scene import RerunScene
 from push_ident.perception.refusals import Reason, Refusal
 from push_ident.physics.scenario import PushScenario

@@ -24,6 +24,7 @@ from push_ident.cli.push_to import GoalText, finish, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.extras import need_ros
+from push_ident.nodes.network import own_domain
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def demo_command(
     need_ros()
     n_train = n_train or (_N_TRAIN if where is None else _N_TRAIN_FOR_GOAL)
     run = out / time.strftime("%Y%m%d-%H%M%S")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))
     own = {"sim_cell_node": {"object": object_name, "seed": seed, "noise_seed": seed, "sensor": sensor}}
     # On two cores each node that waits for nothing slows down the others.
     unused = {"gap_diagnosis_node"} | ({"goal_pushing_node"} if where is None else set())

@@ -26,7 +26,7 @@ from push_ident.cli.supervisor import Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
 from push_ident.extras import need_ros
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.nodes.network import listens_on
+from push_ident.nodes.network import listens_on, own_domain
 from push_ident.offline.loading import most_pushed
 from push_ident.physics.simulation import compile_kernels
 
@@ -124,7 +124,7 @@ def replay_command(
     if not contents.has_poses and contents.camera_in_table is not None:
         parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
-    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))
     with console.status("loading the kernels"):
         compile_kernels(effects=True)  # the first time a minute or more, in which the node would seem to stand still
     with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:

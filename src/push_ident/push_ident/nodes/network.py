@@ -7,11 +7,16 @@ together with the range SYSTEM_DEFAULT, which leaves the profile as it is.
 
 from __future__ import annotations
 
+import random
+import socket
 from collections.abc import MutableMapping
+from functools import cache
 from pathlib import Path
 from typing import Final
 
-__all__ = ["COMMAND_LINE", "PROFILE", "RANGE", "choose_network", "listens_on"]
+from push_ident.errors import InputError
+
+__all__ = ["COMMAND_LINE", "PROFILE", "RANGE", "choose_network", "listens_on", "own_domain", "process_domain"]
 
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -19,6 +24,10 @@ COMMAND_LINE: Final = "/push_ident/command_line"
 """Enclave of SROS 2 of the nodes of the command line (`security/policy.xml`)."""
 _LOCAL: Final = "fastdds_local.xml"
 _NETWORK: Final = "fastdds_network.xml"
+_LAST_DOMAIN: Final = 101
+"""The highest ROS domain whose ports are free on every Linux: https://docs.ros.org/en/jazzy/Concepts/Intermediate/About-Domain-ID.html"""
+_HELD: Final[list[socket.socket]] = []
+"""One for each domain that this process holds; the kernel closes them when it ends."""
 
 
 def choose_network(environ: MutableMapping[str, str]) -> None:
@@ -45,3 +54,29 @@ def listens_on(environ: MutableMapping[str, str]) -> str:
     if environ.get(RANGE, "").upper() == "LOCALHOST":
         return "this machine only for discovery (LOCALHOST); the profile or the middleware decides about sockets"
     return f"every interface ({RANGE}={environ.get(RANGE, 'not set')})"
+
+
+def own_domain() -> int:
+    """A ROS domain that no other process that asked for one has, until this process ends.
+
+    An abstract socket holds it: as domains do, its name belongs to the network of the machine or of the container, and leaves no file.
+
+    Raises:
+        InputError: All are held.
+    """
+    for domain in random.SystemRandom().sample(range(1, _LAST_DOMAIN + 1), _LAST_DOMAIN):
+        holder = socket.socket(socket.AF_UNIX)
+        try:
+            holder.bind(f"\0push_ident/ros_domain/{domain}")
+        except OSError:
+            holder.close()
+            continue
+        _HELD.append(holder)
+        return domain
+    raise InputError(f"other cells of this machine hold all ROS domains from 1 to {_LAST_DOMAIN}; stop one, or set ROS_DOMAIN_ID")
+
+
+@cache
+def process_domain() -> int:
+    """One for all cells that this process starts one after another."""
+    return own_domain()

@@ -72,7 +72,9 @@ def _fleet(bag: Path, out: Path) -> None:
 
 def _play(bag: Path, out: Path) -> None:
     del out
-    os.environ["ROS_DOMAIN_ID"] = str(40 + os.getpid() % 10)
+    from push_ident.nodes.network import own_domain
+
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
     from push_ident.nodes.bag_player_node import main
 

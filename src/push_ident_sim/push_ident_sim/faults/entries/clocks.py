@@ -9,13 +9,13 @@ from typing import Any, Final
 
 from push_ident.cli.supervisor import node_commands
 from push_ident.nodes.convert import stamp_from_msg, stamp_to_msg
+from push_ident.nodes.network import own_domain
 from push_ident.pushing.push import PushCode
 from push_ident_sim.faults.fault import Fault, Trial
 from push_ident_sim.faults.harness.cell import ARM_CELL
 from push_ident_sim.faults.harness.monitor import Monitor, until
 from push_ident_sim.faults.harness.process import Process
 from push_ident_sim.faults.harness.proxy import PASS, Rule, changed
-from push_ident_sim.studies.common.live_nodes import own_domain
 
 __all__ = ["FAULTS"]
 

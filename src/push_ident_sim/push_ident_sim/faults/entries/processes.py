@@ -19,13 +19,13 @@ from lifecycle_msgs.srv import ChangeState, GetState
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
+from push_ident.nodes.network import own_domain
 from push_ident.pushing.push import PushCode
 from push_ident_sim.faults.fault import Fault, Impossible, Trial
 from push_ident_sim.faults.harness.cell import ARM_CELL, Cell, CellPlan
 from push_ident_sim.faults.harness.monitor import until
 from push_ident_sim.faults.harness.oracles import learned_pushes
 from push_ident_sim.faults.harness.process import TRACEBACK, Process
-from push_ident_sim.studies.common.live_nodes import own_domain
 
 __all__ = ["FAULTS"]
 

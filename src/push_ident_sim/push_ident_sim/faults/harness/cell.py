@@ -17,13 +17,13 @@ from std_srvs.srv import Trigger
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
+from push_ident.nodes.network import own_domain
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.srv import SaveModel
 from push_ident_sim.faults.harness.monitor import Goal, Monitor, until
 from push_ident_sim.faults.harness.process import Process
 from push_ident_sim.faults.harness.proxy import Proxy, source_of
 from push_ident_sim.faults.harness.topics import OBJECT, SEEN, TOPICS, qos_of
-from push_ident_sim.studies.common.live_nodes import own_domain
 
 __all__ = ["ARM_CELL", "CAMERA_CELL", "Cell", "CellPlan", "live_cell"]
 

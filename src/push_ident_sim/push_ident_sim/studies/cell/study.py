@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.nodes.network import process_domain
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import ObjectModel, PusherPath
@@ -203,8 +204,7 @@ def _speed(case: Case) -> Json:
     except ImportError as error:
         raise InputError(f"The speed of the cell is that of its node, which needs ROS ({error}); run without this variant.") from None
 
-    # A domain of its own, separate from other cells and other cases of this run.
-    domain = str(1 + os.getpid() % 100)
+    domain = str(process_domain())
     parameters = {"object": case.object_name, "seed": case.model, "camera_rate": _CAMERA_RATE, "real_time_factor": 0.0}
     command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args"]
     command += [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import threading
@@ -37,7 +36,6 @@ __all__ = [
     "commands",
     "microseconds",
     "observer",
-    "own_domain",
     "processor_time",
     "resident_memory",
     "until",
@@ -168,11 +166,6 @@ class Observer(Node):
 def microseconds(stamp: Time) -> int:
     """A stamp as a whole number: seconds as a float do not keep finer digits."""
     return 10**6 * int(stamp.sec) + round(stamp.nanosec / 1000)
-
-
-def own_domain() -> int:
-    """A ROS domain at random, so that no other process on this machine is on it."""
-    return random.SystemRandom().randint(1, 100)
 
 
 @contextmanager

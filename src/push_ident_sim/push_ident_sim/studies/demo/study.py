@@ -32,9 +32,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         file = Path(folder) / "demo.json"
         arguments = ("demo", "--object", case.object_name, "--seed", case.model, "--out", folder, "--json", file)
         command = [sys.executable, "-m", "push_ident.cli", *map(str, arguments)]
-        environment = os.environ | {"ROS_DOMAIN_ID": str(os.getpid() % 100 + 1)}
         try:
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=_TIMEOUT)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT)
         except subprocess.TimeoutExpired:
             raise PushIdentError(f"the demo was not over after {_TIMEOUT:.0f} s") from None
         if done.returncode != 0:

@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
+from push_ident.nodes.network import process_domain
 from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
@@ -103,7 +104,7 @@ class _Cell:
 
 @contextmanager
 def _cell(case: Case, folder: Path) -> Iterator[tuple[_Cell, LiveCell]]:
-    domain = os.getpid() % 100 + 1
+    domain = process_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     seen = case.variant == "perception"
     cell: dict[str, object] = {"object": case.object_name, "seed": case.model, "noise_seed": case.model}

@@ -22,6 +22,7 @@ from shape_msgs.msg import SolidPrimitive
 from push_ident.cli.supervisor import node_commands
 from push_ident.errors import PushIdentError
 from push_ident.nodes.convert import cylinder_to_msg, depth_frame_to_msgs, position_to_msg, stamp_to_msg
+from push_ident.nodes.network import own_domain
 from push_ident.pushing.push import PushSettings
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise
@@ -38,7 +39,6 @@ from push_ident_sim.studies.common.live_nodes import (
     Observer,
     microseconds,
     observer,
-    own_domain,
     processor_time,
     until,
 )

@@ -29,6 +29,7 @@ from push_ident.errors import PushIdentError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import yaw_of_quaternion
 from push_ident.nodes.convert import force_from_msg, stamp_from_msg
+from push_ident.nodes.network import process_domain
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 from push_ident_sim.cell.robot import HOME, robot_description
@@ -192,7 +193,7 @@ def live_cell(cell: dict[str, object], executor: dict[str, object], *, relay: bo
     Raises:
         PushIdentError: A process ends, or nothing can be planned.
     """
-    domain = os.getpid() % 100 + 1
+    domain = process_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     truth: dict[str, object] = {"camera_rate": 0.0, "truth_as_perception": True}
     commands = node_commands(
