@@ -51,10 +51,10 @@ def test_state_of_an_earlier_version_continues(tmp_path: Path) -> None:
     assert [score.number for score in kept.record.latest] == [1, 2]
     assert all(score.cell_error > 0 and score.mahalanobis2 > 0 for score in kept.record.latest)
     online = OnlineIdentifier(kept.state, window=1)
-    before = kept.state.posterior.covariance
+    before = kept.state.posterior.pusher_friction
     online.add(kept.state.records[0])
     assert online.n_pushes == 3
-    assert np.trace(online.posterior.covariance) < np.trace(before)
+    assert online.posterior.pusher_friction.std < before.std
     save_state(tmp_path / "again.json", kept.state, object_id=kept.object_id, sources=kept.sources, record=kept.record, pushes=kept.pushes)
     again, written = (json.loads(path.read_text()) for path in (tmp_path / "again.json", FILES / "state_2.json"))
     assert again["starts"] == []  # of a solver that is no more

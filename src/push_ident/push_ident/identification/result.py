@@ -173,11 +173,11 @@ class Candidate:
 
     name: str
     log_evidence: float
-    """[nat], up to a constant of the pushes."""
+    """With the prior odds of this prior [nat], up to a constant of the pushes."""
     maps: MapPrior | None
     """What the pushes made of the prior of the maps; None: no maps."""
     probability: float
-    """Among the candidates, each as probable as the others before the pushes [-]."""
+    """Among the candidates, by evidence and prior odds [-]."""
     on_feet: ModelPosterior | None = None
     """Of a prior with feet, see `supports`; None: the whole base bears the load."""
 
