@@ -198,7 +198,7 @@ def test_published_seeds_are_not_those_of_tuning() -> None:
 
 def test_solve_that_prefers_equal_cells_ends_as_converged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorter time steps raise the cost of the best candidate: that makes it no worse than others."""
-    monkeypatch.setattr(gauss_newton, "_EVEN_ODDS", 1.0)  # two pushes of a plate prefer nothing else to them
+    monkeypatch.setattr(gauss_newton, "EVEN_ODDS", 1.0)  # two pushes of a plate prefer nothing else to them
     result = identify([make_push(make_plate("base", 1001), number).record for number in range(2)])
     assert max(result.candidates, key=lambda candidate: candidate.probability).name.startswith("equal cells")
     assert result.status is SolveStatus.CONVERGED

@@ -26,7 +26,7 @@ from push_ident.identification.solver import Capabilities, FitTask, FrameFit, Fr
 from push_ident.identification.unknowns import Unknowns
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
-__all__ = ["SOLVER", "GaussNewton"]
+__all__ = ["EVEN_ODDS", "SOLVER", "GaussNewton"]
 
 _POOR_FIT: Final = 4.0
 """Reduced chi-square above which the pushes contradict each other or the model: residuals are then twice the stated noise."""
@@ -36,7 +36,7 @@ _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: candidates so far below the best are not fitted to the end."""
 _EVENNESS: Final = 0.05
 """Standard deviation of the unknowns of maps where cells are taken as equal, in units of the caller's prior: some 4 % of a cell [-]."""
-_EVEN_ODDS: Final = 0.1
+EVEN_ODDS: Final = 0.1
 """Prior odds of equal cells against uneven ones: few objects are so even, and one push seldom tells which ones (decision 92) [-]."""
 _UNEVEN_MATERIAL, _UNEVEN_LOAD = STARTS
 _ADOPTED: Final = "adopted model"
@@ -218,7 +218,7 @@ class _Candidates:
             fit = self._fitted_if_needed(Fit(problem, x0, first, status))
             covariance = transform @ fit.covariance @ transform.T
             covariance[own_maps, own_maps] += _EVENNESS**2
-            self.fits.append(_Entry(name, own, fit.log_evidence + log(_EVEN_ODDS), None, fit, transform @ fit.z, covariance))
+            self.fits.append(_Entry(name, own, fit.log_evidence + log(EVEN_ODDS), None, fit, transform @ fit.z, covariance))
 
     def _fitted_if_needed(self, start: Fit) -> Fit:
         """A rough fit from a start, gone on with to the end only where it is not negligible; a start that has converged is one already."""
