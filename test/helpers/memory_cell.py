@@ -55,7 +55,7 @@ class Cell:
         self.pieces: list[JointTrajectory] = []
         self.holds: list[Float64Array] = []
         self.events: list[Callable[[Cell], None]] = []
-        self.is_silent = self.is_hidden = self.is_box_fixed = False
+        self.is_silent = self.is_hidden = self.is_box_fixed = self.is_deaf = False
         self.offset = np.zeros(7)
         self.force, self.felt = 1.0, 100.0
         self.hand_text = self.fault = ""
@@ -122,6 +122,8 @@ class Cell:
         return self
 
     def move(self, piece: JointTrajectory, start: float | None) -> None:
+        if self.is_deaf:
+            return
         state = self.followed.sample(self.time) if self.pieces else (self.q, np.zeros(7))
         self.followed = Followed(piece.time, piece.position, piece.velocity).from_state(self.time, *state)
         self.pieces.append(piece)

@@ -95,6 +95,26 @@ def test_noise_of_the_poses_is_no_contact_and_the_record_says_what_the_result_sa
     assert code_of(bench.push()) == PushCode.NONE and bench.pushes[3].error is None
 
 
+def test_arm_that_missed_pieces_goes_on_from_where_it_stands(bench: Bench) -> None:
+    """Pieces that come too late are as good as none: the arm has braked, and must not jump to where the next one begins."""
+    began, tips, boxes = [], [], []
+
+    def deaf_for_a_while(cell: Cell) -> None:
+        began.append(cell.time)
+        cell.is_deaf = 0.3 < cell.time - began[0] < 0.5
+        tips.append(cell.tip[:2].copy())
+        boxes.append(cell.box[:2].copy())
+
+    start = bench.cell.box.copy()
+    bench.when_pushing(deaf_for_a_while)
+    outcome = bench.push()
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)[: np.searchsorted(began, began[0] + 1.5)]
+    assert code_of(outcome) == PushCode.NONE
+    assert np.sum(steps[:80] < 1e-5) > 5, "it stood"
+    assert steps.max() < 1.2 * 0.1 * 0.01, "no step is longer than at 0.1 m/s"
+    assert bench.cell.box[1] - start[1] == pytest.approx(0.05, abs=0.004), "the whole push is made"
+
+
 def test_cancel_halts_the_arm_on_its_path(bench: Bench) -> None:
     bench.when_pushing(lambda cell: setattr(bench.client, "is_cancel_requested", True))
     outcome = bench.push()

@@ -103,14 +103,30 @@ class ArmMotion:
 
         An arm that follows with a delay has no deviation from the path that it should have made between the two.
         """
-        first, last = np.searchsorted(self.trajectory.time, [earliest, latest + _LEAD])
-        path = self.tip[max(int(first) - 1, 0) : int(last) + 1]
+        return self._nearest(tip, earliest, latest + _LEAD)[0]
+
+    def time_at(self, tip: Float64Array, earliest: float, latest: float) -> float:
+        """Time of the plan [s] between two at which the path is nearest to a measured `tip` (3,)."""
+        return self._nearest(tip, earliest, latest)[1]
+
+    def length(self, begin: float, end: float) -> float:
+        """Way of the tip between two times of the plan [m]."""
+        first, last = np.searchsorted(self.trajectory.time, [begin, end])
+        return float(np.sum(np.linalg.norm(np.diff(self.tip[int(first) : int(last) + 1], axis=0), axis=1)))
+
+    def _nearest(self, tip: Float64Array, earliest: float, latest: float) -> tuple[float, float]:
+        """Distance [m] of a tip to the path between two times of the plan, and the time of the nearest point [s]."""
+        first, last = np.searchsorted(self.trajectory.time, [earliest, latest])
+        part = slice(max(int(first) - 1, 0), int(last) + 1)
+        time, path = self.trajectory.time[part], self.tip[part]
         edge = np.diff(path, axis=0)
         if len(edge) == 0:
-            return float(np.linalg.norm(path[0] - tip))
+            return float(np.linalg.norm(path[0] - tip)), float(time[0])
         from_start = tip - path[:-1]
         share = np.clip(np.sum(from_start * edge, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
-        return float(np.min(np.linalg.norm(from_start - share[:, None] * edge, axis=1)))
+        distance = np.linalg.norm(from_start - share[:, None] * edge, axis=1)
+        k = int(np.argmin(distance))
+        return float(distance[k]), float(time[k] + share[k] * (time[k + 1] - time[k]))
 
 
 @dataclass(frozen=True, slots=True)

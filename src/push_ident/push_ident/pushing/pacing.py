@@ -91,6 +91,16 @@ class PathPacing:
         self._plan, self.duration = trajectory, trajectory.duration
         self._times, self._bend = trajectory.time.tolist(), trajectory.acceleration
 
+    def stand_at(self, now: float, path_time: float) -> None:
+        """The arm stands at a path time [s], since it missed the pieces that lead on from there: the next one does, from rest."""
+        keep = min(bisect_left(self._t, now), bisect_right(self._s, path_time))
+        del self._t[keep:], self._s[keep:], self._r[keep:]
+        if keep and self._r[-1] > 0.0 and path_time > self._s[-1]:
+            stood = self._t[-1] + 2.0 * (path_time - self._s[-1]) / self._r[-1]
+            if stood < now:
+                self._add(stood, path_time, 0.0)
+        self._add(now, path_time, 0.0)
+
     # ---- what the arm gets
 
     def piece(self, now: float, splice: float = SPLICE) -> JointTrajectory:
