@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import insort
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -14,6 +13,7 @@ from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.pacing import SPLICE, PathPacing
 from push_ident.pushing.ports import Arm, ArmState, Clock, ExecutionPorts
 from push_ident.pushing.push import PushCode
+from push_ident.pushing.standstill import Standstill
 from push_ident.pushing.trajectory import JointTrajectory
 
 __all__ = ["ArmWatch", "WatchLimits"]
@@ -34,14 +34,6 @@ _PIECES: Final = 4
 """Pieces that are sent within the horizon: three may be lost or late before the arm brakes."""
 _HOLD_WITHIN: Final = 0.1
 """Time that an arm off its path is given to come to a halt [s]."""
-_BEHIND: Final = 0.001
-"""Way of the tool [m] by which an arm that stands is behind its pieces: it has missed some, and the next one would make it jump there."""
-_MOVES: Final = 3e-4
-"""A tool that has moved less [m] within `_LOOKED` stands, or goes so slowly that it is behind for no other reason."""
-_LOOKED: Final = 0.03
-"""[s]"""
-_DELAY: Final = 0.03
-"""By which an arm may be later than usual [s]: one more state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,35 +98,6 @@ class _MotionClock:
         self.ahead = max(time - wall - self._gained, 0.0)
         self.latest, self._gained = max(time, self.latest), self._gained + self.ahead
         return self.latest
-
-
-class _Standstill:
-    """Notices an arm that stands although its pieces lead on: they came so late that they had ended.
-
-    Args:
-        lag: largest delay of a healthy arm behind its pieces [s].
-    """
-
-    def __init__(self, lag: float) -> None:
-        self._lag = lag
-        self._delays: list[float] = []
-        """Behind the pieces, wherever the tool moved [s], in order of size: controllers differ."""
-        self._tip, self._since = np.full(3, np.inf), np.inf
-
-    def where(self, motion: ArmMotion, pacing: PathPacing, state: ArmState, time: float) -> float | None:
-        """Path time at which the arm stands [s]; None where it moves, or should stand.
-
-        None, too, where it has stood for longer: something blocks it, and its force and distance from the path tell.
-        """
-        tip, led_to = state.pose_tip_in_table[:3, 3], pacing.path_time(time)
-        found = motion.time_at(tip, pacing.path_time(time - self._lag), led_to)
-        if np.linalg.norm(tip - self._tip) > _MOVES:
-            self._tip, self._since = tip, time
-            insort(self._delays, time - pacing.time_of(found))
-        if not _LOOKED <= time - self._since <= _ABSENT:
-            return None
-        delay = self._delays[len(self._delays) // 2] + _DELAY if self._delays else _DELAY
-        return found if motion.length(found, pacing.path_time(time - delay)) > _BEHIND else None
 
 
 class ArmWatch:
@@ -209,7 +172,7 @@ class ArmWatch:
         link = self._arm.open(motion)
         try:
             is_stamped = limits.stamp_commands and clock.by_stamp
-            standstill = _Standstill(limits.tracking_lag)
+            standstill = Standstill(limits.tracking_lag, _ABSENT)
             link.move(pacing.piece(clock.started), clock.started if is_stamped else None)
             while True:
                 self._clock.sleep(_PERIOD)
