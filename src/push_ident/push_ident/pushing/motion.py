@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
+from push_ident.geometry.path import nearest_on_path
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.posture_map import PostureMap
 from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
@@ -118,15 +119,8 @@ class ArmMotion:
         """Distance [m] of a tip to the path between two times of the plan, and the time of the nearest point [s]."""
         first, last = np.searchsorted(self.trajectory.time, [earliest, latest])
         part = slice(max(int(first) - 1, 0), int(last) + 1)
-        time, path = self.trajectory.time[part], self.tip[part]
-        edge = np.diff(path, axis=0)
-        if len(edge) == 0:
-            return float(np.linalg.norm(path[0] - tip)), float(time[0])
-        from_start = tip - path[:-1]
-        share = np.clip(np.sum(from_start * edge, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
-        distance = np.linalg.norm(from_start - share[:, None] * edge, axis=1)
-        k = int(np.argmin(distance))
-        return float(distance[k]), float(time[k] + share[k] * (time[k + 1] - time[k]))
+        distance, place = nearest_on_path(self.tip[part], tip)
+        return distance, float(np.interp(place, np.arange(len(self.tip[part])), self.trajectory.time[part]))
 
 
 @dataclass(frozen=True, slots=True)
