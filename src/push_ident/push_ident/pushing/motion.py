@@ -110,11 +110,6 @@ class ArmMotion:
         """Time of the plan [s] between two at which the path is nearest to a measured `tip` (3,)."""
         return self._nearest(tip, earliest, latest)[1]
 
-    def length(self, begin: float, end: float) -> float:
-        """Way of the tip between two times of the plan [m]."""
-        first, last = np.searchsorted(self.trajectory.time, [begin, end])
-        return float(np.sum(np.linalg.norm(np.diff(self.tip[int(first) : int(last) + 1], axis=0), axis=1)))
-
     def _nearest(self, tip: Float64Array, earliest: float, latest: float) -> tuple[float, float]:
         """Distance [m] of a tip to the path between two times of the plan, and the time of the nearest point [s]."""
         first, last = np.searchsorted(self.trajectory.time, [earliest, latest])

@@ -50,4 +50,10 @@ class Standstill:
         if not _LOOKED <= time - self._since <= self._longest:
             return None
         delay = self._delays[len(self._delays) // 2] + _DELAY if self._delays else _DELAY
-        return found if motion.length(found, pacing.path_time(time - delay)) > _BEHIND else None
+        return found if _way(motion, found, pacing.path_time(time - delay)) > _BEHIND else None
+
+
+def _way(motion: ArmMotion, begin: float, end: float) -> float:
+    """Of the tool between two times of the plan [m]."""
+    first, last = np.searchsorted(motion.trajectory.time, [begin, end])
+    return float(np.sum(np.linalg.norm(np.diff(motion.tip[int(first) : int(last) + 1], axis=0), axis=1)))
