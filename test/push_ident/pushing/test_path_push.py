@@ -56,6 +56,14 @@ def check_motion(kinematics: ArmKinematics, plan: PathPlan) -> None:
     assert np.all(trajectory.velocity[-1] == 0.0) and plan.duration == pytest.approx(plan.rested)
 
 
+def test_border_of_a_corridor_is_half_its_width_away_also_inside_a_bend_that_is_narrower() -> None:
+    narrow = Corridor(0.25 * BEND, 0.04)
+    for corridor in (CORRIDOR, narrow):
+        line, border = Corridor(corridor.line, 1e-6), corridor.outline()
+        np.testing.assert_allclose(line.excess(border), 0.04, rtol=0.06)
+        assert len(border) > len(corridor.line), "both sides"
+
+
 def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration() -> None:
     corner = ToolPath(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]]))
     motion = rounded(corner, 0.0, np.zeros(2), np.zeros(2), 2.0)

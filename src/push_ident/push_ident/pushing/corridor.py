@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
 __all__ = ["Corridor"]
+
+_INSIDE: Final = 0.95
+"""A point nearer to the line than this share of half the width is no part of the border [1]: rounding, and the pieces of a bend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +37,14 @@ class Corridor:
             raise InputError(f"Half the width of a corridor is {self.half_width} m, expected a positive number.")
         line.setflags(write=False)
         object.__setattr__(self, "line", line)
+
+    def outline(self) -> Float64Array:
+        """Border of the strip for drawing [m], shape (n, 2), with flat ends, and without what lies within it inside of a bend."""
+        tangent = np.gradient(self.line, axis=0)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+        aside = self.half_width * np.column_stack([-tangent[:, 1], tangent[:, 0]])
+        border = np.vstack([self.line + aside, (self.line - aside)[::-1]])
+        return border[Corridor(self.line, _INSIDE * self.half_width).excess(border) > 0.0]
 
     def excess(self, points: Float64Array) -> Float64Array:
         """Distance of points, shape (..., 2), out of the strip [m], shape (...); 0 inside."""

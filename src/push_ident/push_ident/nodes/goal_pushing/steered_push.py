@@ -15,6 +15,7 @@ from push_ident.planning.goal_ports import PushReport
 from push_ident.planning.path_follower import Correction, FollowStatus, PathFollower
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.steering import ToolCorrection
+from push_ident.types import Float64Array
 
 __all__ = ["SteeredPush"]
 
@@ -56,6 +57,8 @@ class SteeredPush:
         """As `SteeredUnderWay`."""
         self.n_corrections = 0
         """As `SteeredUnderWay`."""
+        self.tool: Float64Array | None = None
+        """As `SteeredUnderWay`."""
         self.seconds: list[float] = []
         """That corrections took, by the wall clock."""
         self.ended = ""
@@ -92,7 +95,7 @@ class SteeredPush:
         self._send(_message(correction, push_id, seen.stamp))
         self.seconds = [*self.seconds, time.perf_counter() - begun][-_KEPT:]
         self.n_corrections += 1
-        self.done = correction.done
+        self.done, self.tool = correction.done, correction.tool
         if correction.status is not FollowStatus.GOING:
             self.ended = correction.status.value
 
