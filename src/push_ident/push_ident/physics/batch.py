@@ -2,9 +2,9 @@
 
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
 between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives. Effects of a model act on its
-motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs; then no effects act but that of a
-surface beside its outline. A push may begin in contact, with the object in motion: what is asked while the tool moves. Who asks the same
-models again and again makes them ready once (`ModelBatch`), and the times of their pushes too (`BatchClock`).
+motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs. A push may begin in contact, with
+the object in motion: what is asked while the tool moves. Who asks the same models again and again makes them ready once (`ModelBatch`), and
+the times of their pushes too (`BatchClock`).
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def _roll_range(
             failed_at, _ = rollout(push, numerics, active, None, frames, poses[m, p], force[:n], tape, scratch)
         else:
             edge = Overhang(edges.outward, edges.offset, edges.weight[m])
-            failed_at, _ = rollout(push, numerics, None, edge, frames, poses[m, p], force[:n], tape, None)
+            failed_at, _ = rollout(push, numerics, active, edge, frames, poses[m, p], force[:n], tape, scratch)
         if failed_at >= 0:
             poses[m, p] = np.nan
 
@@ -196,10 +196,10 @@ def rollouts(
         Poses in the table frame, shape (n_models, n_pushes, n_frames, 3); NaN where a simulation failed.
 
     Raises:
-        InputError: nothing to simulate, a body that cannot be simulated, pushes of different pushers or numbers of frames, or effects at an
-            edge.
+        InputError: nothing to simulate, a body that cannot be simulated, pushes of different pushers or numbers of frames, or models
+            without weights at an edge.
     """
-    _check(shape, models, pushes, edge)
+    _check(shape, models, pushes)
     pusher = pushes[0].pusher
     geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
     edges = None if edge is None else _edges(edge, models)
@@ -336,14 +336,11 @@ def _pool(n_threads: int, process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(n_threads, thread_name_prefix="rollouts")
 
 
-def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None) -> None:
+def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[BatchPush]) -> None:
     """Raise InputError for what `rollouts` does not simulate."""
     if not pushes:
         raise InputError("There are no pushes, expected one at least.")
     _check_models(shape, models)
-    for model in models:
-        if edge is not None and len(model.effects) > 0:
-            raise InputError(f"At an edge of the table there is no law for {', '.join(model.effects.names)}; leave the effects out there.")
     by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
     if len(by_pusher) > 1:
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
