@@ -79,7 +79,8 @@ def draw_goal(progress: GoalProgress, outline: Float64Array) -> GoalDrawing | No
         drawing = GoalDrawing(progress.object_id, at_goal, _path_words(path), path=path.at(_places(path))[:, :2])
         step = progress.step
         return drawing if step is None or not is_pushing else _with_step(drawing, outline, path, step, progress.tool, number)
-    drawing = GoalDrawing(progress.object_id, at_goal, _goal_words(target, at_goal), edge=target.hold and target.hold.edge.ends)
+    edge = None if target.hold is None else target.hold.edge.ends
+    drawing = GoalDrawing(progress.object_id, at_goal, _goal_words(target, at_goal), edge=edge)
     plan = progress.plan
     return drawing if plan is None or not is_pushing else _with_push(drawing, outline, target, plan, number)
 

@@ -9,8 +9,10 @@ the times of their pushes too (`BatchClock`).
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -306,7 +308,7 @@ def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None,
     poses = np.empty((n_models, n_pushes, n_frames, 3))
     n_tasks = n_models * n_pushes
     threads = min(n_threads or _n_cores(), -(-n_tasks // _TASKS_A_THREAD))
-    ranges = _ranges(ready, pushes, min(_TASKS_A_CALL, -(-n_tasks // threads)))
+    left = deque(_ranges(ready, pushes, min(_TASKS_A_CALL, -(-n_tasks // threads))))
 
     def roll(own: _Range) -> None:
         scratch, tape = None, new_tape(0)
@@ -317,11 +319,17 @@ def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None,
             scratch, tape, poses,
         )  # fmt: skip
 
-    if threads == 1:
-        for own in ranges:
-            roll(own)
-    else:
-        list(_pool(threads, os.getpid()).map(roll, ranges))
+    def roll_what_is_left() -> None:
+        with contextlib.suppress(IndexError):
+            while True:
+                roll(left.popleft())
+
+    # This thread works too: on a busy machine others may get a core only when nothing is left to be done.
+    others = [_pool(threads - 1, os.getpid()).submit(roll_what_is_left) for _ in range(threads - 1)]
+    roll_what_is_left()
+    for other in others:
+        if not other.cancel():
+            other.result()
     return poses
 
 

@@ -161,7 +161,7 @@ def rounded(
         found.append((x, y, vx, vy))
     made = np.array(found)
     made[-1, 2:] = 0.0
-    return ToolMotion(begin + _PERIOD * np.arange(len(made)), made[:, :2], made[:, 2:])
+    return ToolMotion(np.asarray(begin + _PERIOD * np.arange(len(made)), dtype=np.float64), made[:, :2], made[:, 2:])
 
 
 def _at_most(x: float, y: float, length: float) -> tuple[float, float]:

@@ -21,6 +21,9 @@ __all__ = ["SteeredPush"]
 
 _POLL: Final = 0.002
 """Between two looks for a pose [s]: a tenth of what a correction takes."""
+_BUDGET: Final = 0.02
+"""After so long nothing begins any more that makes a correction better [s]: with what is under way then, and where others use the cores as
+well, it still comes before the next of 30 frames a second. On free cores all of it takes less."""
 _KEPT: Final = 2000
 """Latest times of corrections that are kept: over a minute."""
 
@@ -91,7 +94,8 @@ class SteeredPush:
         if self.ended:
             self._send(ToolCorrection(push_id, seen.stamp, True, np.empty(0), np.empty((0, 2))))
             return
-        correction = self._follower.correct(seen.stamp - start, seen.pose, seen.covariance)
+        due = begun + _BUDGET
+        correction = self._follower.correct(seen.stamp - start, seen.pose, seen.covariance, lambda: time.perf_counter() > due)
         self._send(_message(correction, push_id, seen.stamp))
         self.seconds = [*self.seconds, time.perf_counter() - begun][-_KEPT:]
         self.n_corrections += 1
